@@ -139,11 +139,7 @@ class TrainingSample:
     look_px: int = 0
 
     def load(self) -> Rgb:
-        """The image as an array.
-
-        Raises:
-            DetectionError: the file cannot be read.
-        """
+        """The image as an array."""
         if isinstance(self.rgb, Path):
             try:
                 bgr = read_image(self.rgb, cv2.IMREAD_COLOR)
@@ -253,11 +249,7 @@ def _write_sample(
 
 
 def _val_groups(written: Sequence[_Written], is_held_out: Callable[[str], bool]) -> frozenset[str]:
-    """The held-out groups.
-
-    Raises:
-        DetectionError: no other group has boxes.
-    """
+    """The held-out groups."""
     # generated frames alone teach a project's detector nothing; the base detector learns from nothing else
     own = [item for item in written if item.origin != GENERATED] or written
     with_boxes = {item.group for item in own if item.boxes}

@@ -116,9 +116,6 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
         dataset: folder of its training set.
         manifest: of that set.
         device: as for training.
-
-    Raises:
-        DetectionError: the detector or an image cannot be used.
     """
     if manifest.measured_on != "val":
         return trained

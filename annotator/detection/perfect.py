@@ -78,9 +78,6 @@ class PerfectDetector:
             min_points: objects with fewer points in the cloud are not detected.
             min_view_share: an object is detected on a view that shows at least this share of its points, and at least
                 3 points.
-
-        Raises:
-            ValueError: two scenes with one key.
         """
         self._scenes = {scene.key: scene for scene in scenes}
         if len(self._scenes) != len(scenes):
@@ -254,9 +251,6 @@ class NearestCluster:
             gap_m: points closer to each other than about this belong to one cluster, metres. It should be larger than
                 the spacing of points, and smaller than the distance between the object and its background.
             min_share: clusters with a smaller share of the points are ignored as noise.
-
-        Raises:
-            ValueError: no labels, a gap of 0 or less, or a share outside 0..1.
         """
         if not labels or not gap_m > 0 or not 0 <= min_share <= 1:
             raise ValueError(f"needs a label, gap_m > 0 and min_share in 0..1, not {labels}, {gap_m} and {min_share}")

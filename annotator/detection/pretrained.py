@@ -25,11 +25,7 @@ TITLE = f"{NAME}, not trained on this project's classes"
 
 
 def base_weights() -> Path:
-    """The weights file of the base detector; `read_trained` of its folder gives its facts.
-
-    Raises:
-        DetectionError: this installation has none.
-    """
+    """The weights file of the base detector; `read_trained` of its folder gives its facts."""
     weights = FOLDER / "detector.safetensors"
     if not weights.is_file():
         raise DetectionError(f"{weights}: the base detector is missing; install annotator again")
@@ -57,11 +53,7 @@ class StartingPoint:
 
 
 def find_starting_point(config: TrainingConfig) -> StartingPoint:
-    """The weights to start from, by `config.pretrained`; random ones if none are available.
-
-    Raises:
-        ConfigError: the model name is unknown, or a given weights file is missing.
-    """
+    """The weights to start from, by `config.pretrained`; random ones if none are available."""
     name = check_model_name(config.model)
     if isinstance(config.pretrained, Path):
         if not config.pretrained.is_file():
@@ -104,12 +96,7 @@ def check_start(config: TrainingConfig) -> None:
 
 
 def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
-    """Reads a weights file as a training run does.
-
-    Raises:
-        ConfigError: it is missing, damaged or not a detection model.
-        DetectionError: the packages cannot be loaded.
-    """
+    """Reads a weights file as a training run does."""
     api()
     try:
         if not path.is_file():
@@ -120,11 +107,7 @@ def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
 
 
 def check_model_name(name: str) -> str:
-    """The model name without a file extension.
-
-    Raises:
-        ConfigError: ultralytics has no detection model of that name.
-    """
+    """The model name without a file extension."""
     stem = name.removesuffix(".pt").removesuffix(".yaml")
     if stem.startswith("yolo") and "/" not in stem:
         try:
@@ -149,11 +132,7 @@ def find_locally(file_name: str) -> Path | None:
 
 
 def local_weights() -> list[Path]:
-    """All weights files in annotator's cache and in ultralytics' own weights folder.
-
-    Raises:
-        DetectionError: ultralytics, which defines that folder, cannot be loaded.
-    """
+    """All weights files in annotator's cache and in ultralytics' own weights folder."""
     folders = (cache_dir() / "weights", api().weights_dir)
     return [path for folder in folders for path in sorted(folder.glob("*.pt")) if path.is_file()]
 
@@ -209,9 +188,6 @@ def write_seeded_network(
         classes: number of classes.
         end2end: whether the network predicts each object once; only some models support this.
         seed: seed of the weights.
-
-    Raises:
-        DetectionError: the packages cannot be loaded.
     """
     torch = api().torch
     with torch.random.fork_rng(devices=[]):

@@ -120,11 +120,7 @@ def read_trained(folder: Path) -> TrainedModel:
 
 
 def read_run(folder: Path) -> RunRecord | None:
-    """Reads the run in a folder; None if the folder has no run.
-
-    Raises:
-        FormatError: the record cannot be read.
-    """
+    """Reads the run in a folder; None if the folder has no run."""
     path = folder / RUN_NAME
     if not path.is_file():
         return None
@@ -197,11 +193,7 @@ def write_checkpoint(path: Path, trainer: Any, with_optimiser: bool = True) -> N
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """A checkpoint in the form from which ultralytics' trainer resumes; "ema" is a model.
-
-    Raises:
-        DetectionError: the file is missing or damaged.
-    """
+    """A checkpoint in the form from which ultralytics' trainer resumes; "ema" is a model."""
     tensors, facts = read_tensors(path, REMEDY)
     state = _state(path, facts)
     optimiser: dict[int, dict[str, Any]] = {int(k): dict(values) for k, values in state.plain.items()}
@@ -221,11 +213,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def read_weights(path: Path) -> tuple[Any, dict[str, float | None]]:
-    """The model of a checkpoint, and the metrics of its validation.
-
-    Raises:
-        DetectionError: the file is missing or damaged.
-    """
+    """The model of a checkpoint, and the metrics of its validation."""
     tensors, facts = read_tensors(path, REMEDY)
     return _weights(path, tensors, facts), _state(path, facts).metrics
 

@@ -58,11 +58,7 @@ class NetworkDescription(BaseModel):
 
 
 def is_network_file(path: Path) -> bool:
-    """True if a file begins like a safetensors file, whatever its name; weights of ultralytics are zip archives.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """True if a file begins like a safetensors file, whatever its name; weights of ultralytics are zip archives."""
     with open_file(path) as file:
         begin = file.read(9)
     # the length of the header, and the header, which is JSON
@@ -71,11 +67,7 @@ def is_network_file(path: Path) -> bool:
 
 
 def describe(model: Any) -> NetworkDescription:
-    """The description of a detection model.
-
-    Raises:
-        DetectionError: its architecture is none of ultralytics' own.
-    """
+    """The description of a detection model."""
     labels = tuple(str(model.names[number]) for number in sorted(model.names))
     name = Path(str(model.yaml.get("yaml_file", ""))).stem
     try:
@@ -85,11 +77,7 @@ def describe(model: Any) -> NetworkDescription:
 
 
 def build(description: NetworkDescription) -> Any:
-    """A detection model with random weights.
-
-    Raises:
-        DetectionError: ultralytics has no such architecture.
-    """
+    """A detection model with random weights."""
     try:
         model = api().DetectionModel(f"{description.architecture}.yaml", nc=len(description.labels), verbose=False)
         if description.end2end is not None and bool(model.model[-1].end2end) != description.end2end:
@@ -115,21 +103,12 @@ def half(tensors: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_network(path: Path, model: Any) -> None:
-    """Writes a model's weights in half precision, atomically.
-
-    Raises:
-        DetectionError: as `describe`.
-        OSError: the file cannot be written.
-    """
+    """Writes a model's weights in half precision, atomically."""
     write_tensors(path, half(model.state_dict()), {DESCRIPTION: describe(model).model_dump_json()})
 
 
 def read_network(path: Path, device: Any, remedy: str) -> Any:
-    """The model of a file, in single precision and evaluation mode.
-
-    Raises:
-        DetectionError: the file is damaged, or its tensors do not fit its architecture.
-    """
+    """The model of a file, in single precision and evaluation mode."""
     tensors, facts = read_tensors(path, remedy)
     return filled(path, tensors, facts, remedy).to(device)
 
@@ -147,33 +126,21 @@ def filled(path: Path, tensors: dict[str, Any], facts: dict[str, str], remedy: s
 
 
 def write_tensors(path: Path, tensors: dict[str, Any], facts: dict[str, str]) -> None:
-    """Writes tensors and text, atomically.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Writes tensors and text, atomically."""
     from safetensors.torch import save
 
     write_atomic(path, save(tensors, facts))
 
 
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Any], dict[str, str]]:
-    """The tensors of a file by name, and its text.
-
-    Raises:
-        DetectionError: the file is missing, damaged or too large.
-    """
+    """The tensors of a file by name, and its text."""
     api()
     with _opened(path, "pt", remedy) as file:
         return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
 
 
 def read_facts(path: Path) -> dict[str, str]:
-    """The text of a file, without its tensors.
-
-    Raises:
-        DetectionError: as `read_tensors`.
-    """
+    """The text of a file, without its tensors."""
     with _opened(path, "numpy", "train the detector again") as file:
         return dict(file.metadata() or {})
 

@@ -75,9 +75,6 @@ class Agreements:
         Args:
             weights: weights file of the network.
             images: RGB images; height and width are multiples of the network's stride.
-
-        Raises:
-            DetectionError: the packages cannot be loaded, or torch cannot run the network.
         """
         self._weights, self._images = weights, images
         torch = TorchNetwork(weights, pick_device("cpu"))
@@ -93,7 +90,6 @@ class Agreements:
 
         Raises:
             BackendMissingError: the backend is not installed or not supported by the CPU.
-            DetectionError: the backend fails, or its output has another shape.
         """
         network = open_network(self._weights)
         reference = "float64"

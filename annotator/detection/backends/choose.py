@@ -112,10 +112,6 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
     """The backend that `open_network` would choose for a network that all backends support, and the reason.
 
     Loads the packages of each candidate until one loads without an error.
-
-    Raises:
-        ConfigError: the backend cannot use the device.
-        DetectionError: no backend can be loaded.
     """
     choices, reasons = _choices(config), list[str]()
     if config.device == "auto":

@@ -93,9 +93,6 @@ def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, byt
 
     The files are network.xml and network.bin for OpenVINO, network.onnx for ONNX Runtime. The graph accepts any batch
     size and any image size that is a multiple of the stride.
-
-    Raises:
-        DetectionError: the weights cannot be used, a package is missing, or the network cannot be converted.
     """
     torch = api().torch
     module, facts = raw_network(weights, torch.device("cpu"))

@@ -27,11 +27,7 @@ SWITCH = "ORT_DISABLE_TELEMETRY"
 
 
 def onnxruntime() -> Any:
-    """The module `onnxruntime`, loaded on the first call.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The module `onnxruntime`, loaded on the first call."""
     os.environ.setdefault(SWITCH, "1")
     try:
         import onnxruntime as module
@@ -61,10 +57,6 @@ class OnnxNetwork:
             facts: its classes, stride and kind of output.
             parts: files of its export: network.onnx.
             threads: CPU threads; None: all cores that the process may use.
-
-        Raises:
-            DetectionError: ONNX Runtime cannot read the export.
-            MissingExtraError: it is not installed.
         """
         self.facts = facts
         self._threads = threads or usable_cores()

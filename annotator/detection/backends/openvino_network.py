@@ -38,21 +38,13 @@ _LOCK = threading.Lock()
 
 
 def openvino() -> Any:
-    """The module `openvino`, loaded on the first call.
-
-    Raises:
-        DetectionError: OpenVINO is missing or broken.
-    """
+    """The module `openvino`, loaded on the first call."""
     with _LOCK:
         return _load()
 
 
 def computes_bfloat16() -> bool:
-    """Whether the CPU has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2) and OpenVINO uses them.
-
-    Raises:
-        DetectionError: OpenVINO is missing or broken.
-    """
+    """Whether the CPU has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2) and OpenVINO uses them."""
     runtime = openvino()
     try:
         return "BF16" in runtime.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
@@ -125,9 +117,6 @@ class OpenVinoNetwork:
             parts: files of its export: network.xml and network.bin.
             threads: CPU threads; None: all cores that the process may use.
             bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
-
-        Raises:
-            DetectionError: OpenVINO is missing or cannot read the export.
         """
         self.backend: Backend = "openvino-bf16" if bfloat16 else "openvino"
         self.facts = facts

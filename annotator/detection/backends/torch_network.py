@@ -64,9 +64,6 @@ def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
     """A torch module from (n, height, width, 3) uint8 to the raw prediction of `network.Answer`, and its facts.
 
     Batch normalisation is folded into the convolutions.
-
-    Raises:
-        DetectionError: the weights cannot be used.
     """
     model = load_weights(weights, device)
     head = model.model[-1]
@@ -122,9 +119,6 @@ class TorchNetwork:
             weights: weights file of an ultralytics detection model.
             device: a torch device, as returned by `pick_device`.
             threads: CPU threads; None: torch's default.
-
-        Raises:
-            DetectionError: the weights cannot be used.
         """
         module, self.facts = raw_network(weights, device)
         self._device = device
