@@ -203,7 +203,7 @@ def exports(tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch, tmp_path:
         requested.append(kind)
         return real(tiny_model.weights, kind)
 
-    monkeypatch.setattr(export_module, "export", counted)
+    monkeypatch.setattr(choose, "export", counted)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return requested
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from annotator.detection.backends.export import Export, export_key, find_export, keep_export, one_at_a_time
+from annotator.detection.backends.export import Export, export, export_key, find_export, keep_export, one_at_a_time
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
@@ -56,15 +56,15 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
             if config.backend == backend:
                 raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
             backend = "openvino"
-        export = _exported(weights, weights_sha256, "openvino")
-        return OpenVinoNetwork(export.facts, export.parts, config.threads, bfloat16=backend == "openvino-bf16")
+        exported = _exported(weights, weights_sha256, "openvino")
+        return OpenVinoNetwork(exported.facts, exported.parts, config.threads, bfloat16=backend == "openvino-bf16")
     if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import OnnxNetwork
 
         if find_spec("onnxruntime") is None:  # reported before the slow export
             raise MissingExtraError("onnxruntime", "onnx")
-        export = _exported(weights, weights_sha256, backend)
-        return OnnxNetwork(export.facts, export.parts, config.threads)
+        exported = _exported(weights, weights_sha256, backend)
+        return OnnxNetwork(exported.facts, exported.parts, config.threads)
     from annotator.detection.backends.torch_network import TorchNetwork
     from annotator.detection.ultralytics_api import pick_device
 
@@ -79,8 +79,6 @@ def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
     with one_at_a_time():
         cached = find_export(kind, key)  # another process may have finished it meanwhile
         if cached is None:
-            from annotator.detection.backends.export import export
-
             LOG.info("%s: converting for %s; the result is reused", weights, kind)
             facts, parts = export(weights, kind)
             cached = Export(facts, parts)
