@@ -183,11 +183,7 @@ def write_seeded_network(
     state of torch's random number generator is restored afterwards.
 
     Args:
-        path: the file to write; its folder is created if missing.
-        name: name of a detection model of ultralytics.
-        classes: number of classes.
         end2end: whether the network predicts each object once; only some models support this.
-        seed: seed of the weights.
     """
     torch = api().torch
     with torch.random.fork_rng(devices=[]):

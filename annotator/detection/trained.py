@@ -40,7 +40,6 @@ class TrainedModel(BaseModel):
 
     Attributes:
         role: image or pseudo-view detector.
-        weights: the weights file.
         classes: class names, in the order of the class numbers.
         kind: what the boxes of its training set measure.
         image_size_px: training size, longer side, pixels.
@@ -50,7 +49,6 @@ class TrainedModel(BaseModel):
         pretrained: whether it started from pretrained weights.
         note: what it started from, in words.
         dataset_sha256: hash of the training set's manifest.
-        config: the training settings.
         edge_errors: expected errors of its edges, by class; empty for image detectors, and where the network does
             not tell them.
     """

@@ -130,7 +130,6 @@ class TrainerHooks:
     Attributes:
         dataset: folder of the training set.
         manifest: of the training set.
-        device: torch device.
         measure_every: epochs between validations; the last epoch is always validated.
         quarter_turns: turn training images by random multiples of 90 degrees.
         on_batch, on_epoch: called with the trainer after each batch, and after each epoch.

@@ -202,7 +202,6 @@ def train_detector(
     Args:
         dataset: a folder written by `write_dataset`.
         out: folder of the run; `detector.safetensors`, `model.json` and `curves.csv` are written there.
-        config: settings.
         progress: called after every batch and every epoch.
         role: the detector's kind; it selects the augmentation.
         stop: called after every batch; true stops the run.

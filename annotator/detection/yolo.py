@@ -229,17 +229,12 @@ REVISION = 2
 
 
 class YoloDetector:
-    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image.
-
-    Attributes:
-        weights: the weights file.
-    """
+    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image."""
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
             weights: the file of a training run, or ultralytics' own detection weights.
-            config: settings.
 
         Raises:
             ConfigError: the backend cannot use the device.

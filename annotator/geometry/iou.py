@@ -141,7 +141,6 @@ def nms_3d(
     Args:
         boxes: in one frame.
         scores: one per box; any finite numbers.
-        labels: one class name per box.
         iou_threshold: in 0..1.
 
     Returns:

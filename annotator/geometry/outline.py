@@ -48,7 +48,6 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
     Args:
         camera: distortion is taken into account.
         box: in the camera frame.
-        label: of the 2D box.
         min_side_px: minimum width and height.
 
     Returns:

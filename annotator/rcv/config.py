@@ -29,7 +29,6 @@ class TypicalSize(BaseModel):
     """The typical size of a class.
 
     Attributes:
-        label: class name.
         size_m: sides, metres; the last one is the height of upright boxes, and the order of the others does not matter.
         spread: standard deviation of the logarithm of each side; 0.1 means about 10 %.
     """

@@ -200,7 +200,6 @@ class Edges:
         ends: (m, 2) low and high end, metres from `shift`; 0 if unknown.
         inverse: (m, 2) one over the expected error; 0 if unknown.
         shift: (3,) what was subtracted from all positions, metres.
-        config: settings.
     """
 
     direction: Float64[np.ndarray, "m 3"]

@@ -127,7 +127,6 @@ def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float
 
     Args:
         detected: the detector's class; differs from `label` for class-agnostic detectors.
-        label: the object's class.
         min_score: boxes with a lower score are left out.
     """
     chosen = (box for box in boxes if box.label == detected and box.score >= min_score)

@@ -54,7 +54,6 @@ class FrustumFacts:
     Attributes:
         cloud: all its points.
         middle_m: (k, 3) a sample of the points in the middle of the image box.
-        camera: the frame's camera.
         evidence, placed: of an object of a class with a typical size: what is known of it, and the boxes that are
             plausible before a detector is used.
     """

@@ -138,7 +138,6 @@ class WarmStart:
     """The box of an object in an earlier frame, from which it starts in the current frame.
 
     Attributes:
-        label: class name.
         box: in the camera frame of the current frame.
     """
 

@@ -67,7 +67,6 @@ class TaughtObject:
     """An object whose 3D extent is known.
 
     Attributes:
-        label: class name.
         box: camera frame; for silhouettes, it cuts the object's points out of the cloud.
         points: (n,) mask of the object's points in the frame's cloud; None means those inside the box.
     """

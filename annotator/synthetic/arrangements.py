@@ -41,7 +41,6 @@ class Placed:
         axes: columns = axes of the object and its box, world frame.
         origin_m: position of the object's origin, world frame.
         radius_m: of its footprint.
-        label: class name.
     """
 
     mesh: Mesh

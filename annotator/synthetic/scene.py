@@ -118,7 +118,6 @@ class Actor:
 
     Attributes:
         track: track id within the recording, from 1.
-        label: class name.
         mesh: the complete mesh, world frame.
         axes: columns = axes of the object and its box in the world frame.
     """

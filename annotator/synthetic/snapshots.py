@@ -29,7 +29,6 @@ class SnapshotObject:
     """An object of a snapshot.
 
     Attributes:
-        label: class name.
         box: around its whole surface, along its own axes; camera frame.
         points: mask of its points in the frame's cloud.
     """

@@ -37,7 +37,6 @@ class TrueObject:
 
     Attributes:
         track: track id within the recording.
-        label: class name.
         box: tightest box along the object's own axes around its whole surface, hidden parts included; camera frame.
         visible: visible share of its silhouette, which includes parts beyond the image border.
     """

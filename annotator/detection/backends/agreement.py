@@ -73,7 +73,6 @@ class Agreements:
     def __init__(self, weights: Path, images: UInt8[np.ndarray, "n h w 3"]) -> None:
         """
         Args:
-            weights: weights file of the network.
             images: RGB images; height and width are multiples of the network's stride.
         """
         self._weights, self._images = weights, images

@@ -161,7 +161,6 @@ class Export:
     """A converted network.
 
     Attributes:
-        facts: its classes, stride and kind of output.
         parts: the content of its files, by name.
     """
 

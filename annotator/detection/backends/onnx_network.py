@@ -44,8 +44,6 @@ class OnnxNetwork:
 
     Attributes:
         backend: "onnxruntime".
-        device: "cpu".
-        facts: its classes, stride and kind of output.
     """
 
     backend: Backend = "onnxruntime"
@@ -54,7 +52,6 @@ class OnnxNetwork:
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """
         Args:
-            facts: its classes, stride and kind of output.
             parts: files of its export: network.onnx.
             threads: CPU threads; None: all cores that the process may use.
         """

@@ -102,8 +102,6 @@ class OpenVinoNetwork:
 
     Attributes:
         backend: "openvino", or "openvino-bf16" in half precision.
-        device: "cpu".
-        facts: its classes, stride and kind of output.
     """
 
     device = "cpu"
@@ -113,7 +111,6 @@ class OpenVinoNetwork:
     ) -> None:
         """
         Args:
-            facts: its classes, stride and kind of output.
             parts: files of its export: network.xml and network.bin.
             threads: CPU threads; None: all cores that the process may use.
             bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.

@@ -107,8 +107,6 @@ class TorchNetwork:
 
     Attributes:
         backend: "torch".
-        device: device in torch's notation.
-        facts: its classes, stride and kind of output.
     """
 
     backend: Backend = "torch"
@@ -116,7 +114,6 @@ class TorchNetwork:
     def __init__(self, weights: Path, device: Any, threads: int | None = None) -> None:
         """
         Args:
-            weights: weights file of an ultralytics detection model.
             device: a torch device, as returned by `pick_device`.
             threads: CPU threads; None: torch's default.
         """
