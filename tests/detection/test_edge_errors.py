@@ -32,15 +32,6 @@ def test_the_fit_finds_the_law_behind_the_errors_despite_gross_ones(factor: floa
     assert (fit.edges, fit.gain > 0.02) == (4000, True)
 
 
-def test_the_map_is_monotone_and_constant_beyond_the_spreads_that_were_seen() -> None:
-    spread = np.linspace(2.0, 5.0, 1000)
-    fit = fit_edge_errors(spread, errors_of(spread, 0.2, 1.5))
-    assert isinstance(fit, EdgeErrors)
-    expected = fit.of(np.array([0.0, 1.0, 2.5, 3.5, 4.5, 9.0, 90.0]))
-    assert expected[0] == expected[1] and expected[-2] == expected[-1]
-    assert (np.diff(expected) >= 0).all() and expected[0] > 0
-
-
 def test_a_spread_that_tells_nothing_is_refused() -> None:
     rng = np.random.default_rng(0)
     spread, errors = rng.uniform(1, 4, 3000), rng.laplace(0, 1.0, 3000)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.types import BoxKind, Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
+from annotator.types import Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
@@ -58,15 +58,6 @@ def test_view_box_spans_the_projected_corners() -> None:
         np.testing.assert_allclose(
             view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1), atol=1e-9
         )
-
-
-def test_view_silhouette_spans_the_drawn_points() -> None:
-    frame = make_frame([NEAR], [50])
-    half = frame.cloud.xyz_m[:25]
-    view = make_view(half, (300, 300), 0.02)
-    (box,) = PerfectDetector.for_frame(frame, [NEAR], kind=BoxKind.SILHOUETTE).detect([view])[0]
-    along = half @ view.axes[:2].T
-    np.testing.assert_allclose(view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1))
 
 
 @pytest.mark.parametrize(("drawn", "found"), [(0, 0), (2, 0), (4, 0), (5, 1), (50, 1)])

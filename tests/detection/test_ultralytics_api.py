@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from annotator.detection.ultralytics_api import pick_device
-from annotator.detection.weights import load_weights
 from annotator.types.errors import DetectionError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,25 +85,6 @@ def test_loading_has_no_side_effects_except_the_stated_variables_and_settings(tm
     assert not state["torchvision"]
     files = sorted(str(path.relative_to(home)) for path in home.rglob("*") if path.is_file())
     assert files == [".cache/annotator/Ultralytics/settings.json"]
-
-
-def test_weights_that_contain_code_are_refused(tmp_path: Path) -> None:
-    import pickle
-    import zipfile
-
-    target = tmp_path / "touched"
-
-    class Evil:
-        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-            return (Path.touch, (target,))
-
-    path = tmp_path / "evil.pt"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("evil/data.pkl", pickle.dumps({"model": Evil()}))
-        archive.writestr("evil/version", "3\n")
-    with pytest.raises(DetectionError, match=r"evil\.pt"):
-        load_weights(path, pick_device("cpu"))
-    assert not target.exists()
 
 
 def test_unknown_devices_are_errors() -> None:

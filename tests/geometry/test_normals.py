@@ -41,7 +41,7 @@ def known(normals: np.ndarray) -> np.ndarray:
     return np.linalg.norm(normals, axis=-1) > 0.5
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None)
 @example(Camera(64, 48, 58.0, 55.1, 26.0, 19.3, (-0.09375, -0.03125, 0.0, 0.0)), np.array([0.0, 1.0, 0.0]), 1.0)
 @given(cameras(), vectors(), st.floats(0.3, 5.0))
 def test_normals_of_a_plane_point_towards_the_camera(camera: Camera, normal: np.ndarray, distance_m: float) -> None:
@@ -69,24 +69,6 @@ def test_normals_are_not_blurred_at_a_depth_jump() -> None:
     depth[40:80, 60:100] = 1.5
     normals = normals_from_depth(PINHOLE, depth)
     np.testing.assert_allclose(normals, np.broadcast_to([0.0, 0.0, -1.0], normals.shape), atol=1e-4)
-
-
-def test_normals_change_only_at_a_crease() -> None:
-    """Two walls that meet in a corner: each keeps its normal up to the window's radius."""
-    left, right = unit(np.array([1.0, 0.0, 1.0])), unit(np.array([-1.0, 0.0, 1.0]))
-    depth = np.minimum(plane_depth(PINHOLE, left, 2.0), plane_depth(PINHOLE, right, 2.0))
-    normals = normals_from_depth(PINHOLE, depth)
-    # the ray x = 0 hits both walls, between columns 79 and 80; each plane is nearer on its own side
-    assert degrees_off(normals[:, 84:], -left).max() < 0.5
-    assert degrees_off(normals[:, :75], -right).max() < 0.5
-
-
-def test_pixels_without_neighbours_have_no_normal() -> None:
-    depth = np.zeros((120, 160), np.float32)
-    depth[60, 80] = 1.0  # alone
-    depth[20, :] = 1.0  # a line
-    depth[100, 100] = np.nan
-    assert not normals_from_depth(PINHOLE, depth).any()
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])

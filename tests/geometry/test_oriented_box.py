@@ -20,7 +20,6 @@ from annotator.geometry.oriented_box import (
     box_corners,
     common_axis,
     contains,
-    contains_parts,
     corrected,
     nearest_upright,
     tightest_box,
@@ -36,24 +35,6 @@ def test_corners_have_the_documented_order() -> None:
     assert names == ["---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++"]
     box = OrientedBox.from_parts(np.array([1.0, 2.0, 3.0]), np.eye(3), np.array([2.0, 4.0, 6.0]))
     np.testing.assert_allclose(box_corners(box)[[0, 1, 6]], [[0, 0, 0], [2, 0, 0], [2, 4, 6]])
-
-
-@settings(deadline=None)
-@given(boxes(), st.floats(0.5, 1.5), st.sampled_from([np.float32, np.float64]))
-def test_corners_are_inside_an_enlarged_and_outside_a_shrunk_box(box: OrientedBox, scale: float, dtype: type) -> None:
-    points = box_corners(box).astype(dtype)
-    if abs(scale - 1.0) < 1e-3:
-        return
-    resized = contains_parts(box.center_m, box.rotation, box.size_m * scale, points)
-    assert resized.all() if scale > 1 else not resized.any()
-
-
-def test_margin_moves_every_face_outwards() -> None:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.array([2.0, 4.0, 6.0]))
-    points = np.array([[1.09, 0.0, 0.0], [0.0, 2.09, 0.0], [0.0, 0.0, -3.09], [1.09, 2.09, 3.09]])
-    assert contains(box, points, margin_m=0.1).all()
-    assert not contains(box, points).any()
-    assert not contains(box, points, margin_m=0.08).any()
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -127,7 +108,7 @@ def point_clouds() -> st.SearchStrategy[np.ndarray]:
     return hnp.arrays(np.float64, st.tuples(st.integers(5, 40), st.just(3)), elements=st.floats(-2.0, 2.0, width=16))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None)
 @given(point_clouds(), rotations())
 def test_an_aligned_box_touches_the_points_on_every_side(points: np.ndarray, rotation: Rotation) -> None:
     found = aligned_box(points, rotation.as_matrix())
@@ -163,7 +144,6 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.7))
-@settings(max_examples=40)
 def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:
     rng = np.random.default_rng(seed)
     about = rng.normal(size=3)
@@ -177,14 +157,6 @@ def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:
     assert tilt <= every + 1e-6
     assert every <= tilt + np.deg2rad(1.0)
     np.testing.assert_array_equal(found.size_m, SIZE)
-
-
-def test_a_box_upside_down_keeps_its_heading() -> None:
-    R = upright(0.4) @ np.diag([1.0, -1.0, -1.0])
-    box = OrientedBox.from_parts(CENTER, R, SIZE)
-    found, tilt = nearest_upright(box, UP)
-    assert tilt < 1e-7 and iou_3d(found, box) == pytest.approx(1.0)
-    np.testing.assert_allclose(found.rotation, upright(0.4), atol=1e-7)
 
 
 @pytest.mark.parametrize("roll", [np.pi / 2, -np.pi / 2])

@@ -13,7 +13,6 @@ from annotator.geometry.normals import normals_knn
 from annotator.rcv.axes import (
     BOX_SYMMETRIES,
     axes_angle_rad,
-    axial_kmeans,
     find_axes,
     match_axes,
     upright_axes,
@@ -77,25 +76,3 @@ def test_a_small_cloud_falls_back_step_by_step_with_notes() -> None:
     assert len(found.fallback) == 2
     assert found.fallback[0].startswith("normals") and found.fallback[1].startswith("eigenvectors")
     np.testing.assert_allclose(found.axes, np.eye(3))
-
-
-def test_a_flat_cloud_has_axes_along_its_normal() -> None:
-    rng = np.random.default_rng(0)
-    xyz = np.concatenate([rng.uniform(-1, 1, (400, 2)), np.full((400, 1), 3.0)], axis=1).astype(np.float32)
-    cloud = PointCloud(xyz, normals=normals_knn(xyz))
-    found = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
-    np.testing.assert_allclose(np.abs(found.axes[2]), [0, 0, 1], atol=1e-3)
-    np.testing.assert_allclose(found.axes @ found.axes.T, np.eye(3), atol=1e-9)
-
-
-def test_antipodal_normals_are_one_direction() -> None:
-    rng = np.random.default_rng(0)
-    directions = np.concatenate([np.tile([0, 0, 1.0], (60, 1)), np.tile([1.0, 0, 0], (40, 1))])
-    noisy = directions + rng.normal(0, 0.02, directions.shape)
-    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-    signs = rng.choice([-1.0, 1.0], (100, 1))
-    centres, counts = axial_kmeans(noisy * signs, 2, 0)
-    order = np.argsort(-counts)
-    assert sorted(counts.tolist()) == [40, 60]
-    assert abs(centres[order[0]] @ [0, 0, 1]) > 0.999
-    assert abs(centres[order[1]] @ [1, 0, 0]) > 0.999

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,10 +11,8 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.rcv import interval_fit
-from annotator.rcv.axes import BOX_SYMMETRIES
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.fit_kernels import count_within
-from annotator.rcv.interval_fit import BoxFit, Intervals, expected_iou_loss, fit_box
+from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.rcv.rotations import near_axes, spread_rotations, wide_axes
 from annotator.types import OrientedBox
 
@@ -50,7 +46,7 @@ def upright_directions() -> np.ndarray:
     return np.concatenate([turn @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]) for turn in turns])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_exact_intervals_give_the_exact_free_box(seed: int) -> None:
     box = random_box(np.random.default_rng(seed), upright=False)
@@ -59,7 +55,7 @@ def test_exact_intervals_give_the_exact_free_box(seed: int) -> None:
     assert iou_3d(box, box_of(fit)) > 0.999
 
 
-@settings(max_examples=25, deadline=None)
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_exact_intervals_give_the_exact_upright_box(seed: int) -> None:
     box = random_box(np.random.default_rng(seed), upright=True)
@@ -95,18 +91,6 @@ def test_views_along_one_yaw_determine_no_upright_box() -> None:
             np.array([4.0, 1.6, 1.5]),
         )
         assert fit_box(measure(box, np.concatenate([np.eye(3), np.eye(3)])), UP) is None
-
-
-@pytest.mark.parametrize("count", [1, 4, 12, 100])
-def test_spread_rotations_differ_for_a_box(count: int) -> None:
-    rotations = spread_rotations(count)
-    assert rotations.shape == (count, 3, 3)
-    np.testing.assert_allclose(rotations[0], np.eye(3))
-    np.testing.assert_allclose(np.linalg.det(rotations), 1)
-    for i in range(count):
-        for j in range(i):
-            nearest = np.einsum("sij,ij->s", BOX_SYMMETRIES @ rotations[i], rotations[j]).max()
-            assert nearest < 3 - 1e-4
 
 
 @pytest.mark.parametrize("upright", [False, True])
@@ -181,40 +165,4 @@ def test_repeated_views_do_not_make_a_box_more_certain() -> None:
     assert fitted(Intervals.concatenate([intervals] * 3), None).expected_iou_loss() == pytest.approx(once, rel=0.05)
 
 
-def test_a_face_that_is_hardly_measured_makes_the_box_less_certain() -> None:
-    box = true_box(5, UP)
-    intervals = measured(box, 0.01, UP, np.random.default_rng(2))
-    hidden = intervals.directions @ box.rotation[:, 0] > 0.3
-    sigma = intervals.sigma_m.copy()
-    sigma[hidden, 1] = np.inf
-    sigma[intervals.directions @ box.rotation[:, 0] < -0.3, 0] = np.inf
-    fit, whole = fit_box(replace(intervals, sigma_m=sigma), UP), fitted(intervals, UP)
-    assert fit is not None
-    assert fit.expected_iou_loss() > 1.2 * whole.expected_iou_loss()
-
-
-def test_the_loss_is_between_zero_and_one() -> None:
-    box = true_box(1, UP)
-    exact = measured(box, 0.0, UP, np.random.default_rng(0))
-    exact = replace(exact, sigma_m=np.full_like(exact.ends_m, 0.01))
-    assert 0 <= fitted(exact, UP).expected_iou_loss() < 0.01
-    directions = exact.directions
-    weights = np.full((len(directions), 2), 1e-6)
-    assert expected_iou_loss(directions, weights, box.rotation, box.size_m, True) == 1.0
-
-
 # Numbers of points between pairs of planes, compared with masks.
-
-
-def test_counts_agree_with_masks() -> None:
-    rng = np.random.default_rng(0)
-    for count in (0, 1, 1000):
-        xyz = rng.normal(size=(count, 3)).astype(np.float32)
-        axes = Rotation.random(rng=rng).as_matrix().astype(np.float32)
-        low, high = rng.uniform(-2, 0, 3).astype(np.float32), rng.uniform(0, 2, 3).astype(np.float32)
-        along = xyz.astype(np.float64) @ axes.T
-        assert np.abs(along[:, None] - np.stack([low, high])).min(initial=1.0) > 1e-6
-        x, y, z = ((along >= low) & (along <= high)).T
-        expected = tuple(int(np.count_nonzero(mask)) for mask in (x & y & z, x & y, y & z))
-        assert count_within(xyz, axes, low, high) == expected
-        assert count < 1000 or min(expected) > 0

@@ -17,9 +17,7 @@ from annotator.rcv.known_objects import (
     DrawnObject,
     KnownFrame,
     boxes_of_known,
-    cut_out,
     draw_object,
-    first_views,
     next_views,
 )
 from annotator.rcv.propose import propose_from_boxes
@@ -67,17 +65,6 @@ def test_an_object_needs_a_front_and_a_side_box_in_each_of_two_steps() -> None:
         assert np.linalg.det(side.view.axes) == pytest.approx(1)
 
 
-def test_the_first_views_are_along_the_camera_axes_and_show_the_whole_frustum() -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    views = first_views(frame, image_box(frame), CONFIG)
-    assert views is not None
-    np.testing.assert_allclose(views[0].axes, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(views[1].axes, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
-    shown = {tuple(point) for point in views[0].xyz_m}
-    assert all(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
-    assert len(shown) > 800, "the wall behind the object is also in its frustum"
-
-
 @pytest.mark.parametrize("orientation", list(Orientation))
 def test_the_second_step_shows_only_the_object(orientation: Orientation) -> None:
     frame, _ = frame_with([BOX], up=UP)
@@ -114,14 +101,6 @@ def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
         np.testing.assert_allclose(drawn_on.axes, met.axes, atol=1e-6)
         np.testing.assert_allclose(drawn_on.origin_m, met.origin_m, atol=1e-6)
         np.testing.assert_array_equal(drawn_on.xyz_m, met.xyz_m)
-
-
-def test_the_drawn_boxes_select_the_objects_points() -> None:
-    frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
-    mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
-    assert mask.shape == (len(frame.cloud),)
-    assert mask[OBJECT].mean() > 0.99
-    assert not mask[800:].any()
 
 
 @pytest.mark.parametrize("unseen", [0, 1, 2, 3])

@@ -123,17 +123,6 @@ def test_two_objects_in_one_frustum_become_two_proposals() -> None:
         assert max(iou_3d(truth.box, p.box) for p in found) > 0.95
 
 
-def test_duplicates_are_removed() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths)
-
-    class Twice(Counting):
-        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            return [found * 2 for found in self.inner.detect(images)]
-
-    assert len(propose([frame], Twice(perfect), perfect, RcvConfig())[0].proposals) == 1
-
-
 @pytest.mark.parametrize(("seen", "steps"), [(0, 1), (1, 2)])
 def test_an_object_without_view_detections_is_lost_and_the_trace_shows_the_step(seen: int, steps: int) -> None:
     frame, truths = frame_with([FREE_BOX])
@@ -269,17 +258,6 @@ def result(frame: Frame, states: Sequence[ObjectState], **settings: object) -> l
     return [p.box for p in finish(frame, states, RcvConfig(**settings)).proposals]
 
 
-def test_agreement_is_the_iou_on_the_image(frame: Frame) -> None:
-    exact = seen(frame, OWN)
-    (found,) = finish(frame, [ended(frame, exact, OWN)], RcvConfig()).proposals
-    assert found.quality.image_agreement == pytest.approx(1)
-    half = replace(exact, x_max=(exact.x_min + exact.x_max) / 2)
-    (found,) = finish(frame, [ended(frame, half, OWN)], RcvConfig()).proposals
-    assert found.quality.image_agreement == pytest.approx(0.5)
-    behind = some_box([0, 0, -5], [0, 0, 0], [1, 1, 1])
-    assert image_agreement(frame.camera, ended(frame, exact, OWN), behind, RcvConfig()) == 0
-
-
 def test_the_agreement_of_silhouettes_uses_their_points(frame: Frame) -> None:
     """The points may cover less than the box."""
     state = ended(frame, seen(frame, OWN), OWN)
@@ -307,12 +285,3 @@ def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame
     worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.pose, OWN.size_m * 0.9))
     (found,) = finish(frame, [worse, better][::order], RcvConfig(min_image_agreement=0.0)).proposals
     assert found.image_box == own
-
-
-def test_proposals_are_sorted_by_score(frame: Frame) -> None:
-    """Even where the agreement selects between duplicates."""
-    doubtful = replace(seen(frame, OWN), score=0.3)
-    sure = replace(seen(frame, OTHER), x_max=639.0, y_max=479.0)
-    found = finish(frame, [ended(frame, doubtful, OWN), ended(frame, sure, OTHER)], RcvConfig()).proposals
-    assert [p.box for p in found] == [OTHER, OWN]
-    assert found[0].score > found[1].score

@@ -61,18 +61,6 @@ def test_additional_points_lie_within_the_view() -> None:
     assert front.origin_m[0] < -3 and front.origin_m[0] + front.extent_m[0] > 3
 
 
-def test_sparse_points_are_drawn_larger_than_dense_ones() -> None:
-    rng = np.random.default_rng(0)
-
-    def covered(n: int) -> float:
-        cloud = PointCloud(rng.uniform(0, 1, (n, 3)).astype(np.float32), np.zeros((n, 3), np.uint8))
-        view = render_pairs(cloud, [np.eye(3)], VIEW)[0]
-        return float((view.rgb[..., 0] == 0).sum()) / n
-
-    assert covered(50) > 20
-    assert covered(20_000) < 1.5
-
-
 def test_a_dense_cloud_is_thinned_and_looks_the_same() -> None:
     """A wall in two colours, as measured by a depth camera: 13 points per pixel, of which four are drawn."""
     column, row = np.meshgrid(np.linspace(-1, 1, 380), np.linspace(-1, 1, 350))
@@ -181,17 +169,3 @@ def test_depth_is_measured_along_the_frustum(degrees: float, axis: list[float]) 
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)
     for depth_m, deep in ((3.0, False), (6.0, True), (60.0, True)):
         assert is_deep(PointCloud(frustum(depth_m).xyz_m @ turn.T), CONFIG) == deep
-
-
-def test_all_points_of_a_frustum_are_drawn() -> None:
-    """Thinning must not remove any pixel of a far object of few points behind many near points."""
-    near = np.random.default_rng(0).uniform([-0.5, -1, 5], [-0.1, 1, 5.1], (100_000, 3))
-    row, column = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(0.1, 0.5, 10))
-    far = np.stack([column, row, np.full_like(row, 6.0)], axis=-1).reshape(-1, 3)
-    blue, red = np.full((len(near), 3), [0, 0, 255], np.uint8), np.full((len(far), 3), [255, 0, 0], np.uint8)
-    cloud = PointCloud(np.concatenate([near, far]).astype(np.float32), np.concatenate([blue, red]))
-    sparse = CONFIG.model_copy(update={"view": ViewConfig(size_px=96, points_per_px=1.0)})
-    front, _ = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, sparse), sparse).views
-    shown = {tuple(np.rint((front.axes[:2] @ p - front.origin_m) / front.metres_per_px).astype(int)) for p in far}
-    assert len(shown) > 300
-    assert all((front.rgb[y, x] == red[0]).all() for x, y in shown)

@@ -18,7 +18,7 @@ from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
-from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, best_expected, place
+from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, place
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors
@@ -125,16 +125,6 @@ def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
     rough = evidence.score(candidates, [Intervals(axes, ends, sigma * 20)]) - evidence.score(candidates)
     assert rough[0] < rough[1] < rough[2]
     assert (rough >= change - 1e-9).all()
-
-
-def test_the_box_between_plausible_ones_has_the_highest_expected_iou() -> None:
-    candidates = moved(BOX, (-0.1, 0, 0), (0, 0, 0), (0.1, 0, 0), (3.0, 0, 0))
-    even, iou = best_expected(candidates, np.array([1.0, 0.999, 1.0, 0.5]))
-    assert 0.5 < iou < 0.9
-    assert even.center_m == pytest.approx(BOX.center_m)
-    sure, iou = best_expected(candidates, np.array([1.0, 0.0, 0.0, 2.0]))
-    assert iou == pytest.approx(1, abs=1e-3)
-    assert sure.center_m == pytest.approx(BOX.center_m + np.array([3.0, 0, 0]))
 
 
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])

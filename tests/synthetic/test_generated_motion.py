@@ -6,11 +6,9 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
-from annotator.synthetic.hands import Reach, elbow_m, hand_moments
+from annotator.synthetic.hands import Reach, hand_moments
 from annotator.synthetic.materials import Palette
 from annotator.synthetic.objects import HALF_WIDTH_M
 from annotator.synthetic.scene import furnished_room
@@ -46,21 +44,6 @@ def test_motion_is_continuous(walk: tuple[np.ndarray, ...]):
     assert np.linalg.norm(np.diff(places, axis=0), axis=2).max() < 0.25  # 2.5 m/s
     assert np.abs(np.diff(yaws, axis=0)).max() < 0.3
     assert np.abs(np.diff(joints, axis=0)).max() < 0.81
-
-
-@given(st.integers(0, 10_000), st.floats(-3, 3), st.floats(0.1, 0.56))
-def test_arm_bones_keep_their_lengths(seed: int, swivel: float, distance: float):
-    direction = np.random.default_rng(seed).normal(size=3)
-    direction /= np.linalg.norm(direction)
-    if (
-        max(abs(direction[2]), abs(direction[0])) > 0.999
-    ):  # parallel to a reference direction: the elbow's side is undefined
-        return
-    shoulder = np.array([0.2, 1.0, 1.4])
-    wrist = shoulder + distance * direction
-    elbow = elbow_m(shoulder, wrist, 0.31, 0.26, swivel, np.array([1.0, 0.0, 0.0]))
-    assert np.linalg.norm(elbow - shoulder) == pytest.approx(0.31, abs=1e-9)
-    assert np.linalg.norm(wrist - elbow) == pytest.approx(0.26, abs=1e-9)
 
 
 def test_hands_move_smoothly_stay_apart_and_rotate_freely():

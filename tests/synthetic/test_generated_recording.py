@@ -70,17 +70,6 @@ def test_the_truth_is_in_a_separate_folder_and_fits_the_measured_points(generate
             assert contains(truth.box, points).sum() > 0.5 * contains(truth.box, frame.cloud.xyz_m).sum()
 
 
-def test_boxes_of_people_are_upright_and_those_of_hands_are_not(generated: dict[str, Path]):
-    for preset, upright in (("people", True), ("hands", False)):
-        up = open_recording(generated[preset]).frame(0).up
-        truths = [t for ts in read_boxes(generated[preset] / "truth" / "boxes.json").values() for t in ts]
-        tilts = [float(truth.box.rotation[:, 2] @ up) for truth in truths]
-        assert all(tilt == pytest.approx(1, abs=1e-6) for tilt in tilts) == upright
-        sizes = np.array([truth.box.size_m for truth in truths])
-        low, high = (0.9, 2.5) if upright else (0.05, 0.25)
-        assert ((sizes.max(axis=1) > low) & (sizes.max(axis=1) < high)).all()
-
-
 def test_the_depth_is_in_millimetres_with_holes(generated: dict[str, Path]):
     frame = open_recording(generated["people"]).frame(0)
     assert 0.5 < (frame.depth_m > 0).mean() < 0.995
