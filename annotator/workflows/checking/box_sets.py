@@ -79,7 +79,7 @@ class BoxSet:
         """
         self._boxes += boxes
         for axis in MIRRORED:
-            counts = (np.count_nonzero(contains(mirrored(box, axis), xyz_m)) for box in empty)
+            counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)
             self._mirrored[axis] += sum(count >= LEAST_POINTS for count in counts)
 
     def report(self, findings: Findings, path: Path) -> None:

@@ -69,7 +69,6 @@ class LiveDetection:
         """
         self._image, self._view = _Timed(detectors.image), _Timed(detectors.view)
         self._regions = RegionDetection(self._image)
-        self._compute = detectors.compute
         self._config = live_settings(detectors.settings(config))
         self._rotation = rotation
         self._warm_start = warm_start
@@ -95,7 +94,7 @@ class LiveDetection:
             self._regions.prepare(taken.frame)
         boxes = self._regions.boxes(taken.frame, seeds, self._config)
         frame_seeds = [seeds] if seeds else None
-        (result,) = propose_from_boxes([taken.frame], [boxes], self._view, self._config, frame_seeds, self._compute)
+        (result,) = propose_from_boxes([taken.frame], [boxes], self._view, self._config, frame_seeds)
         if result.lost or len(result.proposals) < len(seeds):
             self._regions.lost()
         self._seeds = tuple(WarmStart(proposal.label, proposal.box) for proposal in result.proposals)

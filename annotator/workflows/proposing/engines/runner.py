@@ -118,7 +118,6 @@ class TaskRunner:
             self.detectors.view,
             config,
             seeds if any(seeds) else None,
-            self.detectors.compute,
         )
 
 
