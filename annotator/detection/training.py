@@ -183,8 +183,6 @@ class Watch:
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
 
-__all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
-
 
 def train_detector(
     dataset: Path,

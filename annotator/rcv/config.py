@@ -395,7 +395,7 @@ class RcvConfig(BaseModel):
     def record(self) -> dict[str, Any]:
         """The settings as JSON values, for the record of a run; those that do not apply are left out.
 
-        So frames that were annotated before these settings existed are not annotated again.
+        So a change of those does not annotate all frames again.
         """
         # Reviewed sizes change with every review, which is no reason to annotate all frames again.
         left_out: dict[str, Any] = {"orientation": True, "reviewed_sizes": True}
