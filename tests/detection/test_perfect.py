@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.detection.perfect import PerfectDetector, Scene
+from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import NEAR_M, box_on_image
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
-from annotator.types.errors import DetectionError
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
 DISTORTED = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
@@ -104,14 +103,3 @@ def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
     assert other.detect(views[:1]) != noisy[:1]
     assert again.fingerprint != other.fingerprint
-
-
-def test_unknown_frames_and_unsupported_images_are_errors() -> None:
-    detector = PerfectDetector.for_frame(make_frame([NEAR], [50]), [NEAR])
-    with pytest.raises(DetectionError, match="000009"):
-        detector.detect([make_frame([NEAR], [50], "000009")])
-    with pytest.raises(DetectionError, match="Region"):
-        detector.detect([Region(make_view(fill(NEAR.box, 30)), 0, 0, 9, 9)])
-    several = PerfectDetector([Scene.of(make_frame([t], [50], key), [t]) for t, key in ((NEAR, "1"), (FAR, "2"))])
-    with pytest.raises(DetectionError, match="pseudo-view"):
-        several.detect([make_view(fill(make_box((0, 0, 9), (1, 1, 1)), 30))])

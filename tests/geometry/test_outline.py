@@ -210,20 +210,3 @@ def test_areas_give_the_exact_3d_iou_of_upright_boxes(a: Rectangle, b: Rectangle
     union = np.prod(a[2]) + np.prod(b[2]) - inner
     assert inner / union == pytest.approx(iou_3d(upright_box(a), upright_box(b)), abs=1e-9)
     assert inner == pytest.approx(area(b, a), abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("b", "expected"),
-    [
-        (((0, 0), 0.0, (1, 1)), 1.0),
-        (((0, 0), np.pi / 2, (1, 1)), 1.0),
-        (((0.5, 0), 0.0, (1, 1)), 0.5),
-        (((1, 0), 0.0, (1, 1)), 0.0),
-        (((5, 0), 0.0, (1, 1)), 0.0),
-        (((0, 0), 0.0, (2, 2)), 1.0),
-        (((0, 0), np.pi / 4, (2**0.5, 2**0.5)), 1.0),
-        (((0, 0), np.pi / 4, (1, 1)), 2 * (2**0.5 - 1)),
-    ],
-)
-def test_known_areas_with_a_unit_square(b: Rectangle, expected: float) -> None:
-    assert area(((0.0, 0.0), 0.0, (1.0, 1.0)), b) == pytest.approx(expected, abs=1e-12)

@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.finish import finish, image_agreement
+from annotator.rcv.finish import finish
 from annotator.rcv.propose import propose
 from annotator.rcv.recursion import ObjectState
 from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReason
@@ -256,17 +256,6 @@ def frame() -> Frame:
 
 def result(frame: Frame, states: Sequence[ObjectState], **settings: object) -> list[OrientedBox]:
     return [p.box for p in finish(frame, states, RcvConfig(**settings)).proposals]
-
-
-def test_the_agreement_of_silhouettes_uses_their_points(frame: Frame) -> None:
-    """The points may cover less than the box."""
-    state = ended(frame, seen(frame, OWN), OWN)
-    left = frame.cloud.xyz_m[:800, 0] < OWN.center_m[0]
-    part = replace(state, cloud=state.cloud.select(left))
-    config = RcvConfig(box_kind=BoxKind.SILHOUETTE)
-    assert image_agreement(frame.camera, state, OWN, config) > 0.9
-    assert 0.3 < image_agreement(frame.camera, part, OWN, config) < 0.7
-    assert image_agreement(frame.camera, part, OWN, RcvConfig()) == pytest.approx(1)
 
 
 def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame) -> None:

@@ -14,7 +14,6 @@ from annotator.rcv.pseudo_view import (
     BACKGROUND,
     KeyLayout,
     draw_views,
-    drawn_points,
     fit_windows,
     is_deep,
     pack_colors,
@@ -59,26 +58,6 @@ def test_additional_points_lie_within_the_view() -> None:
     corners = np.array([[-3.0, 0, 1], [3, 0, 1]])
     front, _ = render_pairs(cloud_of([[0, 0, 1], [0.1, 0.1, 1]]), [np.eye(3)], VIEW, corners)
     assert front.origin_m[0] < -3 and front.origin_m[0] + front.extent_m[0] > 3
-
-
-def test_a_dense_cloud_is_thinned_and_looks_the_same() -> None:
-    """A wall in two colours, as measured by a depth camera: 13 points per pixel, of which four are drawn."""
-    column, row = np.meshgrid(np.linspace(-1, 1, 380), np.linspace(-1, 1, 350))
-    xyz = np.stack([column, row, 3 + 0.2 * column], axis=-1).reshape(-1, 3).astype(np.float32)
-    rgb = np.where(xyz[:, :1] < 0.2, [[200, 40, 40]], [[40, 40, 200]]).astype(np.uint8)
-    cloud = PointCloud(xyz, rgb)
-    all_of = VIEW.model_copy(update={"points_per_px": 1000.0})
-    for thin, full in zip(
-        render_pairs(cloud, [np.eye(3)], VIEW), render_pairs(cloud, [np.eye(3)], all_of), strict=True
-    ):
-        assert np.shares_memory(thin.xyz_m, xyz) and len(thin.xyz_m) == len(cloud)
-        assert thin.rgb.shape == full.rgb.shape
-        np.testing.assert_allclose(thin.origin_m, full.origin_m, atol=thin.metres_per_px)
-        assert (thin.rgb == full.rgb).all(axis=2).mean() > 0.97
-    numbers = drawn_points(len(cloud), VIEW)
-    assert numbers is not None
-    assert len(numbers) == 4 * VIEW.size_px**2 < len(cloud)
-    assert drawn_points(len(numbers), VIEW) is drawn_points(len(cloud), all_of) is None
 
 
 def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:

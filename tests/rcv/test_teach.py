@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scenes import frame_with, some_box
 
 from annotator.geometry.oriented_box import contains
@@ -122,15 +120,6 @@ def test_an_object_with_few_points_is_left_out() -> None:
     few = np.zeros(len(frame.cloud), bool)
     few[: teach.MIN_POINTS - 1] = True
     assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
-
-
-@given(turn=st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
-def test_views_of_upright_objects_are_level(turn: int) -> None:
-    frame, objects = two()
-    for item in taught(frame, objects[:1], draws=2, seed=turn):
-        np.testing.assert_allclose(item.view.axes[1], -UP, atol=1e-9)
-        np.testing.assert_allclose(item.view.axes @ item.view.axes.T, np.eye(3), atol=1e-9)
 
 
 def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale: float) -> PseudoView:

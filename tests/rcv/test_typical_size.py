@@ -142,20 +142,6 @@ def test_a_box_of_typical_size_is_placed_without_a_detector(up: np.ndarray | Non
     assert np.array_equal(again.center_m, placed.center_m)
 
 
-def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
-    """The same image box may be a small near object or a large far one."""
-    far = OrientedBox.from_parts(BOX.center_m * 2, BOX.rotation, BOX.size_m * 2)
-    cloud = np.concatenate([surface(BOX)[::2], surface(far)[::2]])
-    image_box = box_on_image(CAMERA, BOX, "crate")
-    for truth in (BOX, far):
-        length, width, height = (float(side) for side in truth.size_m)
-        typical = TypicalSize(label="crate", size_m=(length, width, height), spread=(0.1, 0.1, 0.1))
-        evidence = Evidence.of(CAMERA, cloud, image_box, as_drawn(image_box), typical, UP)
-        assert evidence is not None
-        best = place(evidence).boxes[0]
-        assert iou_3d(best, truth) > 0.6
-
-
 def test_a_given_size_counts_more_than_the_name() -> None:
     car = typical_size("Car")
     assert car is not None and car.size_m[0] > 3
