@@ -20,8 +20,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
-from annotator.types.times import in_time
-from annotator.types.validation import first_problem
+from annotator.types.checks import in_time
+from annotator.types.messages import first_problem
 
 # Larger numbers are not physical, and their products overflow.
 LARGEST = 1e9

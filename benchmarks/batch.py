@@ -24,8 +24,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from annotator.detection.base_detector import base_weights, has_base
 from annotator.detection.config import Backend
+from annotator.detection.pretrained import base_weights, has_base
 from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording

@@ -34,18 +34,18 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
+from annotator.detection.pretrained import base_weights
 from annotator.detection.trained import read_trained
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.first_look import in_middle, width_at
-from annotator.rcv.rotation_search import spread_rotations
+from annotator.rcv.rotations import spread_rotations
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError

@@ -20,11 +20,11 @@ from rich.console import Console
 from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.warm_start import is_warm
+from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.web.live import LivePage
 from annotator.workflows.detectors import (
     Detectors,

@@ -25,7 +25,7 @@ import tyro
 from rich.console import Console
 
 from annotator.detection.config import Backend
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.evaluation.oriented import FrameResult, average_precision, mask_agreement, matched_ious
 from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy

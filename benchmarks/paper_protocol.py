@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.files import new_folder
 from annotator.formats.json_file import write_text
 from annotator.formats.kitti_objects import read_kitti_file
@@ -22,8 +22,8 @@ from annotator.project import Project, ProjectSettings, Status, create_project, 
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.evaluate_files import Protocol, read_frame_names

@@ -24,19 +24,18 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
-from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.perfect import PerfectDetector
 from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.project.config import BoxRotation
-from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, ViewConfig
-from annotator.rcv.hypotheses import near_axes, wide_axes
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, TypicalSize, ViewConfig
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import plan_step, start
+from annotator.rcv.rotations import near_axes, wide_axes
 from annotator.rcv.starts import start_rivals
-from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PointCloud, PseudoView, Truth
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import LiveDetection, Taken

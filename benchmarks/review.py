@@ -31,7 +31,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError

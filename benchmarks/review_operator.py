@@ -31,7 +31,7 @@ from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.boxes import png
 from annotator.project.log.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
 from annotator.project.log.records import BoxRecord
-from annotator.rcv.operator import draw_object
+from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView
 from annotator.types.errors import ConfigError

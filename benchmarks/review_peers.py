@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from annotator.detection.base_detector import NAME
+from annotator.detection.pretrained import NAME
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box
 from annotator.project import (

@@ -21,13 +21,12 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.outline import box_on_image
-from annotator.geometry.projection import pixel_rays, unproject_depth
-from annotator.rcv import measure, propose, recursion
+from annotator.geometry.projection import in_frustum, pixel_rays, unproject_depth
+from annotator.rcv import measure, propose, pseudo_view, recursion
+from annotator.rcv.axes import with_normals
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.normals import with_normals
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded
@@ -180,6 +179,7 @@ def timed_frame(
         (propose, "plan_step", "rest", True),
         (recursion, "_consensus_axes", "axes"),
         (recursion, "render_pairs", "render"),
+        (pseudo_view, "render_pairs", "render"),
         (recursion, "cut_cloud", "cut"),
         (recursion, "contains", "cut"),
         (recursion, "_step_trace", "trace"),

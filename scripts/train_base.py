@@ -14,7 +14,7 @@ from typing import Annotated
 import tyro
 
 from annotator.cli.output import print_line
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.workflows.training.base_detector import BASE_TRAINING, BasePlan, install_base, train_base
 
 DEFAULTS = BasePlan()

@@ -99,10 +99,10 @@ def _own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def _without_base_detector(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """In the process of the tests, the package has no base detector. Jobs of a server and commands have it."""
-    from annotator.detection import base_detector
+    from annotator.detection import pretrained
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(base_detector, "FOLDER", tmp_path_factory.mktemp("no_base"))
+        patch.setattr(pretrained, "FOLDER", tmp_path_factory.mktemp("no_base"))
         yield
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from annotator.types.amounts import amount, duration
+from annotator.types.messages import amount, duration
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,8 @@ from annotator.api.labels import (
 )
 from annotator.api.project import Project, create_project, open_project
 from annotator.api.proposing import propose, watch
-from annotator.detection.nearest_cluster import NearestCluster
-from annotator.geometry.iou import iou_3d
-from annotator.geometry.nms import nms_3d
+from annotator.detection.perfect import NearestCluster
+from annotator.geometry.iou import iou_3d, nms_3d
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording
 from annotator.types import (

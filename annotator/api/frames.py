@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.depth_values import measured
-from annotator.geometry.projection import inside_image, pixel_colors, project, unproject_depth
+from annotator.geometry.projection import inside_image, measured, pixel_colors, project, unproject_depth
 from annotator.recordings.clouds.virtual_camera import world_pose
 from annotator.recordings.plausible import are_returns
 from annotator.types import Box2D, Camera, Frame, PointCloud

@@ -16,8 +16,8 @@ from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
 from annotator.formats.boxes_json import write_boxes
 from annotator.formats.units import AngleUnit
-from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project
 from annotator.recordings import Recording
 from annotator.synthetic import write_generated

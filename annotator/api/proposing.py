@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
 from annotator.api.frames import choice, require_on_image
-from annotator.geometry.image_shares import clip_to_image
+from annotator.geometry.outline import clip_to_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, PseudoView, Region
-from annotator.types.amounts import amount
 from annotator.types.errors import ArgumentError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import Detected, LiveDetection, Taken
 from annotator.workflows.proposing.lift import propose_image_boxes

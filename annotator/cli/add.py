@@ -13,8 +13,8 @@ from annotator.cli.import_boxes import print_report
 from annotator.cli.options import AS_FILES_SAY, ProjectName, Projects, Reading, open_named
 from annotator.cli.output import counted, print_line
 from annotator.project import REVIEWED
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 from annotator.workflows.add_recordings import Added, add_recordings
 from annotator.workflows.recorded.own_labels import has_own_labels, import_own_labels
 

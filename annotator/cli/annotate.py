@@ -25,8 +25,8 @@ from annotator.detection.config import Backend
 from annotator.project import BoxRotation, Project
 from annotator.rcv.config import Strategy
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
 from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit

@@ -13,8 +13,8 @@ from annotator.cli.options import AsJson, Projects, named_folder, no_project, op
 from annotator.cli.output import counted, print_json, print_line
 from annotator.cli.project import report_problems
 from annotator.project.config import CONFIG_FILE
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 FAULTY = 1
 UNREADABLE = "unreadable"

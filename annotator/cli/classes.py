@@ -20,9 +20,8 @@ from annotator.project.classes.attributes import Attribute, AttributeKind, Attri
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassRow, list_classes
 from annotator.project.project import change_classes
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.types.validation import first_problem
+from annotator.types.messages import amount, first_problem
 
 AUTHOR = "annotator classes"
 

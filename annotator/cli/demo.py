@@ -17,10 +17,10 @@ from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
 from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
 from annotator.demo.trained import PROJECT, Progress, TrainedPlan, TrainedResult, run_trained
-from annotator.detection.base_detector import has_base
+from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 
 class Preset(StrEnum):

@@ -7,8 +7,8 @@ from pathlib import Path
 from annotator.cli.options import AsJson, Projects, RecordingNames, open_named
 from annotator.cli.output import print_json, print_line
 from annotator.evaluation.report import Report
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
 from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
 

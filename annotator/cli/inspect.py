@@ -9,8 +9,8 @@ from pathlib import Path
 from annotator.cli.options import AS_FILES_SAY, AsJson, Reading
 from annotator.cli.output import print_facts, print_json
 from annotator.recordings.ros.topics import TopicReport
-from annotator.types.amounts import amount
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError
+from annotator.types.messages import amount
 from annotator.workflows.inspect import FrameReport, RecordingReport, bag_topics, inspect_recording
 
 

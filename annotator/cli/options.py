@@ -130,7 +130,7 @@ def named_folder(name: str, projects: Path | None) -> Path:
 def no_project(name: str, folder: Path) -> str:
     """Says that a folder of projects has none of this name, and which is probably meant."""
     from annotator.project import list_projects
-    from annotator.types.names import alternatives
+    from annotator.types.messages import alternatives
 
     others = alternatives(name, [each.path.name for each in list_projects(folder)])
     return f"{folder} has no project {name!r} ({others})"

@@ -28,9 +28,8 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import Verification, verify
 from annotator.project.config import CONFIG_FILE, rename_project, set_aside
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, ConfigError
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 from annotator.workflows.add_recordings import move_recording
 
 

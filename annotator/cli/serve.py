@@ -19,8 +19,8 @@ from annotator.cli.options import (
 )
 from annotator.cli.output import print_line
 from annotator.detection.config import Backend
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 
 def serve(

@@ -9,7 +9,7 @@ from annotator.cli.options import AsJson, ProjectName, Projects, open_named
 from annotator.cli.output import print_facts, print_json
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.amounts import amount, duration
+from annotator.types.messages import amount, duration
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of

@@ -9,7 +9,7 @@ from tyro.conf import arg
 from annotator.cli.options import ProjectName, Projects, RecordingName, RecordingNames, open_named
 from annotator.cli.output import counted, print_line
 from annotator.project import Project
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate

@@ -13,10 +13,10 @@ from tyro.conf import arg
 from annotator.cli.options import ProjectName, Projects, Seed, open_named
 from annotator.cli.output import print_line, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import (

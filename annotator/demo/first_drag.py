@@ -20,7 +20,7 @@ from annotator.demo.trained import (
     new_project,
     require_free,
 )
-from annotator.detection.base_detector import has_base
+from annotator.detection.pretrained import has_base
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, FramePart, NewLabel, Origin, Project, StoredFrame, WriteContext

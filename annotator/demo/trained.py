@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.project import BoxRotation, Project, ProjectSettings, create_project
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated

@@ -1,13 +1,14 @@
-"""Settings for training and running a detector."""
+"""Settings for training and running a detector, and the expected errors of its edges."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float, Float64
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection.edge_errors import EdgeErrors
 from annotator.types import DetectorKind
 
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
@@ -17,6 +18,30 @@ Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnx
 PICTURES_A_SECOND = 60
 # Longest training, minutes: one day.
 MOST_MINUTES = 1440
+
+
+class EdgeErrors(BaseModel):
+    """Expected absolute error of an edge: `factor * spread ** exponent`, both in pixels at the network's input size.
+
+    Attributes:
+        least_px, most_px: spreads outside this range count as its ends, pixels.
+        edges: number of edges that the map was fitted to.
+        gain: mean log-likelihood of the errors under this map (Laplace), minus that under one constant error.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    factor: float = Field(gt=0)
+    exponent: float = Field(gt=0)
+    least_px: float = Field(gt=0)
+    most_px: float = Field(gt=0)
+    edges: int = Field(0, ge=0)
+    gain: float = 0.0
+
+    def of(self, spread_px: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """The expected absolute error of edges with these spreads, pixels."""
+        within = np.clip(spread_px.astype(np.float64), self.least_px, self.most_px)
+        return np.asarray(self.factor * within**self.exponent)
 
 
 class Augmentation(BaseModel):
@@ -77,7 +102,7 @@ class TrainingConfig(BaseModel):
     )
 
     optimizer: Literal["MuonSgd", "AdamW", "SGD"] = Field(
-        "MuonSgd", description="MuonSgd: `annotator/detection/muon.py`; the others are torch's"
+        "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; the others are torch's"
     )
     learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")
     final_learning_rate: float = Field(0.01, gt=0, le=1, description="final learning rate, share of the peak")

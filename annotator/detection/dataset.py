@@ -1,4 +1,4 @@
-"""Writes labelled images as a YOLO training set.
+"""Labelled images as a YOLO training set: tiles, the held-out frames, the folder and its manifest.
 
 The folder holds `images/{train,val}`, `labels/{train,val}` (one text file per image, `class cx cy w h` as shares of the
 image size; an empty file marks a background image), `data.yaml` and `manifest.json`.
@@ -8,23 +8,105 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.detection.held_out import is_held_out
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
-from annotator.files import new_folder
-from annotator.geometry.image_shares import clip_to_image, shares_of
+from annotator.files import TABLE_BYTES, new_folder, read_file
+from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import ConfigError, DetectionError, FormatError
+
+MANIFEST_NAME = "manifest.json"
+Split = Literal["train", "val"]
+
+
+class ManifestEntry(BaseModel):
+    """One image of a training set.
+
+    Attributes:
+        image: its file, relative to the set's folder.
+        split: training or validation.
+        group: the source frame; all images of a group share a split.
+        origin: where its boxes come from, such as "drawn" or "projected".
+        label_uids: uids of the project's labels that its boxes come from, if any.
+        boxes: class names of its boxes, in the order of the label file.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    image: str
+    split: Split
+    group: str
+    origin: str
+    label_uids: tuple[str, ...] = ()
+    boxes: tuple[str, ...]
+
+
+class DatasetManifest(BaseModel):
+    """A training set.
+
+    Attributes:
+        version: of this file's format.
+        sha256: hash of all images, labels, classes and the split.
+        classes: names, in the order of the class numbers in the label files.
+        kind: what the boxes measure; None for boxes on camera images.
+        measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
+            them too optimistic.
+        images: number of images by split.
+        boxes_by_class: number of boxes by split and class.
+        images_by_origin: number of images by split and origin.
+        dropped_boxes: number of boxes that were dropped because they lie outside their image.
+        entries: all images.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: Literal[1] = 1
+    sha256: str
+    classes: tuple[str, ...]
+    kind: BoxKind | None
+    measured_on: Split
+    images: dict[Split, int]
+    boxes_by_class: dict[Split, dict[str, int]]
+    images_by_origin: dict[Split, dict[str, int]]
+    dropped_boxes: int
+    entries: tuple[ManifestEntry, ...]
+
+
+def read_manifest(folder: Path) -> DatasetManifest:
+    """Reads the manifest of a training set folder.
+
+    Raises:
+        FormatError: there is no manifest, or it cannot be read.
+    """
+    path = folder / MANIFEST_NAME
+    try:
+        return DatasetManifest.model_validate_json(read_file(path, TABLE_BYTES))
+    except FileNotFoundError as error:
+        raise FormatError(path, "no such file; this folder is not a training set written by annotator") from error
+    except (OSError, ValidationError) as error:
+        raise FormatError(path, f"not a training set manifest ({error}); write the training set again") from error
+
+
+SHARE = 0.2
+
+
+def is_held_out(group: str, share: float = SHARE) -> bool:
+    """Whether a frame is held out, by a hash of its samples' group: always the same, whatever else is labelled."""
+    number = int.from_bytes(hashlib.sha256(group.encode()).digest()[:8], "big")
+    return number < share * 2**64
+
 
 JPEG_QUALITY = 95
 # Boxes whose part inside the image has a shorter side are dropped, pixels.
@@ -57,11 +139,7 @@ class TrainingSample:
     look_px: int = 0
 
     def load(self) -> Rgb:
-        """The image as an array.
-
-        Raises:
-            DetectionError: the file cannot be read.
-        """
+        """The image as an array."""
         if isinstance(self.rgb, Path):
             try:
                 bgr = read_image(self.rgb, cv2.IMREAD_COLOR)
@@ -171,11 +249,7 @@ def _write_sample(
 
 
 def _val_groups(written: Sequence[_Written], is_held_out: Callable[[str], bool]) -> frozenset[str]:
-    """The held-out groups.
-
-    Raises:
-        DetectionError: no other group has boxes.
-    """
+    """The held-out groups."""
     # generated frames alone teach a project's detector nothing; the base detector learns from nothing else
     own = [item for item in written if item.origin != GENERATED] or written
     with_boxes = {item.group for item in own if item.boxes}
@@ -244,3 +318,97 @@ def _data_yaml(classes: Sequence[str], measured_on: Split) -> str:
     """Paths are relative to the file, so that the folder can be moved; JSON strings are YAML strings."""
     names = "".join(f"  {number}: {json.dumps(name, ensure_ascii=False)}\n" for number, name in enumerate(classes))
     return f"train: images/train\nval: images/{measured_on}\nnames:\n{names}"
+
+
+# Cuts images into tiles of the training size, if the detector will see them at a larger size.
+#
+# Objects in such an image are small: at the training size, they would cover one or two pixels. Tiles show them at the
+# size at which the detector will see them. Each image gives one tile around each object and one at a random place. An
+# object that is larger than a tile gets a larger tile, which is scaled down.
+
+
+# An object is labelled on a tile if at least this share of its box lies on it.
+MIN_SHARE = 0.3
+# Side of the tile around an object that is too large for a normal tile, as a multiple of the object's longer side.
+ROOM = 1.15
+
+
+def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingSample]:
+    """The samples, with each one whose `look_px` exceeds `size_px` replaced by its tiles.
+
+    The positions of the tiles are random, but depend only on the image and its boxes.
+
+    Args:
+        size_px: longer side of training images, pixels.
+    """
+    for sample in samples:
+        if sample.look_px <= size_px:
+            yield sample
+        else:
+            yield from _tiles(sample, size_px)
+
+
+def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
+    rgb = sample.load()
+    height_px, width_px = rgb.shape[:2]
+    scale = sample.look_px / max(height_px, width_px)
+    if scale != 1:
+        size = (max(round(width_px * scale), 1), max(round(height_px * scale), 1))
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    scales = (rgb.shape[1] / width_px, rgb.shape[0] / height_px)  # the size was rounded
+    boxes = [(_scaled(box, *scales), uid) for box, uid in zip_longest(sample.boxes, sample.label_uids)]
+    rng = np.random.default_rng(list(hashlib.sha256(rgb.tobytes() + repr(sample.boxes).encode()).digest()))
+    for box, _ in boxes:
+        yield _tile(sample, rgb, boxes, _corner_around(rgb, box, size_px, rng))
+    yield _tile(sample, rgb, boxes, _corner_anywhere(rgb, size_px, rng))
+
+
+def _scaled(box: Box2D, scale_x: float, scale_y: float) -> Box2D:
+    """The box on the scaled image. Box edges are measured from the centre of the first pixel, not from its corner."""
+    x_min, x_max = ((x + 0.5) * scale_x - 0.5 for x in (box.x_min, box.x_max))
+    y_min, y_max = ((y + 0.5) * scale_y - 0.5 for y in (box.y_min, box.y_max))
+    return replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
+
+
+Corner = tuple[int, int, int]
+"""First column and row of a tile, and its side, pixels; a tile is clipped to its image."""
+
+
+def _corner_around(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D, size_px: int, rng: np.random.Generator) -> Corner:
+    """A random tile that contains the visible part of a box; larger than `size_px` if the box is."""
+    # the columns and rows that the box touches, as half-open ranges
+    edges = ((box.x_min, box.x_max), (box.y_min, box.y_max))
+    spans = [(math.floor(low + 0.5), math.ceil(high + 0.5)) for low, high in edges]
+    longest = max(end - begin for begin, end in spans)
+    side = size_px if longest <= size_px else round(ROOM * longest)
+    begins = []
+    for (begin, end), length in zip(spans, rgb.shape[1::-1], strict=True):
+        first, last = np.clip([end - side, begin], 0, max(length - side, 0))
+        begins.append(int(rng.integers(first, last, endpoint=True)))
+    return begins[0], begins[1], side
+
+
+def _corner_anywhere(rgb: UInt8[np.ndarray, "h w 3"], size_px: int, rng: np.random.Generator) -> Corner:
+    x, y = (int(rng.integers(0, max(length - size_px, 0), endpoint=True)) for length in rgb.shape[1::-1])
+    return x, y, size_px
+
+
+def _tile(
+    sample: TrainingSample, rgb: UInt8[np.ndarray, "h w 3"], boxes: list[tuple[Box2D, str | None]], corner: Corner
+) -> TrainingSample:
+    x, y, side = corner
+    cut = np.ascontiguousarray(rgb[y : y + side, x : x + side])
+    shown: list[Box2D] = []
+    uids: list[str] = []
+    for box, uid in boxes:
+        moved = box.shifted(-x, -y)
+        if _share_on(cut, moved) >= MIN_SHARE:
+            shown.append(moved)
+            uids += [] if uid is None else [uid]
+    return replace(sample, rgb=cut, boxes=tuple(shown), label_uids=tuple(uids), look_px=0)
+
+
+def _share_on(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D) -> float:
+    """The share of a box's area that lies on the image."""
+    cut = clip_to_image(box, rgb.shape[1], rgb.shape[0])
+    return 0.0 if cut is None else cut.width_px * cut.height_px / (box.width_px * box.height_px)

@@ -1,16 +1,26 @@
 """The expected error of a detected edge, from the spread that the network predicts for it.
 
-The spread (`backends/edge_spread.py`) is the width of a distribution, not an error. How large an error goes with it is
-fitted on images that the network was not trained on.
+The spread (`backends/torch_network.py`) is the width of a distribution, not an error. How large an error goes with it
+is fitted on the validation images of a detector's training.
 """
 
 from __future__ import annotations
 
+import logging
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float64
-from pydantic import BaseModel, ConfigDict, Field
+from jaxtyping import Bool, Float64, UInt8
+
+from annotator.detection.config import DetectorConfig, EdgeErrors
+from annotator.detection.dataset import DatasetManifest, TrainingSample
+from annotator.detection.trained import TrainedModel
+from annotator.detection.yolo import YoloDetector
+from annotator.files import read_text_file
+from annotator.types import Box2D
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
 MIN_EDGES, MIN_GAIN = 200, 0.02
@@ -23,30 +33,6 @@ MOST_ERRORS = 6.0
 LEAST_PX = 0.01
 # Newton's steps of a fit, and fits, each with the outliers of the last one.
 STEPS, FITS = 50, 4
-
-
-class EdgeErrors(BaseModel):
-    """Expected absolute error of an edge: `factor * spread ** exponent`, both in pixels at the network's input size.
-
-    Attributes:
-        least_px, most_px: spreads outside this range count as its ends, pixels.
-        edges: number of edges that the map was fitted to.
-        gain: mean log-likelihood of the errors under this map (Laplace), minus that under one constant error.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    factor: float = Field(gt=0)
-    exponent: float = Field(gt=0)
-    least_px: float = Field(gt=0)
-    most_px: float = Field(gt=0)
-    edges: int = Field(0, ge=0)
-    gain: float = 0.0
-
-    def of(self, spread_px: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """The expected absolute error of edges with these spreads, pixels."""
-        within = np.clip(spread_px.astype(np.float64), self.least_px, self.most_px)
-        return np.asarray(self.factor * within**self.exponent)
 
 
 # Gives out the spreads as they are.
@@ -102,3 +88,97 @@ def _most_likely(rows: Float64[np.ndarray, "n 2"], size: Float64[np.ndarray, "n"
         if np.abs(step).max() < 1e-9:
             break
     return unknowns
+
+
+LOG = logging.getLogger("annotator.detectors")
+
+# Images that are read and run at once.
+AT_ONCE = 512
+# A detection belongs to a label with at least this IoU. Of several, the one with the highest
+# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose`).
+MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
+# Edges this close to the image's border are left out: what lies beyond it cannot be seen, pixels.
+BORDER_PX = 1.0
+
+
+@dataclass(frozen=True)
+class _Picture:
+    rgb: UInt8[np.ndarray, "h w 3"]
+
+
+def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetManifest, device: str) -> TrainedModel:
+    """The trained view detector with the expected errors of its edges, for each class where they can be fitted.
+
+    Without validation images of their own, with a network that gives no spread, or where the spread tells nothing,
+    the detector stays without them.
+
+    Args:
+        dataset: folder of its training set.
+        manifest: of that set.
+        device: as for training.
+    """
+    if manifest.measured_on != "val":
+        return trained
+    config = DetectorConfig(
+        image_size_px=trained.image_size_px,
+        device=device,
+        backend="torch",
+        edge_errors=dict.fromkeys(trained.classes, SPREAD_ITSELF),
+    )
+    detector = YoloDetector(trained.weights, config)
+    measured: dict[str, list[np.ndarray]] = defaultdict(list)
+    images = [dataset / entry.image for entry in manifest.entries if entry.split == "val" and entry.boxes]
+    for begin in range(0, len(images), AT_ONCE):
+        part = images[begin : begin + AT_ONCE]
+        pictures = [_Picture(TrainingSample(path, (), "", "").load()) for path in part]
+        for path, picture, boxes in zip(part, pictures, detector.detect(pictures), strict=True):
+            height, width = picture.rgb.shape[:2]
+            scale = trained.image_size_px / max(height, width)
+            for label in _labels(dataset, path, manifest.classes, width, height):
+                box = _detection_of(label, boxes)
+                if box is not None and box.edge_sigma_px is not None:
+                    known = ~(_at_border(label, width, height) | _at_border(box, width, height))
+                    errors = np.subtract(box.xyxy, label.xyxy)[known]
+                    measured[label.label].append(np.stack([np.array(box.edge_sigma_px)[known], errors]) * scale)
+    fitted = {}
+    for name, parts in sorted(measured.items()):
+        spread, error = np.concatenate(parts, axis=1)
+        result = fit_edge_errors(spread, error)
+        if isinstance(result, Refused):
+            LOG.info("%s: no expected errors of the edges of %r: %s", trained.weights, name, result.reason)
+        else:
+            fitted[name] = result
+    return trained.model_copy(update={"edge_errors": fitted})
+
+
+def _labels(dataset: Path, image: Path, classes: Sequence[str], width_px: int, height_px: int) -> list[Box2D]:
+    """The boxes of an image's label file, pixels."""
+    boxes = []
+    split = image.parent.name
+    for line in read_text_file(dataset / "labels" / split / f"{image.stem}.txt").splitlines():
+        number, *shares = line.split()
+        x, y, width, height = (float(share) for share in shares)
+        sides = np.array([width_px, height_px] * 2)
+        edges = np.array([x - width / 2, y - height / 2, x + width / 2, y + height / 2]) * sides - 0.5
+        boxes.append(Box2D(classes[int(number)], *edges.tolist()))
+    return boxes
+
+
+def _detection_of(label: Box2D, boxes: Sequence[Box2D]) -> Box2D | None:
+    """The detection of a labelled object, or None."""
+    near = [(box, iou) for box in boxes if box.label == label.label and (iou := _iou(box, label)) >= MIN_IOU]
+    return max(near, key=lambda pair: pair[0].score * (STRANGER_WEIGHT + pair[1]))[0] if near else None
+
+
+def _iou(a: Box2D, b: Box2D) -> float:
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    shared = max(width, 0.0) * max(height, 0.0)
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
+
+def _at_border(box: Box2D, width_px: int, height_px: int) -> Bool[np.ndarray, "4"]:
+    inward: Float64[np.ndarray, "4"] = np.array(
+        [box.x_min + 0.5, box.y_min + 0.5, width_px - 0.5 - box.x_max, height_px - 0.5 - box.y_max]
+    )
+    return inward <= BORDER_PX

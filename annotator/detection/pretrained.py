@@ -1,4 +1,4 @@
-"""Finds pretrained weights to start from; without them, training starts from random weights."""
+"""Networks that exist before a training: the base detector, published weights to start from, seeded random ones."""
 
 from __future__ import annotations
 
@@ -9,10 +9,32 @@ from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.network_file import DETECTING_LAYERS
 from annotator.detection.ultralytics_api import api, cache_dir
-from annotator.detection.weights import load_weights
+from annotator.detection.weights import DETECTING_LAYERS, load_weights, write_network
 from annotator.types.errors import ConfigError, DetectionError
+
+# The base detector: a view detector that measures the object of a crop, whatever its class.
+#
+# It takes the place of a project's own view detector until that is trained. docs/base_detector.md describes its
+# training; `scripts/train_base.py --install` puts another one into the package.
+
+
+FOLDER = Path(__file__).parent / "base"
+NAME = "base detector"
+TITLE = f"{NAME}, not trained on this project's classes"
+
+
+def base_weights() -> Path:
+    """The weights file of the base detector; `read_trained` of its folder gives its facts."""
+    weights = FOLDER / "detector.safetensors"
+    if not weights.is_file():
+        raise DetectionError(f"{weights}: the base detector is missing; install annotator again")
+    return weights
+
+
+def has_base() -> bool:
+    """True if this installation has the base detector."""
+    return (FOLDER / "detector.safetensors").is_file()
 
 
 @dataclass(frozen=True)
@@ -31,11 +53,7 @@ class StartingPoint:
 
 
 def find_starting_point(config: TrainingConfig) -> StartingPoint:
-    """The weights to start from, by `config.pretrained`; random ones if none are available.
-
-    Raises:
-        ConfigError: the model name is unknown, or a given weights file is missing.
-    """
+    """The weights to start from, by `config.pretrained`; random ones if none are available."""
     name = check_model_name(config.model)
     if isinstance(config.pretrained, Path):
         if not config.pretrained.is_file():
@@ -78,12 +96,7 @@ def check_start(config: TrainingConfig) -> None:
 
 
 def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
-    """Reads a weights file as a training run does.
-
-    Raises:
-        ConfigError: it is missing, damaged or not a detection model.
-        DetectionError: the packages cannot be loaded.
-    """
+    """Reads a weights file as a training run does."""
     api()
     try:
         if not path.is_file():
@@ -94,11 +107,7 @@ def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
 
 
 def check_model_name(name: str) -> str:
-    """The model name without a file extension.
-
-    Raises:
-        ConfigError: ultralytics has no detection model of that name.
-    """
+    """The model name without a file extension."""
     stem = name.removesuffix(".pt").removesuffix(".yaml")
     if stem.startswith("yolo") and "/" not in stem:
         try:
@@ -123,11 +132,7 @@ def find_locally(file_name: str) -> Path | None:
 
 
 def local_weights() -> list[Path]:
-    """All weights files in annotator's cache and in ultralytics' own weights folder.
-
-    Raises:
-        DetectionError: ultralytics, which defines that folder, cannot be loaded.
-    """
+    """All weights files in annotator's cache and in ultralytics' own weights folder."""
     folders = (cache_dir() / "weights", api().weights_dir)
     return [path for folder in folders for path in sorted(folder.glob("*.pt")) if path.is_file()]
 
@@ -160,3 +165,41 @@ def within(timeout_s: float, work: Callable[[], Any]) -> Any:
     if not outcome[0]:
         raise outcome[1]
     return outcome[1]
+
+
+# Factor on the random weights of the last layers. Without it, they would predict distances of hundreds of pixels, and
+# all scores would be 0 or 1.
+LAST_LAYER_GAIN = 0.1
+BRANCHES = ("cv2", "cv3", "one2one_cv2", "one2one_cv3")
+PICTURES = (8, 3, 64, 64)
+
+
+def write_seeded_network(
+    path: Path, name: str = "yolo11n", *, classes: int = 3, end2end: bool = False, seed: int = 0
+) -> None:
+    """Writes a file of random weights that give scores around 0.5, so that the outputs of backends can be compared.
+
+    The weights are the same on every machine up to rounding, since torch draws them from the seed on the CPU. The
+    state of torch's random number generator is restored afterwards.
+
+    Args:
+        end2end: whether the network predicts each object once; only some models support this.
+    """
+    torch = api().torch
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        model = api().DetectionModel(f"{name}.yaml", nc=classes, verbose=False)
+        model.end2end = end2end
+        with torch.no_grad():
+            for branch in BRANCHES:
+                for layers in getattr(model.model[-1], branch, None) or ():
+                    layers[-1].weight.mul_(LAST_LAYER_GAIN)
+                    if "cv3" in branch:
+                        layers[-1].bias.zero_()  # otherwise all scores would be nearly 0
+            for module in model.modules():
+                if isinstance(module, torch.nn.BatchNorm2d):
+                    module.momentum = 1.0
+            # One pass in training mode sets the statistics of batch normalisation, as training would.
+            model.train()(torch.rand(PICTURES))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_network(path, model)

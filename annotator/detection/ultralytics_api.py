@@ -8,9 +8,10 @@ changes in the process. The packages are imported on first use.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.abc import MetaPathFinder
@@ -33,12 +34,21 @@ SWITCHES = {
 THREAD_SWITCHES = {"OMP_WAIT_POLICY": "PASSIVE", "KMP_BLOCKTIME": "0"}
 # Services to which ultralytics reports if their packages are installed.
 SERVICES = ("sync", "clearml", "comet", "dvc", "mlflow", "raytune", "tensorboard", "wandb", "vscode_msg")
+# Number of exports and converted networks in the cache, some 10 to 20 MB each for a nano model.
+MOST_KEPT = 32
 
 
 def cache_dir() -> Path:
     """The user's cache folder, for downloaded weights and ultralytics' settings."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "annotator"
+
+
+def forget_oldest(folder: Path) -> None:
+    """Removes the least recently used entries of a cache folder, except the newest; the others may be in use."""
+    with suppress(OSError):  # another process may do the same
+        for old in sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns)[:-MOST_KEPT]:
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
 
 
 @lru_cache(maxsize=1)

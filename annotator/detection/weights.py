@@ -1,10 +1,13 @@
 """The one door for weights: network files, and the pickles that ultralytics writes, of which nothing is run.
 
+A network file has tensors and the name of an architecture, in the safetensors format. Reading it runs no code from it:
+the architecture is one of ultralytics' own, built by its name, and every tensor must fit it.
+
 A pickle is a program that names functions and calls them. Ultralytics' own "safe loading" still calls the constructors
 of all layers, with the file's arguments: they allocate any amount of memory, read files and download. Here every name
 becomes an inert object that only keeps what it is given. The class names, the name of the architecture and the tensors
-are taken from there; the network is built anew from its name, and every tensor must fit. The result is kept in the
-user's cache as a network file, so each pickle is read once.
+are taken from there, and the network is built as that of a network file. The result is kept in the user's cache as a
+network file, so each pickle is read once.
 """
 
 from __future__ import annotations
@@ -15,23 +18,147 @@ import logging
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from annotator.detection.backends.export_cache import MOST_KEPT, forget_oldest
-from annotator.detection.network_file import (
-    DESCRIPTION,
-    DETECTING_LAYERS,
-    NetworkDescription,
-    filled,
-    is_network_file,
-    read_network,
-    write_tensors,
-)
-from annotator.detection.ultralytics_api import api, cache_dir
-from annotator.files import NETWORK_BYTES, open_archive, read_file
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
+from annotator.files import NETWORK_BYTES, check_file, open_archive, open_file, read_file, write_atomic
 from annotator.types.errors import DetectionError
+
+FORMAT = "annotator network 1"
+# Key of the description in the file's metadata, which holds strings only.
+DESCRIPTION = "description"
+# Largest header; the largest network of ultralytics has one of some 200 kB.
+MOST_HEADER_BYTES = 2**23
+# Last layers of ultralytics' detection models. Models for segmentation or poses have others.
+DETECTING_LAYERS = {"Detect", "v10Detect"}
+
+
+class NetworkDescription(BaseModel):
+    """What is needed to build the network of a file.
+
+    Attributes:
+        format: version of the format.
+        architecture: name of a detection model of ultralytics, such as "yolo11n".
+        labels: class names, in the order of the class numbers.
+        end2end: whether the network predicts each object once; None = as is usual for the architecture.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: str = Field(FORMAT, pattern=f"^{FORMAT}$")
+    architecture: str = Field(pattern="^yolo[a-z0-9]+(-[a-z0-9]+)*$", max_length=64)
+    # bounded, because the network that is built grows with their number
+    labels: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(min_length=1, max_length=10_000)
+    end2end: bool | None = None
+
+
+def is_network_file(path: Path) -> bool:
+    """True if a file begins like a safetensors file, whatever its name; weights of ultralytics are zip archives."""
+    with open_file(path) as file:
+        begin = file.read(9)
+    # the length of the header, and the header, which is JSON
+    length = min(path.stat().st_size, MOST_HEADER_BYTES)
+    return begin[8:] == b"{" and int.from_bytes(begin[:8], "little") <= length
+
+
+def describe(model: Any) -> NetworkDescription:
+    """The description of a detection model."""
+    labels = tuple(str(model.names[number]) for number in sorted(model.names))
+    name = Path(str(model.yaml.get("yaml_file", ""))).stem
+    try:
+        return NetworkDescription(architecture=name, labels=labels, end2end=bool(model.model[-1].end2end))
+    except ValidationError as error:
+        raise DetectionError(f"the architecture {name!r} is not one of ultralytics' detection models") from error
+
+
+def build(description: NetworkDescription) -> Any:
+    """A detection model with random weights."""
+    try:
+        model = api().DetectionModel(f"{description.architecture}.yaml", nc=len(description.labels), verbose=False)
+        if description.end2end is not None and bool(model.model[-1].end2end) != description.end2end:
+            model.end2end = description.end2end
+    except Exception as error:  # ultralytics raises many types for an unknown name
+        raise DetectionError(f"{description.architecture!r} is not a detection model of ultralytics") from error
+    head = type(model.model[-1]).__name__
+    if head not in DETECTING_LAYERS:
+        raise DetectionError(f"{description.architecture!r} has the last layer {head}, which does not detect boxes")
+    model.names = dict(enumerate(description.labels))
+    return model
+
+
+def half(tensors: dict[str, Any]) -> dict[str, Any]:
+    """Copies of the tensors, with numbers in half precision; infinite ones become the largest finite number."""
+    torch = api().torch
+    return {
+        name: torch.nan_to_num(value.detach().half()).contiguous().clone()
+        if value.is_floating_point()
+        else value.detach().contiguous().clone()
+        for name, value in tensors.items()
+    }
+
+
+def write_network(path: Path, model: Any) -> None:
+    """Writes a model's weights in half precision, atomically."""
+    write_tensors(path, half(model.state_dict()), {DESCRIPTION: describe(model).model_dump_json()})
+
+
+def read_network(path: Path, device: Any, remedy: str) -> Any:
+    """The model of a file, in single precision and evaluation mode."""
+    tensors, facts = read_tensors(path, remedy)
+    return filled(path, tensors, facts, remedy).to(device)
+
+
+def filled(path: Path, tensors: dict[str, Any], facts: dict[str, str], remedy: str) -> Any:
+    """The described model with these tensors, in evaluation mode; errors are as in `read_network`."""
+    try:
+        description = NetworkDescription.model_validate_json(facts.get(DESCRIPTION, ""))
+        model = build(description)
+        model.load_state_dict(tensors, strict=True)
+    except (ValidationError, DetectionError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise DetectionError(f"{path}: cannot be read as detector weights ({reason}); {remedy}") from error
+    return model.float().eval()
+
+
+def write_tensors(path: Path, tensors: dict[str, Any], facts: dict[str, str]) -> None:
+    """Writes tensors and text, atomically."""
+    from safetensors.torch import save
+
+    write_atomic(path, save(tensors, facts))
+
+
+def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Any], dict[str, str]]:
+    """The tensors of a file by name, and its text."""
+    api()
+    with _opened(path, "pt", remedy) as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
+
+
+def read_facts(path: Path) -> dict[str, str]:
+    """The text of a file, without its tensors."""
+    with _opened(path, "numpy", "train the detector again") as file:
+        return dict(file.metadata() or {})
+
+
+@contextmanager
+def _opened(path: Path, framework: str, remedy: str) -> Iterator[Any]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        check_file(path, NETWORK_BYTES)
+        if not is_network_file(path):
+            raise SafetensorError(f"not a network file, or its header has more than {MOST_HEADER_BYTES >> 20} MiB")
+        with safe_open(path, framework=framework, device="cpu") as file:
+            yield file
+    # safetensors raises others for number formats that torch lacks
+    except (SafetensorError, OSError, AttributeError, TypeError, ValueError) as error:
+        raise DetectionError(f"{path}: cannot be read as detector weights ({error}); {remedy}") from error
+
 
 LOG = logging.getLogger("annotator.detectors")
 CONVERTED = "converted"
@@ -104,7 +231,7 @@ def _converted(path: Path, remedy: str) -> Any:
     try:
         copy.parent.mkdir(parents=True, exist_ok=True)
         write_tensors(copy, {name: value.clone() for name, value in model.state_dict().items()}, facts)
-        forget_oldest(copy.parent, MOST_KEPT)
+        forget_oldest(copy.parent)
     except OSError as error:
         LOG.warning("%s: cannot be kept as a network file, so it is converted each time: %s", path, error)
     return model

@@ -10,20 +10,216 @@ from __future__ import annotations
 import hashlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
 from annotator.detection.config import Backend, DetectorConfig
-from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
-from annotator.detection.selection import Candidates, candidates
-from annotator.detection.suppression import suppress
 from annotator.files import NETWORK_BYTES, read_file
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
+
+# Grey of the border. Networks are trained with it, and pseudo-views have it as background.
+GREY = 114
+# Canvases up to this size are square: wider borders take less time than several canvas sizes.
+SQUARE_UP_TO_PX = 128
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How an image is scaled and padded for a network, all in pixels.
+
+    Attributes:
+        width_px, height_px: size of the image.
+        scaled_width_px, scaled_height_px: its size in the batch.
+        canvas: (width, height) including the border.
+    """
+
+    width_px: int
+    height_px: int
+    scaled_width_px: int
+    scaled_height_px: int
+    canvas: tuple[int, int]
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Left and top border; an odd pixel is added on the right or at the bottom."""
+        return (self.canvas[0] - self.scaled_width_px) // 2, (self.canvas[1] - self.scaled_height_px) // 2
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Pixels of the image per pixel of the batch, in x and y."""
+        return self.width_px / self.scaled_width_px, self.height_px / self.scaled_height_px
+
+
+def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
+    """Scales the longer side of a (height, width) image to `longer_side_px` and pads it to multiples of `stride`.
+
+    Small images get square canvases, so that all images of a call share one size.
+    """
+    height_px, width_px = size
+    scale = longer_side_px / max(height_px, width_px)
+    scaled_width_px, scaled_height_px = max(round(width_px * scale), 1), max(round(height_px * scale), 1)
+    canvas = (-(-scaled_width_px // stride) * stride, -(-scaled_height_px // stride) * stride)
+    if longer_side_px <= SQUARE_UP_TO_PX:
+        canvas = (max(canvas), max(canvas))
+    return Placement(width_px, height_px, scaled_width_px, scaled_height_px, canvas)
+
+
+def fill_batch(pictures: Sequence[np.ndarray], placements: Sequence[Placement]) -> UInt8[np.ndarray, "n h w 3"]:
+    """A batch of images that share a canvas size, each centred on its canvas.
+
+    Args:
+        pictures: images of any sizes, each (height, width, 3) uint8.
+        placements: one per image.
+    """
+    width_px, height_px = placements[0].canvas
+    batch = np.full((len(pictures), height_px, width_px, 3), GREY, np.uint8)
+    for target, picture, placement in zip(batch, pictures, placements, strict=True):
+        size = (placement.scaled_width_px, placement.scaled_height_px)
+        left, top = placement.corner
+        if picture.shape[1::-1] != size:
+            picture = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
+        target[top : top + size[1], left : left + size[0]] = picture
+    return batch
+
+
+def to_pictures(
+    boxes: Float[np.ndarray, "k 4"],
+    picture: Int64[np.ndarray, "k"],
+    placements: Sequence[Placement],
+) -> Float64[np.ndarray, "k 4"]:
+    """Maps boxes from canvases to their images, and clips them to the images.
+
+    Resizing preserves image corners, so the mapping measures from the corner of the first pixel. The result is
+    measured from its centre, half a pixel further in.
+
+    Args:
+        boxes: x_min y_min x_max y_max, pixels from the corner of the canvas.
+        picture: index of each box's image.
+        placements: one per image.
+    """
+    border = np.array([p.corner * 2 for p in placements], np.float64)[picture]
+    size = np.array([(p.width_px, p.height_px) * 2 for p in placements], np.float64)[picture]
+    scale = np.array([p.scale * 2 for p in placements], np.float64)[picture]
+    return np.clip((boxes - border) * scale, 0, size) - 0.5
+
+
+# Non-maximum suppression of 2D boxes, for a whole batch at once.
+#
+# torchvision also has this function, but takes as long to load as torch itself.
+
+
+def suppress(
+    boxes: Float[np.ndarray, "n 4"],
+    scores: Float[np.ndarray, "n"],
+    groups: Int64[np.ndarray, "n"],
+    iou: float,
+) -> Int64[np.ndarray, "k"]:
+    """Greedy non-maximum suppression within each group.
+
+    Args:
+        boxes: x_min y_min x_max y_max.
+        scores: of two overlapping boxes, the one with the higher score is kept, or the first if they are equal.
+        groups: only boxes of the same group (image and class) suppress each other.
+        iou: a box is removed if its IoU with a better box exceeds this.
+
+    Returns:
+        Indices of the kept boxes, best score first.
+    """
+    order = np.lexsort((-scores, groups))
+    kept = [np.empty(0, np.int64)]
+    # Each step handles all groups at once: it keeps the best remaining box of each group and removes the boxes that it
+    # suppresses. The number of steps is the largest number of boxes kept in one group, independent of the batch size.
+    while len(order):
+        group = groups[order]
+        begins = np.concatenate([[True], group[1:] != group[:-1]])
+        best = order[begins]
+        kept.append(best)
+        suppressed = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
+        order = order[~(begins | suppressed)]
+    indices = np.concatenate(kept)
+    return indices[np.lexsort((indices, -scores[indices]))]
+
+
+def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
+    """IoU of the boxes in the same row of `a` and `b`."""
+    low = np.maximum(a[:, :2], b[:, :2])
+    high = np.minimum(a[:, 2:], b[:, 2:])
+    shared = np.prod(np.clip(high - low, 0, None), axis=1)
+    union = np.prod(a[:, 2:] - a[:, :2], axis=1) + np.prod(b[:, 2:] - b[:, :2], axis=1) - shared
+    return shared / np.maximum(union, 1e-12)
+
+
+# Only the candidates with the highest scores of an image enter non-maximum suppression.
+MAX_CANDIDATES = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The candidates of a batch before non-maximum suppression.
+
+    Attributes:
+        picture: (k,) index of the image in its batch.
+        boxes: (k, 4) x_min y_min x_max y_max, pixels from the corner of the batch's canvas.
+        scores: (k,) 0..1.
+        numbers: (k,) class numbers.
+        spreads: (k, 4) spread of each edge in the order of `boxes`, pixels; None if the network gives none.
+    """
+
+    picture: Int64[np.ndarray, "k"]
+    boxes: Float32[np.ndarray, "k 4"]
+    scores: Float32[np.ndarray, "k"]
+    numbers: Int64[np.ndarray, "k"]
+    spreads: Float32[np.ndarray, "k 4"] | None = None
+
+
+def candidates(
+    prediction: Float32[np.ndarray, "n c a"], end2end: bool, confidence: float, edge_spread: bool = False
+) -> Candidates:
+    """The candidates of each image whose score exceeds `confidence`, at most `MAX_CANDIDATES` per image.
+
+    Args:
+        prediction: one column per anchor: four numbers of its box, the score of each class, and the spread of each edge
+            if `edge_spread`. The box is centre and size, or x_min y_min x_max y_max if `end2end`.
+        end2end: whether the network works without suppression (YOLO26, YOLOv10).
+        confidence: score threshold.
+        edge_spread: as in `NetworkFacts`.
+    """
+    classes = prediction[:, 4:-4] if edge_spread else prediction[:, 4:]
+    if end2end:  # as in ultralytics, one anchor may give boxes of two classes
+        picture, number, anchor = np.nonzero(classes > confidence)
+    else:
+        best = classes.max(axis=1)
+        picture, anchor = np.nonzero(best > confidence)
+        number = classes[picture, :, anchor].argmax(axis=1)
+    scores = classes[picture, number, anchor]
+    kept = _best_of_each(picture, scores)
+    picture, number, anchor, scores = picture[kept], number[kept], anchor[kept], scores[kept]
+    boxes = prediction[picture, :4, anchor]
+    if not end2end:
+        middle, half = boxes[:, :2], boxes[:, 2:] / 2
+        boxes = np.concatenate([middle - half, middle + half], axis=1)
+    spreads = prediction[picture, -4:, anchor] if edge_spread else None
+    return Candidates(picture, boxes, scores, number, spreads)
+
+
+def _best_of_each(picture: Int64[np.ndarray, "k"], scores: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
+    """Mask of the candidates that are among the best `MAX_CANDIDATES` of their image."""
+    counts = np.bincount(picture)
+    if len(counts) == 0 or counts.max() <= MAX_CANDIDATES:
+        return np.ones(len(picture), bool)
+    order = np.lexsort((-scores, picture))
+    begins = np.cumsum(counts) - counts
+    kept = np.empty(len(picture), bool)
+    kept[order] = np.arange(len(picture)) - begins[picture[order]] < MAX_CANDIDATES
+    return kept
+
 
 # Maximum number of pixels of scaled images in one call of the network; bounds the memory.
 MAX_CALL_PX = 64 * 320 * 320
@@ -33,17 +229,12 @@ REVISION = 2
 
 
 class YoloDetector:
-    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image.
-
-    Attributes:
-        weights: the weights file.
-    """
+    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image."""
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
             weights: the file of a training run, or ultralytics' own detection weights.
-            config: settings.
 
         Raises:
             ConfigError: the backend cannot use the device.

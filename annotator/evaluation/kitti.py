@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64, Shaped
 
 from annotator.evaluation.boxes import pairs_within, place_within
-from annotator.geometry.rectangles import rectangle_intersection_pairs
+from annotator.geometry.outline import rectangle_intersection_pairs
 
 
 @dataclass(frozen=True, eq=False)

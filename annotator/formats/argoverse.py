@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.feather import FeatherError, Kind, read_feather
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 

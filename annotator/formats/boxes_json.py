@@ -23,7 +23,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]

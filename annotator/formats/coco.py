@@ -33,8 +33,8 @@ from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.json_file import read_model, write_text
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.types import Box2D, BoxKind
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
+from annotator.types.messages import amount
 
 EDGE_TO_CENTRE_PX = -0.5
 # CVAT's attribute of turned boxes: degrees about the centre of `bbox`, which is the box before the turn.

@@ -14,10 +14,9 @@ from pydantic import BaseModel, Field, ValidationError
 
 from annotator.files import CHUNK_BYTES, open_file, read_file, write_atomic
 from annotator.text import MARK_BYTES, decoded, encoding_of
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
-from annotator.types.validation import first_problem
+from annotator.types.messages import amount, first_problem
 
 # The largest label file in common use, COCO's training labels, takes 450 MB.
 MAX_BYTES = 2**30

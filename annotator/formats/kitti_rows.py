@@ -31,10 +31,9 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
 from annotator.formats.reading import finite_number, text_rows
 from annotator.formats.units import Angles
-from annotator.geometry.edges import cut_segments
-from annotator.geometry.nearest_upright import nearest_upright
 from annotator.geometry.occlusion import Sight
-from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
+from annotator.geometry.outline import cut_segments
 from annotator.geometry.projection import project
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth

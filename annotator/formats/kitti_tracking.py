@@ -21,8 +21,8 @@ from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_lin
 from annotator.formats.reading import text_files
 from annotator.text import spelled
 from annotator.types import Label, Truth
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
+from annotator.types.messages import amount
 
 LABELS = "label_02"
 IMAGES, SCANS = "image_02", "velodyne"

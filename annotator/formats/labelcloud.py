@@ -41,8 +41,8 @@ from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled, to_number
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, UnitError, UnitKind
+from annotator.types.messages import amount
 
 CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"

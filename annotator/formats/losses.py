@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 class Lost(StrEnum):

@@ -30,7 +30,7 @@ from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, Bou
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -48,7 +48,7 @@ from annotator.text import normal, stem_of
 from annotator.types import OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 Vector3 = Bounded3
 Quaternion = Bounded4

@@ -44,7 +44,7 @@ from annotator.formats.nuscenes import (
     width_length_height,
 )
 from annotator.geometry.occlusion import Sight
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor
@@ -188,7 +188,7 @@ class Tables:
 
     def _annotate(self, item: DatasetItem, sample: Sample, T_global_camera: RigidTransform) -> None:
         xyz = item.frame.cloud.xyz_m
-        index, sight = PointIndex.of(xyz), Sight(xyz)
+        sight = Sight(xyz)
         seen: Counter[tuple[object, ...]] = Counter()
         for label in item.labels:
             identity = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
@@ -211,7 +211,7 @@ class Tables:
                 translation=vector(box.center_m),
                 size=width_length_height(box),
                 rotation=quaternion(box.T_camera_box.rotation),
-                num_lidar_pts=index.count(label.box),
+                num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
             )
             self._annotations.setdefault(instance, []).append(row)
             self._order.append(row.token)

@@ -63,7 +63,7 @@ from annotator.formats.openlabel_document import (
     values_of,
 )
 from annotator.formats.units import Angles, AngleUnit
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
 from annotator.types import Frame as RecordedFrame

@@ -30,7 +30,7 @@ from annotator.formats.json_file import Bounded, Bounded3, Bounded4, BoundedTrac
 from annotator.formats.units import rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
 from annotator.types.label import AttributeValue, Said
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 SCHEMA_VERSION = "1.0.0"
 

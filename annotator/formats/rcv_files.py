@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.formats.json_file import BoundedTrack
 from annotator.types import BoxKind, ReviewState, Source, Suggestion
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 FORMAT_NAME = "annotator-rcv"
 FORMAT_VERSION = 1

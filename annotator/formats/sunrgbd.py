@@ -43,7 +43,7 @@ from annotator.formats.sunrgbd_table import (
     tilt_matrix,
     upright_frame,
 )
-from annotator.geometry.nearest_upright import nearest_upright
+from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
 from annotator.text import spelled

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.types.amounts import amount
 from annotator.types.errors import UnitError, UnitKind
+from annotator.types.messages import amount
 
 # Programs write angles in radians that they have not normalised: OpenPCDet's KITTI results have rotation_y down to
 # -2.75 pi. Those of a set in degrees nearly always have a larger one. Files round to two decimals.

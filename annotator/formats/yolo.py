@@ -7,7 +7,7 @@
 The second form is a turned box, by its four corners, or a polygon; it is read as the rectangle around these. The
 third form has keypoints, which are not read; all rows of a dataset together show it (`are_keypoints`). The class is an
 index into the dataset's `names`, from 0. Centre, width, height and corners are fractions of the image size,
-measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
+measured from the image's corner (see `geometry/outline.py`). An empty file means an image without objects. A sixth
 field is the score of a detection. Source: Ultralytics' documentation, overviews of datasets for "object detection",
 "oriented bounding box" and "instance segmentation", and the checks in its `data/utils.py`.
 
@@ -43,12 +43,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from annotator.files import why_missing
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
-from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
+from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.validation import first_problem
+from annotator.types.messages import amount, first_problem
 
 # Ultralytics accepts boxes that extend beyond the image by this fraction of its size.
 TOLERANCE = 0.01

@@ -1,4 +1,4 @@
-"""Exact 3D IoU of oriented boxes (compiled: `kernels.slab_volumes`).
+"""Exact 3D IoU of oriented boxes (compiled: `kernels`).
 
 Two boxes are six slabs (pairs of parallel planes). Each edge of the intersection lies on the line where planes of
 two slabs meet, between the points where this line enters and leaves the four other slabs. 15 pairs of slabs with 4
@@ -105,7 +105,7 @@ def intersection_volume_pairs(
     Raises:
         GeometryError: a size that is not positive, or a value that is not finite.
     """
-    from annotator.geometry.kernels.slab_volumes import intersection_volumes
+    from annotator.geometry.kernels import intersection_volumes
 
     boxes_a = _checked(centers_a, rotations_a, sizes_a)
     boxes_b = _checked(centers_b, rotations_b, sizes_b)
@@ -128,3 +128,52 @@ def _stacked(
         np.array([box.rotation for box in boxes]).reshape(-1, 3, 3),
         np.array([box.size_m for box in boxes]).reshape(-1, 3),
     )
+
+
+def nms_3d(
+    boxes: Sequence[OrientedBox], scores: Float[np.ndarray, "n"], labels: Sequence[str], iou_threshold: float
+) -> Int[np.ndarray, "kept"]:
+    """Greedy non-maximum suppression within each class, by exact 3D IoU.
+
+    Boxes are processed in order of descending score. A box is dropped if its IoU with a kept box of its class is larger
+    than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
+
+    Args:
+        boxes: in one frame.
+        scores: one per box; any finite numbers.
+        iou_threshold: in 0..1.
+
+    Returns:
+        Indices of the kept boxes, best score first.
+
+    Raises:
+        GeometryError: different numbers of boxes, scores and labels, or a score that is not finite.
+    """
+    if not len(boxes) == len(scores) == len(labels):
+        raise GeometryError(
+            f"each box needs one score and one label, not {len(scores)} and {len(labels)} for {len(boxes)} boxes"
+        )
+    if not np.isfinite(scores).all():
+        raise GeometryError("scores must be finite")
+    order = np.argsort(-np.asarray(scores, np.float64), kind="stable")
+    overlapping = _overlapping(boxes, labels, order, iou_threshold)
+    kept: list[int] = []
+    for index in order.tolist():
+        if not any((better, index) in overlapping for better in kept):
+            kept.append(index)
+    return np.array(kept, np.int64)
+
+
+def _overlapping(
+    boxes: Sequence[OrientedBox], labels: Sequence[str], order: np.ndarray, iou_threshold: float
+) -> set[tuple[int, int]]:
+    """Pairs (better, worse) of boxes of one class with an IoU above the threshold."""
+    if len(boxes) < 2:
+        return set()
+    rank = np.argsort(order)
+    classes = np.unique(np.asarray(labels, dtype=np.str_), return_inverse=True)[1].reshape(-1)
+    better, worse = near_pairs(boxes, boxes)
+    compare = (rank[better] < rank[worse]) & (classes[better] == classes[worse])
+    better, worse = better[compare], worse[compare]
+    above = iou_3d_chosen(boxes, boxes, better, worse) > iou_threshold
+    return set(zip(better[above].tolist(), worse[above].tolist(), strict=True))

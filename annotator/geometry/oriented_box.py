@@ -1,11 +1,19 @@
-"""Oriented boxes: corners, points inside, the box around points, and a canonical order of axes."""
+"""Oriented boxes: corners, points inside, boxes around points, upright boxes, and a canonical order of axes."""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Bool, Float, Float64
+import math
+from dataclasses import dataclass, replace
+from itertools import permutations
 
-from annotator.types import OrientedBox
+import numpy as np
+from jaxtyping import Bool, Float, Float64, UInt8
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.normals import normals_from_depth
+from annotator.geometry.projection import inside_image, project
+from annotator.types import Correction, Frame, OrientedBox, PointCloud
 from annotator.types.errors import GeometryError
 
 # Minimum side of a box around points, so that points on a plane still give a valid box.
@@ -69,7 +77,7 @@ def contains_parts(
         center, rotation, size: as in `corners`.
         xyz: points in the same frame, metres.
     """
-    from annotator.geometry.kernels.points_in_box import points_in_box
+    from annotator.geometry.kernels import points_in_box
 
     dtype = xyz.dtype
     half = (0.5 * size).astype(dtype)
@@ -142,3 +150,214 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
     return bool(
         np.allclose(a.pose, b.pose, rtol=0, atol=SAME_BOX) and np.allclose(a.size_m, b.size_m, rtol=0, atol=SAME_BOX)
     )
+
+
+def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[OrientedBox, float]:
+    """The nearest box with the same centre and sides and a vertical z axis, and the angle between both, radians.
+
+    The box's z axis becomes vertical, unless another axis is closer to the vertical; that axis then becomes the height.
+    The length axis stays the length if it is still horizontal. Among these boxes, the one with the smallest rotation
+    angle is returned; an upright box is returned unchanged.
+
+    Args:
+        up: unit vector against gravity, in the box's frame.
+    """
+    candidates = [_made_upright(box, up, order) for order in _orders(box, up)]
+    return min(candidates, key=lambda pair: pair[1])
+
+
+def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]]:
+    """Candidate labellings (rotation, size): the given one; for a box on its side, those with a vertical z axis."""
+    R, size = box.rotation, box.size_m
+    rise = R.T @ up
+    vertical = int(np.argmax(np.abs(rise)))
+    if vertical == 2 or abs(rise[vertical]) - abs(rise[2]) < 1e-9:
+        return [(R if rise[2] >= 0 else _turned_over(R), size)]
+    candidates = []
+    for order in permutations(range(3)):
+        if order[2] != vertical:
+            continue
+        axes = R[:, order] * np.array([1.0, 1.0, math.copysign(1.0, rise[vertical])])
+        axes[:, 1] *= np.linalg.det(axes)
+        candidates.append((axes, size[list(order)]))
+    # the length axis is kept if it is still horizontal
+    return [pair for pair in candidates if vertical == 0 or np.allclose(np.abs(pair[0][:, 0]), np.abs(R[:, 0]))]
+
+
+def _turned_over(R: np.ndarray) -> np.ndarray:
+    """The rotation after half a turn about the length axis: the same heading, upside down."""
+    return R * np.array([1.0, -1.0, -1.0])
+
+
+def _made_upright(
+    box: OrientedBox, up: np.ndarray, candidate: tuple[np.ndarray, np.ndarray]
+) -> tuple[OrientedBox, float]:
+    """The upright box nearest to a candidate, and the angle between both, radians."""
+    R, size_m = candidate
+    tilt = math.acos(min(1.0, max(-1.0, float(R[:, 2] @ up))))
+    if tilt < 1e-12:
+        return OrientedBox.from_parts(box.center_m, R, size_m), 0.0
+    # the smallest rotation that makes z vertical; any additional yaw would increase the angle
+    axis = np.cross(R[:, 2], up)
+    norm = np.linalg.norm(axis)
+    axis = axis / norm if norm > 1e-12 else R[:, 0]
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turn = np.eye(3) + math.sin(tilt) * K + (1 - math.cos(tilt)) * K @ K
+    return OrientedBox.from_parts(box.center_m, turn @ R, size_m), tilt
+
+
+# The rotations of a grid that are refined, by turns of `FIRST_TURN_RAD` that are halved down to `LAST_TURN_RAD`.
+STARTS = 8
+FIRST_TURN_RAD, LAST_TURN_RAD = float(np.deg2rad(8)), 1e-3
+
+
+def tightest_box(
+    xyz_m: Float64[np.ndarray, "n 3"],
+    rotations: Float64[np.ndarray, "k 3 3"],
+    up: Float64[np.ndarray, "3"] | None = None,
+) -> OrientedBox:
+    """The box of least volume that contains all points, found by local search.
+
+    Args:
+        xyz_m: camera frame.
+        rotations: where the search starts; columns = box axes.
+        up: unit vector; if given, boxes turn about it only.
+    """
+    outer = _hull(xyz_m)
+    best = rotations[np.argsort(_volumes(outer, rotations))[:STARTS]]
+    turns = np.concatenate([np.eye(3), -np.eye(3)]) if up is None else np.stack([up, -up])
+    refined = [_refined(outer, start, turns) for start in best]
+    return aligned_box(outer, refined[int(np.argmin(_volumes(outer, np.stack(refined))))])
+
+
+def _refined(
+    outer: Float64[np.ndarray, "n 3"], rotation: Float64[np.ndarray, "3 3"], turns: Float64[np.ndarray, "t 3"]
+) -> Float64[np.ndarray, "3 3"]:
+    least, turn_rad = _volumes(outer, rotation[None])[0], FIRST_TURN_RAD
+    while turn_rad > LAST_TURN_RAD:
+        turned = Rotation.from_rotvec(turn_rad * turns).as_matrix() @ rotation
+        volumes = _volumes(outer, turned)
+        if volumes.min() < least:
+            rotation, least = turned[int(volumes.argmin())], volumes.min()
+        else:
+            turn_rad /= 2
+    return rotation
+
+
+def _volumes(outer: Float64[np.ndarray, "n 3"], rotations: Float64[np.ndarray, "k 3 3"]) -> Float64[np.ndarray, "k"]:
+    along = np.einsum("nd,kdi->kni", outer, rotations)
+    return np.asarray(np.ptp(along, axis=1).prod(axis=1))
+
+
+def _hull(xyz_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "h 3"]:
+    """The corners of the convex hull; all points if they are too few or flat."""
+    try:
+        return xyz_m[ConvexHull(xyz_m).vertices]
+    except (QhullError, ValueError):
+        return xyz_m
+
+
+def corrected(frame: Frame, correction: Correction) -> Frame:
+    """The frame with its cloud turned and shifted; what the cloud knows (normals, up, labels of its files) moves along.
+
+    The depth image is no longer registered to the camera, so it is left out; normals are taken from it before.
+    """
+    if not correction.moves:
+        return frame
+    T, cloud = correction.T_camera_recorded, frame.cloud
+    normals = cloud.normals
+    if normals is None and frame.depth_m is not None and cloud.pixel_index is not None:
+        normals = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)[cloud.pixel_index]
+    moved = PointCloud(
+        T.apply(cloud.xyz_m).astype(np.float32),
+        cloud.rgb,
+        cloud.reflectance,
+        normals=None if normals is None else T.rotation.apply(normals).astype(np.float32),
+    )
+    label = T if frame.T_camera_label is None else T * frame.T_camera_label
+    up = None if frame.up is None else np.asarray(T.rotation.apply(frame.up))
+    world = None if frame.T_world_camera is None else frame.T_world_camera * T.inv()
+    return _coloured(
+        replace(
+            frame,
+            cloud=moved,
+            depth_m=None,
+            up=up,
+            T_camera_label=label,
+            T_camera_recorded=T,
+            T_world_camera=world,
+        )
+    )
+
+
+def with_image(frame: Frame, rgb: UInt8[np.ndarray, "h w 3"]) -> Frame:
+    """The frame with another image of the same camera, which colours its cloud."""
+    return _coloured(replace(frame, rgb=rgb))
+
+
+def _coloured(frame: Frame) -> Frame:
+    """The frame with the colours of its image on its cloud, if it has colours; points off the image keep theirs."""
+    cloud = frame.cloud
+    if cloud.rgb is None:
+        return frame
+    px = project(frame.camera, cloud.xyz_m)
+    seen = np.flatnonzero(inside_image(frame.camera, px))
+    u, v = np.round(px[seen]).astype(np.int64).T
+    colours = cloud.rgb.copy()
+    colours[seen] = frame.rgb[v, u]
+    return replace(frame, cloud=replace(cloud, rgb=colours))
+
+
+# Steps in which an axis moves to the mean of the boxes' nearest axes.
+MEAN_STEPS = 5
+# Share of the boxes within `CommonAxis.spread_rad`.
+WITHIN = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class CommonAxis:
+    """An axis that is near to an axis of most boxes.
+
+    Attributes:
+        axis: unit vector (3,); its sign has no meaning.
+        spread_rad: nine of ten boxes have an axis within this angle of it.
+        alike: how alike the boxes' headings about the axis are, modulo a quarter turn: 0 = all headings, 1 = one.
+    """
+
+    axis: Float64[np.ndarray, "3"]
+    spread_rad: float
+    alike: float
+
+
+def common_axis(rotations: Float64[np.ndarray, "n 3 3"]) -> CommonAxis:
+    """The axis with the smallest spread, among those that start from an axis of a box.
+
+    Args:
+        rotations: of at least one box; the columns are its axes.
+    """
+    best, spread = rotations[0, :, 0], np.inf
+    for axis in rotations.transpose(0, 2, 1).reshape(-1, 3):
+        for _ in range(MEAN_STEPS):
+            axis = _nearest(rotations, axis).mean(axis=0)
+            axis = axis / np.linalg.norm(axis)
+        angles = np.arccos(np.clip((_nearest(rotations, axis) * axis).sum(axis=1), -1, 1))
+        if (reached := float(np.quantile(angles, WITHIN))) < spread:
+            best, spread = axis, reached
+    return CommonAxis(best, spread, _alike(rotations, best))
+
+
+def _nearest(rotations: Float64[np.ndarray, "n 3 3"], axis: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "n 3"]:
+    """The axis of each box that is nearest to the given one, with its sign."""
+    each, along = np.arange(len(rotations)), axis @ rotations
+    nearest = np.abs(along).argmax(axis=1)
+    return np.asarray(rotations[each, :, nearest] * np.sign(along[each, nearest])[:, None])
+
+
+def _alike(rotations: Float64[np.ndarray, "n 3 3"], axis: Float64[np.ndarray, "3"]) -> float:
+    """Length of the mean of the headings' unit vectors (mean resultant length; Mardia and Jupp, Directional Statistics,
+    2000), of four times the heading, since a box looks the same after a quarter turn."""
+    x = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    y = np.cross(axis, x)
+    across = (np.abs(axis @ rotations).argmax(axis=1) + 1) % 3
+    side = rotations[np.arange(len(rotations)), :, across]
+    return float(np.abs(np.exp(4j * np.arctan2(side @ y, side @ x)).mean()))

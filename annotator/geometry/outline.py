@@ -1,20 +1,25 @@
-"""The 2D box of an oriented box, or of a set of points, on a camera image.
+"""2D boxes and outlines on a camera image: of an oriented box, a set of points, and the edges of a wire frame.
 
 Each face of the box is a convex polygon. In 3D, it is clipped to the half-spaces in front of the camera and within its
 field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped to the image. So a box that extends
 behind the camera or beyond the image border gets the 2D box of its visible part. The hole that clipping leaves in the
 near plane does not matter: a ray that enters the box through this hole leaves it through a face.
+
+An edge of a wire frame is clipped likewise (Liang and Barsky, 1984). On a distorted image it is divided into several
+pieces, because straight edges are curved there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 
 from annotator.geometry.distortion import radius_limit_squared
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import EDGES, box_corners, corners, heading_arrow
 from annotator.geometry.projection import CameraKey, camera_key, project, undistort_px
 from annotator.types import Box2D, Camera, OrientedBox
 
@@ -43,7 +48,6 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
     Args:
         camera: distortion is taken into account.
         box: in the camera frame.
-        label: of the 2D box.
         min_side_px: minimum width and height.
 
     Returns:
@@ -177,3 +181,205 @@ def _border_px(camera: Camera) -> Float64[np.ndarray, "n 2"]:
     u, v = -0.5 + share * (width_px + 0.5), -0.5 + share * (height_px + 0.5)
     sides = [(u, np.full(17, -0.5)), (u, np.full(17, height_px)), (np.full(17, -0.5), v), (np.full(17, width_px), v)]
     return np.concatenate([np.column_stack(side) for side in sides])
+
+
+# Pieces per edge on a distorted image.
+PIECES_DISTORTED = 8
+
+# An arrow that ends farther from the image than so many times its longer side is not drawn.
+FARTHEST_SIZES = 4
+# Angle between an arrow's shaft and the lines of its head.
+HEAD_RAD = np.pi / 6
+
+_ENDS = np.array(EDGES)
+
+
+def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
+    """The arrow of a box's heading on the image, not clipped to it.
+
+    Args:
+        box: in the camera frame.
+        head_px: length of the two lines of its head.
+
+    Returns:
+        (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's lines; (0, 2, 2) if it reaches behind the
+        camera or far from the image.
+    """
+    shaft = project(camera, heading_arrow(box))
+    if not (np.abs(shaft) < FARTHEST_SIZES * max(camera.width_px, camera.height_px)).all():
+        return np.zeros((0, 2, 2))
+    tip = shaft[1]
+    back = (shaft[0] - tip) / max(float(np.linalg.norm(shaft[0] - tip)), 1e-9)
+    aside = np.array([-back[1], back[0]])
+    ends = [tip + head_px * (np.cos(HEAD_RAD) * back + side * np.sin(HEAD_RAD) * aside) for side in (-1, 1)]
+    return np.stack([shaft, *(np.stack([tip, end]) for end in ends)])
+
+
+def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[np.ndarray, "k 2 2"]]:
+    """The visible parts of each box's 12 edges, as straight pieces on the image.
+
+    Args:
+        camera: distortion is taken into account.
+        boxes: in the camera frame.
+
+    Returns:
+        one array per box: (k, 2, 2) pixels, both ends (u, v) of k pieces; k = 0 if the box is not visible. On a
+        distorted image, pieces may extend slightly beyond the border.
+    """
+    if not boxes:
+        return []
+    poses = np.array([box.pose for box in boxes])
+    sizes = np.array([box.size_m for box in boxes])
+    ends = corners(poses[:, :3, 3], poses[:, :3, :3], sizes)[:, _ENDS].reshape(-1, 2, 3)
+    cut, visible = cut_segments(ends, field_of_view(camera_key(camera)))
+    owner = np.repeat(np.arange(len(boxes)), len(EDGES))[visible]
+    pieces = 1 if camera.is_ideal else PIECES_DISTORTED
+    share = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
+    along = cut[visible, :1] + share * (cut[visible, 1:] - cut[visible, :1])
+    px = project(camera, along.reshape(-1, 3)).reshape(-1, pieces + 1, 2)
+    drawn = np.stack([px[:, :-1], px[:, 1:]], axis=2)
+    return [_finite(drawn[owner == index].reshape(-1, 2, 2)) for index in range(len(boxes))]
+
+
+def cut_segments(
+    ends: Float64[np.ndarray, "n 2 3"], half_spaces: Float64[np.ndarray, "k 4"]
+) -> tuple[Float64[np.ndarray, "n 2 3"], Bool[np.ndarray, "n"]]:
+    """Line segments clipped to half-spaces, and a mask of the segments that are at least partly inside.
+
+    Args:
+        ends: both ends of each segment.
+        half_spaces: rows of a normal and an offset; points with normal . p >= offset are kept.
+    """
+    height = ends @ half_spaces[:, :3].T - half_spaces[:, 3]
+    first, last = height[:, 0], height[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = first / (first - last)
+    start = np.where((first < 0) & (last >= 0), crossing, 0.0).max(axis=1)
+    end = np.where((last < 0) & (first >= 0), crossing, 1.0).min(axis=1)
+    visible = ~((first < 0) & (last < 0)).any(axis=1) & (start < end)
+    along = ends[:, 1] - ends[:, 0]
+    cut = np.stack([ends[:, 0] + start[:, None] * along, ends[:, 0] + end[:, None] * along], axis=1)
+    return cut, visible
+
+
+def _finite(pieces: Float64[np.ndarray, "k 2 2"]) -> Float64[np.ndarray, "m 2 2"]:
+    return pieces[np.isfinite(pieces).all(axis=(1, 2))]
+
+
+# 2D boxes as shares of the image size, as in YOLO's label files, and boxes clipped to the image.
+#
+# The shares are centre x and y, width and height, divided by the image's width and height (Ultralytics'
+# documentation, "object detection datasets"). They are measured from the image's corner, whereas pixels are measured
+# from the centre of the first pixel: the two differ by half a pixel.
+
+
+def clip_to_image(box: Box2D, width_px: int, height_px: int, min_side_px: float = 0.0) -> Box2D | None:
+    """The box clipped to the image; None if it is outside, or if a side is shorter than `min_side_px`."""
+    x_min, x_max = (min(max(x, -0.5), width_px - 0.5) for x in (box.x_min, box.x_max))
+    y_min, y_max = (min(max(y, -0.5), height_px - 0.5) for y in (box.y_min, box.y_max))
+    if x_max <= x_min or y_max <= y_min or min(x_max - x_min, y_max - y_min) < min_side_px:
+        return None
+    return Box2D(box.label, x_min, y_min, x_max, y_max, box.score)
+
+
+def shares_of(box: Box2D, width_px: int, height_px: int) -> Float64[np.ndarray, "4"]:
+    """Centre x, centre y, width and height as shares of the image size."""
+    low, high = np.array([box.x_min, box.y_min]) + 0.5, np.array([box.x_max, box.y_max]) + 0.5
+    size = np.array([width_px, height_px])
+    return np.concatenate([(low + high) / 2 / size, (high - low) / size])
+
+
+def edges_of(shares: Float[np.ndarray, "4"], width_px: int, height_px: int) -> Float64[np.ndarray, "4"]:
+    """The inverse of `shares_of`: x_min, y_min, x_max, y_max, pixels."""
+    centre, half, size = shares[:2], shares[2:] / 2, np.array([width_px, height_px], np.float64)
+    return np.concatenate([(centre - half) * size, (centre + half) * size]) - 0.5
+
+
+# Pairs per pass, which bounds the memory.
+CHUNK = 4096
+
+
+def rectangle_intersection_pairs(
+    centers_a: Float64[np.ndarray, "n 2"],
+    yaws_a_rad: Float64[np.ndarray, "n"],
+    sizes_a: Float64[np.ndarray, "n 2"],
+    centers_b: Float64[np.ndarray, "n 2"],
+    yaws_b_rad: Float64[np.ndarray, "n"],
+    sizes_b: Float64[np.ndarray, "n 2"],
+) -> Float64[np.ndarray, "n"]:
+    """The intersection area of rectangles a and b, for each of n pairs.
+
+    Args:
+        centers_a, centers_b: coordinates in one plane, metres.
+        yaws_a_rad, yaws_b_rad: direction of the first side, from the plane's first axis towards its second.
+        sizes_a, sizes_b: full lengths of the first and second side, positive, metres.
+
+    Returns:
+        (n,) square metres.
+    """
+    a, b = _rectangles(centers_a, yaws_a_rad, sizes_a), _rectangles(centers_b, yaws_b_rad, sizes_b)
+    areas = np.zeros(len(centers_a))
+    for start in range(0, len(areas), CHUNK):
+        part = np.arange(start, min(start + CHUNK, len(areas)))
+        areas[part] = _clipped_areas(_corners_in(a, b, part), b.half[part])
+    return areas
+
+
+@dataclass(frozen=True, eq=False)
+class _Rectangles:
+    """Centres, directions of the first side, and half lengths of the sides."""
+
+    center: Float64[np.ndarray, "n 2"]
+    along: Float64[np.ndarray, "n 2"]
+    half: Float64[np.ndarray, "n 2"]
+
+
+def _rectangles(
+    centers: Float64[np.ndarray, "n 2"], yaws_rad: Float64[np.ndarray, "n"], sizes: Float64[np.ndarray, "n 2"]
+) -> _Rectangles:
+    return _Rectangles(centers, np.stack([np.cos(yaws_rad), np.sin(yaws_rad)], axis=1), 0.5 * sizes)
+
+
+def _corners_in(a: _Rectangles, b: _Rectangles, pairs: Int[np.ndarray, "k"]) -> Float64[np.ndarray, "k 4 2"]:
+    """Corners of the rectangles a, counter-clockwise, in coordinates along the sides of the rectangles b."""
+    x, origin = b.along[pairs], b.center[pairs]
+    to_local = np.stack([x, np.stack([-x[:, 1], x[:, 0]], axis=1)], axis=1)
+    length = a.along[pairs] * a.half[pairs, :1]
+    width = np.stack([-a.along[pairs, 1], a.along[pairs, 0]], axis=1) * a.half[pairs, 1:]
+    around = np.stack([-length - width, length - width, length + width, width - length], axis=1)
+    return (around + (a.center[pairs] - origin)[:, None]) @ np.swapaxes(to_local, 1, 2)
+
+
+def _clipped_areas(
+    polygons: Float64[np.ndarray, "k v 2"], half: Float64[np.ndarray, "k 2"]
+) -> Float64[np.ndarray, "k"]:
+    """Areas of convex polygons clipped to axis-aligned rectangles around the origin."""
+    for axis in (0, 1):
+        for side in (-1.0, 1.0):
+            polygons = _clip(polygons, half[:, axis, None] - side * polygons[:, :, axis])
+    following = np.roll(polygons, -1, axis=1)
+    cross = polygons[..., 0] * following[..., 1] - polygons[..., 1] * following[..., 0]
+    return np.maximum(0.5 * cross.sum(axis=1), 0.0)
+
+
+def _clip(polygons: Float64[np.ndarray, "k v 2"], inside: Float64[np.ndarray, "k v"]) -> Float64[np.ndarray, "k w 2"]:
+    """Each polygon clipped at a line (Sutherland and Hodgman, 1974); `inside` is each corner's signed distance from it.
+
+    Polygons with fewer corners than others repeat their last corner; empty polygons become a single point.
+    """
+    following, inside_next = np.roll(polygons, -1, axis=1), np.roll(inside, -1, axis=1)
+    keep, crosses = inside >= 0, (inside >= 0) != (inside_next >= 0)
+    share = np.where(crosses, inside / np.where(crosses, inside - inside_next, 1.0), 0.0)
+    crossing = polygons + share[..., None] * (following - polygons)
+    candidates = np.stack([polygons, crossing], axis=2).reshape(len(polygons), -1, 2)
+    return _compacted(candidates, np.stack([keep, crosses], axis=2).reshape(len(polygons), -1))
+
+
+def _compacted(points: Float64[np.ndarray, "k v 2"], valid: Bool[np.ndarray, "k v"]) -> Float64[np.ndarray, "k w 2"]:
+    """The valid points of each row in order, padded with the last one to the length of the longest row."""
+    count = valid.sum(axis=1)
+    order = np.argsort(~valid, axis=1, kind="stable")
+    slots = np.minimum(np.arange(max(int(count.max(initial=0)), 1)), np.maximum(count - 1, 0)[:, None])
+    chosen = np.take_along_axis(order, slots, axis=1)
+    packed = np.take_along_axis(points, chosen[..., None], axis=1)
+    return np.where((count > 0)[:, None, None], packed, 0.0)

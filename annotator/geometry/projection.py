@@ -1,18 +1,19 @@
-"""Projection from metres to pixels and back, with OpenCV's camera model.
+"""Projection from metres to pixels and back, with OpenCV's camera model; depth images, frustums and thinning of clouds.
 
 Pixels are continuous and the centre of the first pixel is (0, 0), as in `cv2.projectPoints`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 
 from annotator.geometry.distortion import distort, undistort
-from annotator.types import Camera
+from annotator.types import Box2D, Camera
 from annotator.types.errors import GeometryError
 
 # width, height, fx, fy, cx, cy, distortion.
@@ -92,7 +93,7 @@ def unproject_depth(
     Raises:
         GeometryError: the sizes of depth image and camera differ.
     """
-    from annotator.geometry.kernels.depth_points import depth_points
+    from annotator.geometry.kernels import depth_points
 
     require_image_size(camera, depth_m)
     depth = np.ascontiguousarray(depth_m, np.float32).reshape(-1)
@@ -105,7 +106,7 @@ def pixel_colors(rgb: UInt8[np.ndarray, "h w 3"], pixel: Int32[np.ndarray, "n"])
     Raises:
         IndexError: a pixel lies outside the image.
     """
-    from annotator.geometry.kernels.depth_points import colors_at
+    from annotator.geometry.kernels import colors_at
 
     colors = np.ascontiguousarray(rgb).reshape(-1, 3)
     if len(pixel) and not 0 <= pixel.min() <= pixel.max() < len(colors):
@@ -157,3 +158,75 @@ def _ray_columns(key: CameraKey) -> tuple[Float32[np.ndarray, "n"], Float32[np.n
     """x/z and y/z of the rays of all pixels, row by row."""
     rays = _pixel_rays(key).reshape(-1, 2)
     return rays[:, 0].copy(), rays[:, 1].copy()
+
+
+# The highest numbers of 16 bits and of half precision: saturated, or "no data". Other types hold converted ones.
+SATURATED = (65504, 65535)
+
+
+def measured(values: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    """True where raw depths of any type are measurements: positive, finite, and not the highest of a type."""
+    if values.dtype.kind == "f":
+        values = values.astype(np.float32, copy=False)
+    found = (values > 0) & (values != SATURATED[0]) & (values != SATURATED[1])
+    if values.dtype.kind == "f":
+        return np.asarray(found & (values < np.inf))
+    return np.asarray(found & (values != np.iinfo(values.dtype).max))
+
+
+def in_metres(values: np.ndarray, units_per_m: float) -> Float32[np.ndarray, "h w"]:
+    """Returns depths in metres, 0 where there is no measurement (`measured`).
+
+    Args:
+        values: (h, w) raw depths, of any integer or float type.
+        units_per_m: 1000 for millimetres.
+    """
+    with np.errstate(all="ignore"):
+        depth_m = np.divide(values, np.float32(units_per_m), dtype=np.float32, casting="unsafe")
+    depth_m[~measured(values)] = 0
+    return np.asarray(depth_m)
+
+
+def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> Bool[np.ndarray, "n"]:
+    """Which points project into a 2D box on the camera image, edges included.
+
+    Args:
+        camera: intrinsics and distortion.
+        xyz_m: points in the camera frame, metres.
+        box: on the image, pixels; it may extend beyond the image.
+
+    Returns:
+        (n,) mask; points behind the camera (z <= 0) and NaN points are outside.
+    """
+    return in_frustums(camera, xyz_m, [box])[0]
+
+
+def in_frustums(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], boxes: Sequence[Box2D]) -> list[Bool[np.ndarray, "n"]]:
+    """As `in_frustum`, for several boxes on one image; the points are projected once."""
+    if not boxes:
+        return []
+    u, v = project(camera, xyz_m).T
+    # comparisons with NaN are false, so points that cannot be projected are outside
+    return [(u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max) for box in boxes]
+
+
+# Arbitrary, but fixed, so that a frame is always drawn with the same points.
+SEED = 20231
+
+
+def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
+    """Indices of the points to keep, ascending; None = all.
+
+    The cloud is divided into `most` runs of equal length, and one random point of each is kept. Consecutive points of a
+    scan or an image are neighbours, so the cloud is thinned evenly. The time does not depend on the cloud's size.
+    """
+    if n_points <= most:
+        return None
+    edges = np.arange(most + 1, dtype=np.int64) * n_points // most
+    return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
+
+
+@lru_cache(maxsize=8)
+def _positions(most: int) -> Float64[np.ndarray, "m"]:
+    """The position of each kept point within its run, 0..1."""
+    return np.random.default_rng(SEED).random(most)

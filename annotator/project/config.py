@@ -33,7 +33,7 @@ from annotator.project.log.events import event_of
 from annotator.project.log.records import parsed
 from annotator.text import is_within
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 CONFIG_FILE = "project.json"
 BACKUPS = ".backups"  # folder of automatic backups, beside the projects

@@ -28,9 +28,8 @@ from annotator.project.database.schema import (
 from annotator.project.database.store import Store
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
-from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
-from annotator.types.names import alternatives, first_few
+from annotator.types.messages import alternatives, amount, first_few
 
 # --- removed recordings -----------------------------------------------------------------------------------------------
 # Their events stay in the log, and the present state has nothing of them. A removed recording keeps its row, its frames

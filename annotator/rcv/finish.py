@@ -9,22 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.iou import iou_3d_matrix
-from annotator.geometry.nms import nms_3d
+from annotator.geometry.iou import iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import box_iou
 from annotator.rcv.first_look import expected_outline
+from annotator.rcv.measure import box_iou
 from annotator.rcv.recursion import FrustumFacts, ObjectState
-from annotator.rcv.typical_size.evidence import Candidates, best_expected
-from annotator.rcv.typical_size.placement import changed
+from annotator.rcv.typical_size import Candidates, best_expected, changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
 MIDDLE_MARGIN = 0.03
-# How many times each rival's box is changed, and how much (`typical_size/placement.changed`).
+# How many times each rival's box is changed, and how much (`typical_size.changed`).
 CHANGES, CHANGE_SCALE = 20, 0.5
 # How much the IoU with the box of another object of the frame lowers a candidate's score.
 OVERLAP_WEIGHT = 2.0

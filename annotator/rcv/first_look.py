@@ -73,7 +73,6 @@ class Outline:
     """The expected outline of a 3D box on the image.
 
     Attributes:
-        box: the outline.
         sigma_px: expected errors of its left, right, top and bottom edge, pixels.
     """
 

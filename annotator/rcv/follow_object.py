@@ -33,7 +33,7 @@ from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import held_direction
-from annotator.rcv.warm_start import WarmStart, is_warm
+from annotator.rcv.starts import WarmStart, is_warm
 from annotator.types import Box2D, Camera, Detector, Frame, OrientedBox, Proposal, Quality
 
 # Points of an object that are registered, and of the cloud around it.

@@ -3,8 +3,8 @@
 A view measures the interval of the object along the directions d of its plane. For a box with centre c, axes r_i and
 sizes s_i that interval is `d.c -/+ sum_i s_i / 2 |d.r_i|`. A few directions over-determine the 7 unknowns of an upright
 box and the 9 of a free one. The middles of the intervals fix the centre, their lengths the sizes and the rotation. So
-rotations are searched on a grid by the lengths alone (`rotation_search`), and the best ones are refined on all ends by
-robust, damped Gauss-Newton steps (`kernels.refinement`).
+rotations are searched on a grid by the lengths alone (`rotations`), and the best ones are refined on all ends by
+robust, damped Gauss-Newton steps (`fit_kernels`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,60 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.rcv.config import FitConfig
-from annotator.rcv.fit_uncertainty import expected_iou_loss
-from annotator.rcv.rotation_search import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
+from annotator.rcv.rotations import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
+
+# Mean absolute value of a Gaussian variable, in its standard deviations.
+MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
+# Keeps the equations solvable if an unknown is not measured; its variance is then very large.
+LEAST_INFORMATION = 1e-9
+
+
+def expected_iou_loss(
+    directions: Float64[np.ndarray, "m 3"],
+    weights: Float64[np.ndarray, "m 2"],
+    rotation: Float64[np.ndarray, "3 3"],
+    size_m: Float64[np.ndarray, "3"],
+    held: bool,
+    scale: float = 1.0,
+) -> float:
+    """The expected 1 - IoU of a box with the true one, if its edges' errors are independent.
+
+    The inverse of the weighted normal equations is the covariance of centre, sides and rotation. From it follows by how
+    much each face moves, and from that the volume between the two boxes.
+
+    Args:
+        directions: unit vectors along which intervals were measured.
+        weights: of the low and high end of each; one over the variance, square metres; 0 for an unknown end.
+        rotation: columns = box axes.
+        size_m: full side lengths.
+        held: the box turns about its z axis only.
+        scale: factor on all standard deviations.
+
+    Returns:
+        0 (certain) to 1.
+    """
+    along = directions @ rotation
+    lever = np.sign(along) * size_m / 2
+    turns = np.cross(lever, along)
+    reach = np.concatenate([np.abs(along) / 2, turns[:, 2:] if held else turns], axis=1)
+    # rows of the low and the high end; the centre in box axes
+    rows = np.concatenate([np.concatenate([along, -reach], axis=1), np.concatenate([along, reach], axis=1)])
+    normal = rows.T @ (rows * weights.T.reshape(-1, 1))
+    units = np.sqrt(np.maximum(np.diag(normal), LEAST_INFORMATION))
+    products = np.outer(units, units)
+    covariance = np.linalg.inv(normal / products + LEAST_INFORMATION * np.eye(len(normal))) / products
+    variance = np.diag(covariance)
+    center, side, both = variance[:3], variance[3:6], covariance[[0, 1, 2], [3, 4, 5]]
+    turn = np.zeros(3)
+    turn[2 if held else 0 :] = variance[6:]
+    # a turn about one axis tilts the faces across the second by an amount that grows along the third
+    squares = size_m**2 / 12
+    tilt = np.array([turn[[2, 1]] @ squares[[1, 2]], turn[[2, 0]] @ squares[[0, 2]], turn[[1, 0]] @ squares[[0, 1]]])
+    faces = np.sqrt(np.maximum(center + side / 4 + np.array([[1.0], [-1.0]]) * both, 0.0) + tilt)
+    between = MEAN_ABSOLUTE * scale * float((faces / size_m).sum())
+    # half of the volume between the boxes is inside each of them
+    return min(between / (1 + between / 2), 1.0)
+
 
 # Number of rotations that are refined, and their minimum distance at the start. They are not settings, because they
 # only trade accuracy against time.
@@ -148,7 +200,6 @@ class Edges:
         ends: (m, 2) low and high end, metres from `shift`; 0 if unknown.
         inverse: (m, 2) one over the expected error; 0 if unknown.
         shift: (3,) what was subtracted from all positions, metres.
-        config: settings.
     """
 
     direction: Float64[np.ndarray, "m 3"]
@@ -182,7 +233,7 @@ class Edges:
 
     def determine(self, fit: Solution, held: bool) -> bool:
         """True if the equations determine all unknowns of the box; `held` as in `refine`."""
-        from annotator.rcv.kernels.refinement import FREE, HELD, determined
+        from annotator.rcv.fit_kernels import FREE, HELD, determined
 
         box = (fit.center_m, fit.rotation, fit.size_m)
         return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
@@ -194,7 +245,7 @@ class Edges:
             rotation: start rotations; columns = box axes.
             held: rotate about the boxes' z axes only.
         """
-        from annotator.rcv.kernels.refinement import FREE, HELD, refine
+        from annotator.rcv.fit_kernels import FREE, HELD, refine
 
         starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
         delta, least = self.config.huber_sigmas, self.config.min_size_m

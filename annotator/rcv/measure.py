@@ -1,18 +1,221 @@
-"""The box of a step from the detections on its views: from a pair, the consensus of all, or the tightest pair."""
+"""The box of a step from the detections on its views: from a pair, the consensus of all, or the tightest pair.
+
+Cross-View: a front and a side box that agree on their shared axis give one 3D box (RCV paper, section II.C).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv import cross_view
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
-from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
+from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrace
+
+# The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
+LEAST_SCORE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A front and a side detection, as indices into the views' boxes, and the 3D box that they give.
+
+    Attributes:
+        axes: rows = axes of the front view.
+        spans_m: low and high end along each of them.
+        shared_overlap: 1D IoU of the two detections along their shared axis.
+        disagreement: mean difference of their ends along it, relative to the fused length.
+        score: geometric mean of the detections' scores.
+    """
+
+    front: int
+    side: int
+    axes: Float64[np.ndarray, "3 3"]
+    spans_m: Float64[np.ndarray, "3 2"]
+    shared_overlap: float
+    disagreement: float
+    score: float
+
+    @cached_property
+    def box(self) -> OrientedBox:
+        return span_box(self.axes, self.spans_m)
+
+
+def span_box(axes: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 2"]) -> OrientedBox:
+    """The box that spans (low, high) metres along each row of `axes`."""
+    rotation = axes.T
+    center = rotation @ spans_m.mean(axis=1)
+    size = np.maximum(spans_m[:, 1] - spans_m[:, 0], 1e-4)
+    return OrientedBox.from_parts(center, rotation, size)
+
+
+def make_pair(
+    axes: Float64[np.ndarray, "3 3"],
+    views: tuple[PseudoView, PseudoView],
+    front_boxes: Sequence[Box2D],
+    side_boxes: Sequence[Box2D],
+    front: int,
+    side: int,
+) -> Pair:
+    """Fuses a front and a side detection; their intervals on the shared axis are averaged, weighted by score."""
+    a, b = front_boxes[front], side_boxes[side]
+    across, shared_front = views[0].interval_m(a)
+    depth, shared_side = views[1].interval_m(b)
+    weight = a.score / max(a.score + b.score, 1e-9)
+    shared = weight * shared_front + (1 - weight) * shared_side
+    overlap = interval_iou(shared_front, shared_side)
+    disagreement = float(np.abs(shared_front - shared_side).mean() / max(shared[1] - shared[0], 1e-9))
+    spans = np.stack([across, shared, depth])
+    return Pair(front, side, axes, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
+
+
+def interval_iou(a: np.ndarray, b: np.ndarray) -> float:
+    """IoU of two intervals (low, high)."""
+    shared = min(a[1], b[1]) - max(a[0], b[0])
+    return float(max(shared, 0.0) / max(max(a[1], b[1]) - min(a[0], b[0]), 1e-12))
+
+
+def pair_all(
+    axes: Float64[np.ndarray, "3 3"],
+    views: tuple[PseudoView, PseudoView],
+    front_boxes: Sequence[Box2D],
+    side_boxes: Sequence[Box2D],
+    cloud: PointCloud,
+    config: RcvConfig,
+) -> list[Pair]:
+    """The pairs of several objects in one frustum, best first; each detection is used at most once.
+
+    Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
+    the IoU of the sets of points in its front box and in its side box.
+    """
+    from annotator.rcv.fit_kernels import count_within
+
+    axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
+    ranked: list[tuple[float, Pair]] = []
+    for i in range(len(front_boxes)):
+        for j in range(len(side_boxes)):
+            pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
+            if pair.shared_overlap < config.min_shared_overlap:
+                continue
+            margin = cut_margin_m(pair.box, views, config)
+            low, high = (
+                (pair.spans_m[:, 0] - margin).astype(np.float32),
+                (pair.spans_m[:, 1] + margin).astype(np.float32),
+            )
+            both, front_only, side_only = count_within(xyz_m, axes32, low, high)
+            if both == 0:
+                continue
+            support = both / max(front_only + side_only - both, 1)
+            ranked.append((support * pair.shared_overlap * pair.score, pair))
+    ranked.sort(key=lambda item: -item[0])
+    chosen: list[Pair] = []
+    for _, pair in ranked:
+        if all(pair.front != other.front and pair.side != other.side for other in chosen):
+            chosen.append(pair)
+        if len(chosen) == config.max_objects_per_frustum:
+            break
+    return chosen
+
+
+def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float) -> tuple[Box2D, ...]:
+    """The detections of a class of the detector, under the name of the object's class.
+
+    Args:
+        detected: the detector's class; differs from `label` for class-agnostic detectors.
+        min_score: boxes with a lower score are left out.
+    """
+    chosen = (box for box in boxes if box.label == detected and box.score >= min_score)
+    return tuple(chosen if detected == label else (replace(box, label=label) for box in chosen))
+
+
+def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, config: RcvConfig) -> int | None:
+    """The detection that continues an object: the one with the best score times agreement with the last box.
+
+    Args:
+        last: (8, 3) corners of the last step's box, camera frame; None: only the scores are compared.
+
+    Returns:
+        an index into `boxes`, or None without detections.
+    """
+    if not boxes:
+        return None
+    if len(boxes) == 1:
+        return 0
+    scores = np.array([box.score for box in boxes])
+    if last is None:
+        return int(np.argmax(scores))
+    corners = last @ view.axes[:2].T
+    expected = view.box_px(np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1), boxes[0].label)
+    agreement = np.array([box_iou(box, expected) for box in boxes])
+    return int(np.argmax(scores * (config.stranger_weight + agreement)))
+
+
+def box_iou(a: Box2D, b: Box2D) -> float:
+    """IoU of two axis-aligned boxes."""
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    if width <= 0 or height <= 0:
+        return 0.0
+    shared = width * height
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
+
+def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
+    """The intervals that detections measure along their views' x and y axes, two per view.
+
+    Args:
+        views: one or more.
+        boxes: one per view.
+    """
+    # dimensions of the arrays: view, axis, end
+    metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
+    origins_m = np.array([view.origin_m for view in views])[:, :, None]
+    sizes_px = np.array([view.rgb.shape[1::-1] for view in views])[:, :, None]
+    edges_px = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes]).reshape(-1, 2, 2)
+    scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
+    is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
+    noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
+    is_cut = is_cut.reshape(-1, 2, 2)
+    # a cut-off edge is only a bound, so its expected error is larger
+    sigma_m = noise_m * np.where(is_cut, config.fit.cut_doubt, 1.0)
+    if config.fit.use_edge_errors:
+        # NaN where the detector does not tell
+        told_px = np.array([box.edge_sigma_px or (np.nan,) * 4 for box in boxes])[:, [0, 2, 1, 3]].reshape(-1, 2, 2)
+        sigma_m = np.where(is_cut | np.isnan(told_px), sigma_m, told_px * metres_per_px)
+    directions = np.concatenate([view.axes[:2] for view in views])
+    return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
+
+
+def traced_intervals(trace: Sequence[StepTrace], config: RcvConfig) -> Intervals | None:
+    """The intervals that the used detections of a trace measured; None without any."""
+    views, boxes = [], []
+    for step in trace:
+        for view in step.views:
+            if view.used is not None:
+                blank = np.zeros((view.height_px, view.width_px, 3), np.uint8)
+                none = np.zeros((0, 3), np.float32)
+                views.append(PseudoView(blank, np.array(view.axes), view.metres_per_px, np.array(view.origin_m), none))
+                boxes.append(view.boxes[view.used])
+    return measured_intervals(views, boxes, config) if views else None
+
+
+def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> tuple[bool, bool, bool, bool]:
+    """Which edges of a box lie on the view's border: left, right, top, bottom."""
+    height_px, width_px = view.rgb.shape[:2]
+    near, right, bottom = config.border_px - 0.5, width_px - 0.5 - config.border_px, height_px - 0.5 - config.border_px
+    return bool(box.x_min <= near), bool(box.x_max >= right), bool(box.y_min <= near), bool(box.y_max >= bottom)
+
+
+def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:
+    """The margin around a step's box within which points are kept, metres: a share of the box and of the views."""
+    extent = max(max(view.rgb.shape[:2]) * view.metres_per_px for view in views)
+    return config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent
+
 
 UNDETERMINED = "consensus: the measured intervals do not determine a box"
 
@@ -47,9 +250,9 @@ class Measurement:
 def choose_all(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, config: RcvConfig
 ) -> tuple[int | None, ...]:
-    """The detection on each view that continues the last box, see `cross_view.choose`."""
+    """The detection on each view that continues the last box, see `choose`."""
     corners = None if last is None else box_corners(last)
-    return tuple(cross_view.choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
+    return tuple(choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
 
 
 def measure_pair(
@@ -63,7 +266,7 @@ def measure_pair(
     front, side = choose_all(views, boxes, last, config)
     if front is None or side is None:
         return None
-    pair = cross_view.make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
+    pair = make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
     used = (front, side)
     return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
 
@@ -92,7 +295,7 @@ def measure_consensus(
     detected = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
     if not detected:
         return None
-    parts = [cross_view.measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
+    parts = [measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
     if start_box is not None:
         parts.append(_start_intervals(start_box, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
@@ -124,13 +327,13 @@ def _pairs(
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     used: Sequence[int | None],
-) -> list[cross_view.Pair]:
+) -> list[Pair]:
     pairs = []
     for k, rows in enumerate(axes):
         front, side = used[2 * k], used[2 * k + 1]
         if front is not None and side is not None:
             two = (views[2 * k], views[2 * k + 1])
-            pairs.append(cross_view.make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
+            pairs.append(make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
     return pairs
 
 
@@ -139,13 +342,13 @@ def any_cut(
 ) -> bool:
     """True if a used detection touches the border of its view."""
     return any(
-        i is not None and any(cross_view.cut_edges(view, on_view[i], config))
+        i is not None and any(cut_edges(view, on_view[i], config))
         for view, on_view, i in zip(views, boxes, used, strict=True)
     )
 
 
 def _least_volume(
-    pairs: Sequence[cross_view.Pair],
+    pairs: Sequence[Pair],
     used: tuple[int | None, ...],
     intervals: Intervals | None,
     fallback: tuple[str, ...] = (),

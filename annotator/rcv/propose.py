@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from annotator.geometry.frustum import in_frustums
+from annotator.geometry.projection import in_frustums
+from annotator.rcv.axes import needs_normals, with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
-from annotator.rcv.normals import needs_normals, with_normals
 from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
-from annotator.rcv.starts import after_look, begin
-from annotator.rcv.warm_start import WarmStart, check_first_step, match_warm_starts, start_warm
+from annotator.rcv.starts import WarmStart, after_look, begin, check_first_step, match_warm_starts, start_warm
 from annotator.types import Box2D, Detector, Frame, StopReason
 
 
@@ -30,7 +29,7 @@ def propose(
 
     Args:
         warm_starts: for each frame, the boxes of its objects in an earlier frame. An object starts from the box that
-            matches its image box (`annotator.rcv.warm_start`).
+            matches its image box (`annotator.rcv.starts`).
 
     Returns:
         one result per frame, in the order of `frames`.

@@ -15,16 +15,23 @@ from jaxtyping import Float32, Float64
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
-from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import expected_outline, image_planes
-from annotator.rcv.frustum_views import frustum_views
-from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
-from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
-from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.typical_size.evidence import Candidates, Evidence
+from annotator.rcv.measure import (
+    Measurement,
+    any_cut,
+    cut_margin_m,
+    measure_consensus,
+    measure_pair,
+    measure_tightest,
+    of_class,
+    pair_all,
+)
+from annotator.rcv.pseudo_view import frustum_views, render_pairs
+from annotator.rcv.rotations import near_axes, warm_axes, wide_axes
+from annotator.rcv.typical_size import Candidates, Evidence
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -47,7 +54,6 @@ class FrustumFacts:
     Attributes:
         cloud: all its points.
         middle_m: (k, 3) a sample of the points in the middle of the image box.
-        camera: the frame's camera.
         evidence, placed: of an object of a class with a typical size: what is known of it, and the boxes that are
             plausible before a detector is used.
     """
@@ -178,8 +184,8 @@ def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
 
 
 def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> PointCloud:
-    """The points that a step keeps: those in its box and within `cross_view.cut_margin_m` of it."""
-    return cloud.select(contains(box, cloud.xyz_m, cross_view.cut_margin_m(box, views, config)))
+    """The points that a step keeps: those in its box and within `cut_margin_m` of it."""
+    return cloud.select(contains(box, cloud.xyz_m, cut_margin_m(box, views, config)))
 
 
 def _consensus_axes(state: ObjectState, config: RcvConfig) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
@@ -207,7 +213,7 @@ def absorb_step(
     """
     label = state.image_box.label
     detected = AGNOSTIC_LABELS[config.box_kind] if config.class_agnostic else label
-    boxes = [cross_view.of_class(on_view, detected, label, config.min_view_score) for on_view in detections]
+    boxes = [of_class(on_view, detected, label, config.min_view_score) for on_view in detections]
     if state.is_first:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:
@@ -234,7 +240,7 @@ def _absorb_first(
     state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
 ) -> list[ObjectState]:
     axes, views = plan.axes[0], (plan.views[0], plan.views[1])
-    pairs = cross_view.pair_all(axes, views, boxes[0], boxes[1], state.cloud, config)
+    pairs = pair_all(axes, views, boxes[0], boxes[1], state.cloud, config)
     if not pairs:
         return [_advance(state, plan, boxes, None, config)]
     results = []

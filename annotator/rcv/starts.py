@@ -1,29 +1,37 @@
-"""What an object starts from that a class-agnostic view detector measures.
+"""What an object starts from: its box in an earlier frame, or what a class-agnostic view detector needs.
 
-A detector that was not trained on the project's objects often fails in the view of a whole frustum. So an object starts
-from rivals: boxes of its class's typical size, placed anywhere in the frustum, or else crops along the depth. Both take
-several times as long as one start.
+**Warm starts.** The first steps of a recursion find an object's position and rotation. An earlier box gives both
+approximately, so the object starts with views close to that box's axes, on the points around it. After the first step,
+the result is checked: it must lie within the points that were used, be similar to the start box in size and rotation,
+and agree with the image box. Otherwise the start box is dropped, and the object is processed without it.
 
-A trained detector looks at the whole frustum first, if the class has a typical size. If what it sees agrees with the
-image box, boxes are placed around that only.
+**Class-agnostic detectors.** A detector that was not trained on the project's objects often fails in the view of a
+whole frustum. So an object starts from rivals: boxes of its class's typical size, placed anywhere in the frustum, or
+else crops along the depth. Both take several times as long as one start. A trained detector looks at the whole frustum
+first, if the class has a typical size. If what it sees agrees with the image box, boxes are placed around that only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import linear_sum_assignment
 
-from annotator.geometry.oriented_box import canonical_box, contains
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import box_corners, canonical_box, contains, nearest_upright
+from annotator.geometry.outline import box_on_image, edges_at_border
+from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
-from annotator.rcv.frustum_views import is_deep
+from annotator.rcv.measure import UNDETERMINED, box_iou
+from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
-from annotator.rcv.typical_size.evidence import Evidence
-from annotator.rcv.typical_size.placement import distinct, place, place_near
-from annotator.types import Camera, StopReason
+from annotator.rcv.typical_size import Evidence, distinct, place, place_near
+from annotator.types import Box2D, Camera, OrientedBox, Proposal, StopReason
 
 # Points of the middle of an image box that are kept to compare rivals.
 MIDDLE_POINTS = 500
@@ -118,3 +126,147 @@ def _placed(state: ObjectState, facts: FrustumFacts, count: int, config: RcvConf
         if len(cloud) >= config.min_points:
             started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T))
     return started or [state]
+
+
+WARM_START = "warm start"
+# An object whose 2D box ends this close to the image's border may extend beyond it, pixels.
+BORDER_PX = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """The box of an object in an earlier frame, from which it starts in the current frame.
+
+    Attributes:
+        box: in the camera frame of the current frame.
+    """
+
+    label: str
+    box: OrientedBox
+
+
+def is_warm(proposal: Proposal) -> bool:
+    """True if a proposal started from an earlier box that was not dropped."""
+    return proposal.trace[0].fallback[:1] == (WARM_START,)
+
+
+def match_warm_starts(
+    camera: Camera, image_boxes: Sequence[Box2D], warm_starts: Sequence[WarmStart], config: RcvConfig
+) -> list[OrientedBox | None]:
+    """The start box of each image box, or None; each warm start is used at most once.
+
+    The assignment maximises the total IoU of image boxes with the outlines (projected boxes) of warm starts of their
+    class. Since objects move between frames, a start box is shifted so that its outline is centred on the image box.
+    """
+    outlines = [box_on_image(camera, start.box, start.label) for start in warm_starts]
+    overlap = np.zeros((len(image_boxes), len(warm_starts)))
+    for i, box in enumerate(image_boxes):
+        for j, outline in enumerate(outlines):
+            if outline is not None and outline.label == box.label:
+                overlap[i, j] = box_iou(box, outline)
+    overlap[overlap < config.warm.min_image_iou] = 0.0
+    matched: list[OrientedBox | None] = [None] * len(image_boxes)
+    for i, j in zip(*linear_sum_assignment(-overlap), strict=True):
+        outline = outlines[j]
+        if overlap[i, j] > 0 and outline is not None:
+            matched[i] = _centred(camera, warm_starts[j].box, outline, image_boxes[i])
+    return matched
+
+
+def _centred(camera: Camera, box: OrientedBox, outline: Box2D, image_box: Box2D) -> OrientedBox:
+    """The box shifted at constant depth so that its outline is centred on the image box."""
+    if any(edges_at_border(camera, outline, BORDER_PX)) or any(edges_at_border(camera, image_box, BORDER_PX)):
+        return box  # the centre of its visible part is not the centre of the object
+    rays = undistort_px(camera, np.array([_middle(outline), _middle(image_box)]))
+    shift = (rays[1] - rays[0]) * box.center_m[2]
+    if not np.isfinite(shift).all():
+        return box
+    return OrientedBox.from_parts(box.center_m + np.array([*shift, 0.0]), box.rotation, box.size_m)
+
+
+def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:
+    return np.array([box.x_min + box.x_max, box.y_min + box.y_max]) / 2
+
+
+def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> ObjectState:
+    """The state before the first step of a warm start; `cold` with a note if too few points are around the start box.
+
+    Args:
+        cold: the state before the first step without a warm start.
+        start_box: from `match_warm_starts`.
+    """
+    box = start_box if cold.up is None else nearest_upright(start_box, cold.up)[0]
+    box = canonical_box(box, cold.up)
+    cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box, config)))
+    if len(cloud) < config.min_points:
+        return _dropped(cold, f"too few points around the start box ({len(cloud)})")
+    axes = box.rotation.T
+    return replace(cold, cloud=cloud, axes=axes, box=box, notes=(WARM_START,), is_warm=True, cold=cold)
+
+
+def _margin_m(box: OrientedBox, config: RcvConfig) -> float:
+    return config.warm.room * float(box.size_m.max())
+
+
+def check_first_step(camera: Camera, before: ObjectState, after: ObjectState, config: RcvConfig) -> ObjectState:
+    """The state with which an object continues after the first step of a warm start.
+
+    This is `after`, stopped if the step hardly changed the box; or the state without a warm start if the result does
+    not agree with the start box.
+
+    Args:
+        before: the state from `start_warm`.
+        after: the state after the first step.
+    """
+    cold, start_box = before.cold, before.box
+    assert cold is not None and start_box is not None
+    reason, similarity = _disagreement(camera, start_box, after, config)
+    if reason is not None:
+        return _dropped(cold, reason)
+    if after.stop is StopReason.CONTINUES and not after.is_cut and similarity >= config.warm.settled_iou:
+        last = replace(after.steps[-1], stop=StopReason.BOX_CONVERGED)
+        after = replace(after, steps=(*after.steps[:-1], last), stop=last.stop)
+    return replace(after, cold=None)
+
+
+def _dropped(cold: ObjectState, reason: str) -> ObjectState:
+    return replace(cold, notes=(f"{WARM_START}: {reason}",))
+
+
+def _disagreement(
+    camera: Camera, start_box: OrientedBox, after: ObjectState, config: RcvConfig
+) -> tuple[str | None, float]:
+    """Why the result does not match the start box, or None; and their `shape_iou`, 0 if not computed."""
+    box = after.box
+    if box is None or after.stop is StopReason.LOST:
+        return "the views do not show the object", 0.0
+    if (reason := _implausible(start_box, box, after, config)) is not None:
+        return reason, 0.0
+    if (similarity := shape_iou(start_box, box)) < config.warm.min_iou:
+        return f"with aligned centres, the IoU with the start box is {similarity:.2f}", similarity
+    if (agreement := image_agreement(camera, after, box, config)) < config.warm.min_image_iou:
+        return f"the IoU with the image box is {agreement:.2f}", similarity
+    return None, similarity
+
+
+def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState, config: RcvConfig) -> str | None:
+    """Why the first step of a warm start is rejected before its boxes are compared by IoU; None if it is not."""
+    warm, step = config.warm, after.steps[-1]
+    if after.stop is StopReason.TOO_FEW_POINTS:
+        return f"too few points in the box ({len(after.cloud)})"
+    seen_share = sum(view.used is not None for view in step.views) / len(step.views)
+    if seen_share < warm.min_seen:
+        return f"only {seen_share:.0%} of the views show the object"
+    if UNDETERMINED in step.fallback:
+        return UNDETERMINED
+    if not contains(start_box, box_corners(box), _margin_m(start_box, config)).all():
+        return "the box extends beyond the points used around the start box"
+    ratio = np.sort(box.size_m) / np.sort(start_box.size_m)
+    if max(ratio.max(), 1 / ratio.min()) > warm.max_size_ratio:
+        return f"a side is {ratio[np.argmax(np.abs(np.log(ratio)))]:.2f} times that of the start box"
+    return None
+
+
+def shape_iou(a: OrientedBox, b: OrientedBox) -> float:
+    """IoU of two boxes with their centres aligned: their similarity in size and rotation."""
+    return iou_3d(a, OrientedBox.from_parts(a.center_m, b.rotation, b.size_m))

@@ -13,16 +13,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.cross_view import span_box
 from annotator.rcv.first_look import depth_crop, in_middle, width_at
-from annotator.rcv.frustum_views import frustum_views, is_deep
-from annotator.rcv.hypotheses import face_camera
-from annotator.rcv.pseudo_view import render_pairs
+from annotator.rcv.measure import span_box
+from annotator.rcv.pseudo_view import frustum_views, is_deep, render_pairs
+from annotator.rcv.rotations import face_camera
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 
 # Parameters of the random crops. They are not settings like those of `RcvConfig`, because every change requires
@@ -68,7 +67,6 @@ class TaughtObject:
     """An object whose 3D extent is known.
 
     Attributes:
-        label: class name.
         box: camera frame; for silhouettes, it cuts the object's points out of the cloud.
         points: (n,) mask of the object's points in the frame's cloud; None means those inside the box.
     """

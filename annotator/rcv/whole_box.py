@@ -26,14 +26,13 @@ from scipy.spatial import KDTree
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.normals import normals_knn
+from annotator.geometry.oriented_box import tightest_box
 from annotator.geometry.projection import project
 from annotator.geometry.registration import Pose, register_surface, share_found
-from annotator.geometry.tightest_box import tightest_box
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.cross_view import make_pair
-from annotator.rcv.hypotheses import face_camera
+from annotator.rcv.measure import make_pair
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.rotation_search import free_grid, yaw_grid
+from annotator.rcv.rotations import face_camera, free_grid, yaw_grid
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud
 
 # Points of an object that are kept, that are registered, and that an object in another frame adds.

@@ -33,9 +33,9 @@ from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, v
 from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.types import Camera, Frame
-from annotator.types.amounts import amount
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.types.times import LATEST_NS, too_late
+from annotator.types.messages import amount
 
 LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"

@@ -36,9 +36,9 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
+from annotator.types.checks import LATEST_NS, in_time, too_late
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.times import LATEST_NS, in_time, too_late
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 REMEDY = "export the dataset again"
 # A document may describe a whole recording.

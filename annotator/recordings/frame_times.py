@@ -18,9 +18,9 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.kitti import KittiFolder
 from annotator.recordings.recording import Recording
 from annotator.text import normal
-from annotator.types.amounts import amount
+from annotator.types.checks import LATEST_NS, too_dense, too_late
 from annotator.types.errors import RecordingError
-from annotator.types.times import LATEST_NS, too_dense, too_late
+from annotator.types.messages import amount
 
 FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"

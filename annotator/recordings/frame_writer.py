@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.geometry.depth_values import SATURATED
-from annotator.geometry.projection import camera_key
+from annotator.geometry.projection import SATURATED, camera_key
 from annotator.recordings import frame_times
 from annotator.recordings.rgbd_folder import FILE_NAME as CAMERA_FILE
 from annotator.types import Camera, Frame, PointCloud

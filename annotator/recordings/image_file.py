@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
 from annotator.frame_limits import read_frame_file
-from annotator.geometry.depth_values import in_metres, measured
+from annotator.geometry.projection import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError

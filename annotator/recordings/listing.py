@@ -12,7 +12,7 @@ from pathlib import Path
 
 from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.names import first_few
+from annotator.types.messages import first_few
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("[0-9]+")

@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.quaternion_order import Quaternions
-from annotator.geometry.transforms import FORWARD
+from annotator.geometry.transforms import FORWARD, Quaternions
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -44,8 +43,8 @@ from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.messages import amount
 
 LIDAR = "LIDAR_TOP"
 TABLE_REMEDY = "correct the table, or copy it again from the data set"

@@ -18,7 +18,7 @@ from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned, look_around
 from annotator.recordings.recording import NotFound, ReaderOptions, Recording, option_flag
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
-from annotator.types.names import nearest
+from annotator.types.messages import nearest
 
 # What each format's folder must have; `|` separates alternatives. Optional files are left out.
 PARTS: dict[str, tuple[str, ...]] = {

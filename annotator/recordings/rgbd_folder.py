@@ -21,8 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import open_file, read_text_file
-from annotator.geometry.depth_values import in_metres
-from annotator.geometry.projection import pixel_colors, resized, unproject_depth
+from annotator.geometry.projection import in_metres, pixel_colors, resized, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import ColorImage, decode_depth, looks_rotated, read_color_image, read_depth
@@ -32,7 +31,7 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0

@@ -32,9 +32,9 @@ from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
-from annotator.types.amounts import amount
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.times import LATEST_NS, too_late
+from annotator.types.messages import amount
 
 LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
 RGB_LIST, DEPTH_LIST, POSES = "rgb.txt", "depth.txt", "groundtruth.txt"

@@ -13,14 +13,20 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.synthetic.looks import HAIR_STYLES, random_looks
-from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour, wood_colour
-from annotator.synthetic.mesh import Mesh, box_mesh, turn_z
+from annotator.synthetic.materials import (
+    HAIR_STYLES,
+    Lights,
+    Material,
+    Palette,
+    Pattern,
+    darker,
+    random_colour,
+    random_looks,
+    wood_colour,
+)
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, scaled, stretched, turn_z, xyz
 from annotator.synthetic.objects import grounded, random_object
-from annotator.synthetic.parts import Parts, scaled, stretched, xyz
-from annotator.synthetic.people import body_mesh
-from annotator.synthetic.pose import GESTURES, gesturing, walking
-from annotator.synthetic.shading import Lights
+from annotator.synthetic.people import GESTURES, body_mesh, gesturing, walking
 
 LABEL = "object"
 TRIES = 30
@@ -35,7 +41,6 @@ class Placed:
         axes: columns = axes of the object and its box, world frame.
         origin_m: position of the object's origin, world frame.
         radius_m: of its footprint.
-        label: class name.
     """
 
     mesh: Mesh

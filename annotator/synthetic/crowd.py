@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.synthetic.furniture import Footprint
-from annotator.synthetic.pose import GESTURES, Pose, from_vector, gesturing, to_vector, walking
+from annotator.synthetic.objects import Footprint
+from annotator.synthetic.people import GESTURES, Pose, from_vector, gesturing, to_vector, walking
 
 STEP_S = 1 / 60
 BODY_RADIUS_M = 0.3

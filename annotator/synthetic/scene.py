@@ -1,7 +1,12 @@
-"""Generated scenes, and two presets: people in a room, and the hands of a person in front of the camera."""
+"""Generated scenes, and their presets: people in a furnished room, the hands of a person, and moving objects.
+
+World frame of the room: z up, origin on the floor at the camera's end, y into the room. The side of the table, the
+colours and the books on the shelf depend on the seed.
+"""
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,16 +14,99 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.synthetic.arrangements import LABEL, Arrangement, Placed, room, table_top, with_track
 from annotator.synthetic.crowd import Zone, crowd_moments
-from annotator.synthetic.gestures import HandMotion, Reach, elbow_m, hand_moments
-from annotator.synthetic.hands import hand_mesh
-from annotator.synthetic.looks import HAIR_STYLES, Looks, random_looks
-from annotator.synthetic.materials import Material, Palette
-from annotator.synthetic.mesh import Blobs, Mesh, turn_z
-from annotator.synthetic.people import armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
-from annotator.synthetic.pose import Arm, Pose
-from annotator.synthetic.room import furnished_room
-from annotator.synthetic.shading import Lights
+from annotator.synthetic.hands import HandMotion, Reach, elbow_m, hand_mesh, hand_moments
+from annotator.synthetic.materials import (
+    HAIR_STYLES,
+    Lights,
+    Looks,
+    Material,
+    Palette,
+    Pattern,
+    darker,
+    random_looks,
+    wood_colour,
+)
+from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined, turn_z
+from annotator.synthetic.objects import (
+    FAR_Y_M,
+    HALF_WIDTH_M,
+    HEIGHT_M,
+    NEAR_Y_M,
+    Footprint,
+    cardboard,
+    floor_lamp,
+    pictures,
+    plant,
+    rug,
+    shelf,
+    sofa,
+    table_group,
+    window,
+)
+from annotator.synthetic.people import Arm, Pose, armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """The static part of a scene.
+
+    Attributes:
+        mesh: room and furniture, world frame.
+        obstacles: footprints of the furniture.
+        lights: lights of the room.
+    """
+
+    mesh: Mesh
+    obstacles: tuple[Footprint, ...]
+    lights: Lights
+
+
+def furnished_room(palette: Palette, random: np.random.Generator) -> Room:
+    """A living room with a table and chairs on one side, a sofa and a shelf at the far wall, and cardboard boxes."""
+    side = 1.0 if random.random() < 0.5 else -1.0
+    wood = palette.add(Material(wood_colour(random), darker(wood_colour(random)), Pattern.PLANKS, 0.3, 1, gloss=0.08))
+    meshes = [_shell(palette, random)]
+    obstacles: list[Footprint] = []
+    for mesh, footprint in (
+        table_group(palette, random, wood, side),
+        sofa(palette, random, -side),
+        shelf(palette, random, wood, -side),
+        cardboard(palette, random, -side),
+        plant(palette, random, side),
+        floor_lamp(palette, side),
+    ):
+        meshes.append(mesh)
+        obstacles.append(footprint)
+    meshes += [pictures(palette, random, -side), window(palette, side), rug(palette, random)]
+    lights = Lights((0.5 * side, 2.1, HEIGHT_M - 0.12))
+    return Room(joined(meshes), tuple(obstacles), lights)
+
+
+def _shell(palette: Palette, random: np.random.Generator) -> Mesh:
+    """Floor, walls, ceiling, skirting boards."""
+    floor_colour = wood_colour(random)
+    floor = palette.add(Material(floor_colour, darker(floor_colour, 0.55), Pattern.PLANKS, 0.14, 0, gloss=0.1))
+    tint = colorsys.hsv_to_rgb(random.random(), random.uniform(0.05, 0.2), random.uniform(0.78, 0.9))
+    wall = palette.add(Material(tint, grain=0.025, grain_m=0.8))
+    accent = palette.add(Material(darker(tint, random.uniform(0.65, 0.9)), grain=0.03, grain_m=0.8))
+    white = palette.add(Material((0.92, 0.92, 0.9), grain=0.02))
+    length, middle = FAR_Y_M - NEAR_Y_M, (FAR_Y_M + NEAR_Y_M) / 2
+    up = HEIGHT_M / 2
+    meshes = [
+        box_mesh((0, middle, -0.05), (2 * HALF_WIDTH_M, length, 0.1), floor),
+        box_mesh((0, middle, HEIGHT_M + 0.05), (2 * HALF_WIDTH_M, length, 0.1), white),
+        box_mesh((0, FAR_Y_M + 0.05, up), (2 * HALF_WIDTH_M, 0.1, HEIGHT_M), accent),
+        box_mesh((0, FAR_Y_M - 0.01, 0.05), (2 * HALF_WIDTH_M, 0.02, 0.1), white),
+        box_mesh((0, NEAR_Y_M - 0.05, up), (2 * HALF_WIDTH_M, 0.1, HEIGHT_M), wall),
+    ]
+    for x in (-HALF_WIDTH_M, HALF_WIDTH_M):
+        outward = np.sign(x)
+        meshes.append(box_mesh((x + 0.05 * outward, middle, up), (0.1, length, HEIGHT_M), wall))
+        meshes.append(box_mesh((x - 0.01 * outward, middle, 0.05), (0.02, length, 0.1), white))
+    return joined(meshes)
+
 
 PERIOD_S = 0.1
 UPPER_ARM_M, FOREARM_M = 0.31, 0.26
@@ -30,7 +118,6 @@ class Actor:
 
     Attributes:
         track: track id within the recording, from 1.
-        label: class name.
         mesh: the complete mesh, world frame.
         axes: columns = axes of the object and its box in the world frame.
     """
@@ -158,3 +245,71 @@ def _camera_pose(place: np.ndarray, pitch: float, roll: float) -> RigidTransform
 
 def _paler(colour: tuple[float, float, float]) -> tuple[float, float, float]:
     return (colour[0] * 0.7 + 0.3, colour[1] * 0.7 + 0.25, colour[2] * 0.7 + 0.25)
+
+
+# Objects have an axis within this angle of the vertical, so that upright boxes fit them.
+UPRIGHT_RAD = 0.06
+MIN_OBJECTS = 3
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The periodic motion of an object that stays on its support.
+
+    Attributes:
+        reach_m: (3,) largest displacement.
+        rate_rad_s: of the displacement.
+        turn_rad_s: rotation about the vertical.
+    """
+
+    reach_m: Float64[np.ndarray, "3"]
+    rate_rad_s: float
+    turn_rad_s: float
+
+
+def objects_scene(random: np.random.Generator) -> Scene:
+    """Upright objects on a table or on the floor; some stand still, some turn, some slide."""
+    arrange = (table_top, room)[int(random.integers(2))]
+    scene = arrange(random)
+    while sum(map(_is_upright, scene.objects)) < MIN_OBJECTS:
+        scene = arrange(random)
+    objects = [placed for placed in scene.objects if _is_upright(placed)]
+    motions = [_motion(placed, objects, random) for placed in objects]
+    return Scene(
+        scene.palette, joined(scene.still), scene.lights, scene.T_world_camera, _moments(scene, objects, motions)
+    )
+
+
+def _is_upright(placed: Placed) -> bool:
+    return bool(np.abs(placed.axes[2]).max() > np.cos(UPRIGHT_RAD))
+
+
+def _motion(placed: Placed, objects: list[Placed], random: np.random.Generator) -> Motion:
+    """A random motion; an object slides only as far as it cannot touch another one, and turns only without contact."""
+    gaps = [
+        float(np.linalg.norm(placed.origin_m[:2] - other.origin_m[:2])) - placed.radius_m - other.radius_m
+        for other in objects
+        if other is not placed
+    ]
+    room_m = min(gaps, default=0.0)
+    kind = random.random()
+    if room_m <= 0 or kind < 0.4:
+        return Motion(np.zeros(3), 0.0, 0.0)
+    turn = float(random.uniform(-0.8, 0.8)) if kind < 0.8 else 0.0
+    angle = random.uniform(0, 2 * np.pi)
+    reach = 0.5 * min(room_m, 0.5) * np.array([np.cos(angle), np.sin(angle), 0.0])
+    return Motion(reach, float(random.uniform(0.4, 1.2)), turn)
+
+
+def _moments(scene: Arrangement, objects: list[Placed], motions: list[Motion]) -> Iterator[Moment]:
+    count = 0
+    while True:
+        time_s = count * PERIOD_S
+        actors = []
+        for track, (placed, motion) in enumerate(zip(objects, motions, strict=True), start=1):
+            axes = turn_z(motion.turn_rad_s * time_s) @ placed.axes
+            place = placed.origin_m + motion.reach_m * np.sin(motion.rate_rad_s * time_s)
+            mesh = with_track(placed.mesh.moved(axes, place), track)
+            actors.append(Actor(track, LABEL, mesh, axes))
+        yield Moment(tuple(actors), ())
+        count += 1

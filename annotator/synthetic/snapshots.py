@@ -14,12 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.synthetic.arrangements import INDOORS, Arrangement, street, with_track
-from annotator.synthetic.lidar import random_lidar, scan
 from annotator.synthetic.mesh import Mesh, joined
-from annotator.synthetic.render import Stage
+from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, random_lidar, scan
 from annotator.synthetic.scene import Actor, hands_scene
-from annotator.synthetic.sensor import Sensor, colour_image, depth_image
-from annotator.synthetic.truth import actor_box
+from annotator.synthetic.writer import actor_box
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
 
 MIN_POINTS = 20
@@ -31,7 +29,6 @@ class SnapshotObject:
     """An object of a snapshot.
 
     Attributes:
-        label: class name.
         box: around its whole surface, along its own axes; camera frame.
         points: mask of its points in the frame's cloud.
     """

@@ -1,16 +1,111 @@
-"""One moment of a recording: a camera image and the point cloud that belongs to it."""
+"""One moment of a recording: a camera, its image, and the point cloud that belongs to it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
-from scipy.spatial.transform import RigidTransform
+from jaxtyping import Float32, Float64, Int32, UInt8
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.types.camera import Camera
 from annotator.types.checks import as_array
-from annotator.types.point_cloud import PointCloud
+
+DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics of one camera; its axes are OpenCV's: x right, y down, z forward.
+
+    Pixel coordinates are continuous and the centre of the first pixel is (0, 0), so that the image
+    covers [-0.5, width_px - 0.5] x [-0.5, height_px - 0.5].
+
+    Attributes:
+        width_px, height_px: image size.
+        fx, fy, cx, cy: focal lengths and principal point, pixels.
+        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]] as in `cv2.projectPoints`;
+            empty for an ideal pinhole.
+    """
+
+    width_px: int
+    height_px: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width_px <= 0 or self.height_px <= 0:
+            raise ValueError(f"image size must be positive, not {self.width_px} x {self.height_px}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"focal lengths must be positive, not {self.fx}, {self.fy}")
+        if len(self.distortion) not in DISTORTION_LENGTHS:
+            raise ValueError(
+                f"distortion must have one of {DISTORTION_LENGTHS} coefficients, not {len(self.distortion)}"
+            )
+
+    @property
+    def matrix(self) -> Float64[np.ndarray, "3 3"]:
+        """The camera matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_ideal(self) -> bool:
+        """True if the camera has no distortion."""
+        return not any(self.distortion)
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """N points in the camera frame, with the sensor's attributes of each.
+
+    Attributes:
+        xyz_m: (N, 3) float32, metres; finite (readers drop invalid points).
+        rgb: (N, 3) uint8 colours, or None.
+        reflectance: (N,) float32 in 0..1, or None.
+        pixel_index: (N,) int32, `v * width + u` of the depth pixel of each point, if the cloud is registered
+            to the camera image (RGB-D); None for a LiDAR.
+        normals: (N, 3) float32 unit normals towards the sensor, zero if unknown; None until estimated.
+    """
+
+    xyz_m: Float32[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"] | None = None
+    reflectance: Float32[np.ndarray, "n"] | None = None
+    pixel_index: Int32[np.ndarray, "n"] | None = None
+    normals: Float32[np.ndarray, "n 3"] | None = None
+
+    def __post_init__(self) -> None:
+        xyz = as_array("xyz_m", self.xyz_m, np.float32, (None, 3))
+        object.__setattr__(self, "xyz_m", xyz)
+        n = len(xyz)
+        if self.rgb is not None:
+            object.__setattr__(self, "rgb", as_array("rgb", self.rgb, np.uint8, (n, 3)))
+        if self.reflectance is not None:
+            object.__setattr__(self, "reflectance", as_array("reflectance", self.reflectance, np.float32, (n,)))
+        if self.pixel_index is not None:
+            object.__setattr__(self, "pixel_index", as_array("pixel_index", self.pixel_index, np.int32, (n,)))
+        if self.normals is not None:
+            object.__setattr__(self, "normals", as_array("normals", self.normals, np.float32, (n, 3)))
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    def select(self, keep: np.ndarray) -> PointCloud:
+        """The points selected by a boolean mask (N,) or an index array, with all their attributes."""
+        # gathering by index is several times as fast as by mask
+        index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
+
+        def pick(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values.take(index, axis=0)
+
+        return PointCloud(
+            self.xyz_m.take(index, axis=0),
+            pick(self.rgb),
+            pick(self.reflectance),
+            pick(self.pixel_index),
+            pick(self.normals),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +152,44 @@ class Frame:
         if self.up is not None:
             up = as_array("up", self.up, np.float64, (3,))
             object.__setattr__(self, "up", up / np.linalg.norm(up))
+
+
+MOST_TURN_RAD, MOST_SHIFT_M, MOST_OFFSET_S = np.pi, 1e4, 3600.0
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Moves a recording's clouds relative to its images.
+
+    Attributes:
+        turn_rad: rotation vector, about the camera's x, y, z axes; applied first.
+        shift_m: translation, along the camera's axes.
+        time_offset_s: the clouds' clock minus the images': a frame's cloud is shown with the image that is nearest in
+            time to the cloud's time minus this.
+    """
+
+    turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    time_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, values, most in (
+            ("turn_rad", self.turn_rad, MOST_TURN_RAD),
+            ("shift_m", self.shift_m, MOST_SHIFT_M),
+            ("time_offset_s", (self.time_offset_s,), MOST_OFFSET_S),
+        ):
+            if not all(abs(value) <= most for value in values):
+                raise ValueError(f"{name} must be finite and at most {most:g}")
+
+    @property
+    def moves(self) -> bool:
+        """True if the clouds are turned or shifted."""
+        return any(self.turn_rad) or any(self.shift_m)
+
+    @property
+    def T_camera_recorded(self) -> RigidTransform:
+        """From the camera frame as the recording's files give it to the corrected one."""
+        return RigidTransform.from_components(np.array(self.shift_m), Rotation.from_rotvec(np.array(self.turn_rad)))
+
+
+NO_CORRECTION = Correction()

@@ -20,13 +20,13 @@ from fastapi import FastAPI, Request, Response, WebSocket
 from jaxtyping import Float64, UInt8
 
 from annotator.detection.config import Backend
-from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project
 from annotator.project import Project
 from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, Camera, Frame, OrientedBox, ReviewState
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.web.limits import limited_log
 from annotator.web.security import Guard, ServerSettings, check_settings
 from annotator.web.serve import Running

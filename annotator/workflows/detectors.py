@@ -9,8 +9,8 @@ from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-from annotator.detection.base_detector import NAME, TITLE, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.pretrained import NAME, TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.project import Statistics

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.files import why_missing
 from annotator.formats.nuscenes import is_seen
-from annotator.geometry.correction import corrected, with_image
+from annotator.geometry.oriented_box import corrected, with_image
 from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame, StoredLabel, StoredRecording
 from annotator.project.sources import covered_by
 from annotator.rcv.config import Orientation

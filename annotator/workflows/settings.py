@@ -22,8 +22,7 @@ from annotator.formats.json_file import read_model
 from annotator.project import Project
 from annotator.project.config import CONFIG_FILE, BoxRotation
 from annotator.project.labels import ReviewedBox
-from annotator.rcv.config import RcvConfig
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.rcv.config import RcvConfig, TypicalSize, typical_size
 from annotator.types import DetectorKind, OrientedBox
 from annotator.types.errors import ConfigError, FormatError
 

@@ -22,9 +22,9 @@ from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.geometry.projection import project
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredFrame, WriteContext
+from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.normals import frame_with_normals
-from annotator.rcv.operator import DrawnObject, draw_object
+from annotator.rcv.known_objects import DrawnObject, draw_object
 from annotator.rcv.teach import TaughtObject, project_box, span_on_view
 from annotator.recordings import Recording
 from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source, Truth

@@ -10,11 +10,10 @@ import numpy as np
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.projection import pixel_colors, unproject_depth
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose, propose_from_boxes
-from annotator.rcv.typical_size.sizes import TypicalSize
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, Truth
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)

@@ -14,7 +14,7 @@ from scenes import image_boxes, recorded, street_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator import draw_boxes
-from annotator.detection.base_detector import base_weights
+from annotator.detection.pretrained import base_weights
 from annotator.detection.trained import read_trained
 from annotator.geometry.iou import iou_3d
 from annotator.project import BoxRotation

@@ -11,9 +11,8 @@ import numpy as np
 from page import DOCS
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import EDGES, box_corners, contains
-from annotator.geometry.projection import project
+from annotator.geometry.projection import in_frustum, project
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.pseudo_view import render_pairs

@@ -14,12 +14,10 @@ from annotator.project import open_project
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.synthetic.arrangements import street, with_track
-from annotator.synthetic.lidar import Lidar, scan
 from annotator.synthetic.mesh import joined
-from annotator.synthetic.render import Stage
+from annotator.synthetic.render import Lidar, Sensor, Stage, colour_image, scan
 from annotator.synthetic.scene import Actor
-from annotator.synthetic.sensor import Sensor, colour_image
-from annotator.synthetic.truth import actor_box
+from annotator.synthetic.writer import actor_box
 from annotator.types import Box2D, Camera, Frame, PointCloud, Truth
 from annotator.workflows.recorded.reading import load_truth
 

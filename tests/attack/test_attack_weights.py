@@ -23,20 +23,20 @@ from hostile import NUMPY_CACHE, PICKLES, Called, Touch, safetensors, sent_proje
 from live_server import running
 
 from annotator.cli.main import main
-from annotator.detection.checkpoint import LAST, STATE, read_checkpoint
 from annotator.detection.config import DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.network_file import (
+from annotator.detection.trained import LAST, STATE, read_checkpoint
+from annotator.detection.training import train_detector
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import (
     DESCRIPTION,
     NetworkDescription,
     build,
+    load_weights,
     read_tensors,
     write_network,
     write_tensors,
 )
-from annotator.detection.training import train_detector
-from annotator.detection.ultralytics_api import api
-from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.files import NETWORK_BYTES
 from annotator.types import Box2D, BoxKind, DetectorKind

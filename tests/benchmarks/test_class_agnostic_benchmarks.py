@@ -145,6 +145,6 @@ def test_unusable_arguments_are_refused(module: ModuleType, generated: Path) -> 
 def test_without_weights_there_is_no_cold_start(
     generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path)
+    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path)
     with pytest.raises(DetectionError, match="the base detector is missing"):
         cold_start.run(cold_start.Arguments(generated / "people"))

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from annotator.cli.main import main
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
@@ -63,12 +63,12 @@ def test_the_base_detector_is_named_where_it_stands_in(
     real = live_run.LivePage
     monkeypatch.setattr(live_run, "LivePage", lambda name, facts: (pages.append(dict(facts)), real(name, facts))[1])
     assert live("--limit", 1, "--rate", 2) == 0
-    assert base_detector.NAME not in capsys.readouterr().err
+    assert pretrained.NAME not in capsys.readouterr().err
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert live("--limit", 1, "--rate", 2) == 0
     assert f"view detector: {base_detector.TITLE}" in capsys.readouterr().err
-    assert [page.get("view detector") for page in pages] == [None, base_detector.TITLE]
+    assert [page.get("view detector") for page in pages] == [None, pretrained.TITLE]
 
 
 def test_ctrl_c_ends_it_cleanly_and_keeps_the_recorded_frames(

@@ -14,7 +14,7 @@ from annotator.cli.annotate import SHOWN_FAILURES, summary_lines
 from annotator.cli.main import main
 from annotator.demo.first_drag import FirstDragPlan
 from annotator.demo.trained import TrainedPlan
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
@@ -174,9 +174,9 @@ def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
 def test_annotate_names_the_base_detector_where_it_stands_in(
     trained: str, capsys: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert base_detector.NAME not in run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
+    assert pretrained.NAME not in run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
     assert said.startswith(f"view detector: {base_detector.TITLE}\n")
 

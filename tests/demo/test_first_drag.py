@@ -14,8 +14,8 @@ import pytest
 from annotator.demo import first_drag
 from annotator.demo.first_drag import GOOD_IOU, SAME_IOU, FirstDragPlan, Reviewed, SimulatedOperator, run_first_drag
 from annotator.demo.trained import add_recording, generate, new_project
-from annotator.detection import base_detector
-from annotator.detection.nearest_cluster import NearestCluster
+from annotator.detection import pretrained
+from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, NewLabel, Project, WriteContext, open_project
 from annotator.project.log.event_types import LabelDeleted, LabelProposed
@@ -171,7 +171,7 @@ def test_existing_folders_are_not_overwritten(tmp_path: Path, there: str) -> Non
 def test_without_a_base_detector_the_error_names_the_other_demo(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "none")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "none")
     with pytest.raises(DetectionError, match="--train"):
         run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
     assert not list(tmp_path.iterdir())

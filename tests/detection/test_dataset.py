@@ -13,9 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset, yolo_line
-from annotator.detection.held_out import is_held_out
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import TrainingSample, read_manifest, tiled, write_dataset, yolo_line
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -33,29 +31,6 @@ def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: s
 def test_yolo_coordinates_start_half_a_pixel_before_the_first_pixel_centre() -> None:
     assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
     assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
-
-
-@given(
-    edges=st.tuples(*[st.floats(-50, 90)] * 4),
-    size=st.tuples(st.integers(8, 60), st.integers(8, 60)),
-)
-def test_a_label_line_gives_the_clipped_box_back(
-    edges: tuple[float, float, float, float], size: tuple[int, int]
-) -> None:
-    x_min, x_max = sorted(edges[:2])
-    y_min, y_max = sorted(edges[2:])
-    if x_max - x_min < 1e-3 or y_max - y_min < 1e-3:
-        return
-    width, height = size
-    line = yolo_line(Box2D("a", x_min, y_min, x_max, y_max), width, height, 0)
-    want = np.clip([x_min, y_min, x_max, y_max], -0.5, np.array([width, height] * 2) - 0.5)
-    if (want[2:] - want[:2] < 1).any():
-        assert line is None
-        return
-    assert line is not None
-    cx, cy, w, h = (float(word) for word in line.split()[1:])
-    got = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]) * np.array([width, height] * 2) - 0.5
-    np.testing.assert_allclose(got, want, atol=2e-5)
 
 
 def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
@@ -98,48 +73,12 @@ def test_held_out_views_only_validate(
     assert manifest.measured_on == ("val" if set(groups) & held & labelled else "train")
 
 
-def test_about_a_fifth_is_held_out_whatever_else_there_is() -> None:
-    keys = [f"{number:06d}" for number in range(2000)]
-    held = {key for key in keys if is_held_out(key)}
-    assert 0.17 < len(held) / len(keys) < 0.23
-    assert held & set(keys[:100]) == {key for key in keys[:100] if is_held_out(key)}
-    assert {key for key in keys if is_held_out(key, 0.05)} < held
-
-
-def test_generated_frames_alone_are_no_training_set_of_a_project(tmp_path: Path) -> None:
-    generated = [sample(f"snapshot/{number}", origin=GENERATED) for number in range(3)]
-    own = [sample("1/000013")]
-    with pytest.raises(DetectionError, match=r"\(000013\) are among the fifth of the frames that is kept"):
-        write_dataset(tmp_path / "set", own + generated, ["hand"], "1/000013".__eq__)
-    # the base detector learns from nothing else
-    assert write_dataset(tmp_path / "set", generated, ["hand"], "snapshot/1".__eq__).images == {"train": 2, "val": 1}
-
-
 def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:
     samples = [sample("1"), sample("1", seed=1), sample("2", ())]
     manifest = write_dataset(tmp_path / "set", samples, ["hand"], lambda group: group == "2")
     assert manifest.measured_on == "train"
     assert manifest.images == {"train": 2, "val": 1}
     assert "val: images/train" in (tmp_path / "set" / "data.yaml").read_text()
-
-
-def test_the_manifest_counts_images_and_boxes(tmp_path: Path) -> None:
-    beside = Box2D("hand", 40.0, 3.0, 50.0, 9.0)
-    samples = [
-        sample("1", (BOX, beside)),
-        TrainingSample(picture(), (BOX, Box2D("arm", 1.0, 1.0, 9.0, 9.0)), "1", "projected", ("uid-7",)),
-        sample("2"),
-    ]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand", "arm"], "2".__eq__, kind=BoxKind.SILHOUETTE)
-    assert manifest == read_manifest(tmp_path / "set")
-    total = {name: sum(manifest.boxes_by_class[split][name] for split in ("train", "val")) for name in ("hand", "arm")}
-    assert total == {"hand": 3, "arm": 1}
-    assert manifest.dropped_boxes == 1
-    assert manifest.kind is BoxKind.SILHOUETTE
-    by_origin = [manifest.images_by_origin[split] for split in ("train", "val")]
-    assert sum(c.get("drawn", 0) for c in by_origin) == 2
-    assert sum(c.get("projected", 0) for c in by_origin) == 1
-    assert manifest.entries[1].label_uids == ("uid-7",)
 
 
 def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> None:
@@ -183,16 +122,6 @@ def test_images_may_be_functions_or_files(tmp_path: Path) -> None:
         stored = cv2.imread(str(tmp_path / "set" / entry.image))
         assert stored is not None
         np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
-
-
-def test_images_can_be_jpegs(tmp_path: Path) -> None:
-    smooth = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (48, 64, 3)).copy()
-    samples = [TrainingSample(smooth, (BOX,), str(i), "drawn") for i in range(2)]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand"], image_format="jpg")
-    assert all(entry.image.endswith(".jpg") for entry in manifest.entries)
-    stored = cv2.imread(str(tmp_path / "set" / manifest.entries[0].image))
-    assert stored is not None
-    assert np.abs(stored.astype(int) - smooth).max() < 8
 
 
 @pytest.mark.parametrize(
@@ -239,3 +168,69 @@ def test_a_missing_or_damaged_manifest_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text("{")
     with pytest.raises(FormatError, match="again"):
         read_manifest(tmp_path)
+
+
+# Cutting images into tiles where detection uses a larger scale than training.
+
+
+SIZE_PX = 64
+
+
+def picture_with_box(height_px: int, width_px: int, box: Box2D | None = None) -> np.ndarray:
+    """A grey image with a white object."""
+    rgb = np.full((height_px, width_px, 3), 114, np.uint8)
+    if box is not None:
+        rgb[round(box.y_min + 0.5) : round(box.y_max + 0.5), round(box.x_min + 0.5) : round(box.x_max + 0.5)] = 255
+    return rgb
+
+
+def white(rgb: np.ndarray) -> tuple[float, ...]:
+    """The box around the white pixels, from edge to edge."""
+    rows, columns = np.nonzero(rgb.min(axis=2) > 200)
+    return columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
+
+
+@settings(deadline=None)
+@given(st.integers(20, 224), st.integers(2, 60), st.integers(2, 60), st.data())
+def test_a_tile_contains_its_object_at_the_scale_of_detection(
+    height_px: int, across: int, along: int, data: st.DataObject
+) -> None:
+    along = min(along, height_px)
+    x, y = data.draw(st.integers(0, 224 - across)), data.draw(st.integers(0, height_px - along))
+    box = Box2D("a", x - 0.5, y - 0.5, x + across - 0.5, y + along - 0.5)
+    sample = TrainingSample(picture_with_box(height_px, 224, box), (box,), "g", "drawn", ("uid",), look_px=224)
+    around, anywhere = tiled([sample], SIZE_PX)
+    assert around.load().shape == (min(height_px, SIZE_PX), SIZE_PX, 3)
+    (shown,) = around.boxes
+    assert shown.xyxy == white(around.load())
+    assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (across, along)
+    assert (around.label_uids, around.group, around.origin, around.look_px) == (("uid",), "g", "drawn", 0)
+    assert anywhere.load().shape == around.load().shape
+    for cut in anywhere.boxes:  # each labelled object has pixels in the tile, possibly cut off
+        assert (cut.x_max - cut.x_min, cut.y_max - cut.y_min) == (across, along)
+        low_x, low_y, high_x, high_y = white(anywhere.load())
+        assert max(cut.x_min, -0.5) == low_x and min(cut.x_max, SIZE_PX - 0.5) == high_x
+        assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.load().shape[0] - 0.5) == high_y
+
+
+@settings(deadline=None)
+@given(st.floats(-0.5, 150), st.floats(-0.5, 30), st.floats(1, 70), st.floats(1, 70))
+def test_objects_of_any_size_and_position_fit_into_their_tile(x: float, y: float, across: float, along: float) -> None:
+    box = Box2D("a", x, y, min(x + across, 223.5), min(y + along, 79.5))
+    around, _ = tiled([TrainingSample(picture_with_box(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
+    height, width = around.load().shape[:2]
+    assert SIZE_PX <= width <= 1.15 * 71 + 1
+    (shown,) = around.boxes
+    assert shown.width_px == pytest.approx(box.width_px)
+    assert -0.5 - 1e-9 <= shown.x_min < shown.x_max <= width - 0.5 + 1e-9
+    assert -0.5 - 1e-9 <= shown.y_min < shown.y_max <= height - 0.5 + 1e-9
+
+
+def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:
+    boxes = (Box2D("a", 100.0, 10.0, 110.0, 20.0), Box2D("b", 0.0, 0.0, 5.0, 5.0))
+    sample = TrainingSample(picture_with_box(30, 224), boxes, "g", "drawn", ("first", "second"), look_px=224)
+    first, second, _ = tiled([sample], SIZE_PX)
+    assert ([box.label for box in first.boxes], first.label_uids) == (["a"], ("first",))
+    assert ([box.label for box in second.boxes], second.label_uids) == (["b"], ("second",))
+    some = TrainingSample(picture_with_box(30, 224), boxes, "g", "drawn", ("first",), look_px=224)
+    assert [tile.label_uids for tile in tiled([some], SIZE_PX)][:2] == [("first",), ()]

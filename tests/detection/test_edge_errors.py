@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from annotator.detection.edge_calibration import with_edge_errors
-from annotator.detection.edge_errors import EdgeErrors, Refused, fit_edge_errors
-from annotator.detection.manifest import read_manifest
+from annotator.detection.config import EdgeErrors
+from annotator.detection.dataset import read_manifest
+from annotator.detection.edge_errors import Refused, fit_edge_errors, with_edge_errors
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.workflows.detectors import load_detector
 from tests.detection.test_backends import PlainImage
@@ -32,15 +32,6 @@ def test_the_fit_finds_the_law_behind_the_errors_despite_gross_ones(factor: floa
     assert (fit.edges, fit.gain > 0.02) == (4000, True)
 
 
-def test_the_map_is_monotone_and_constant_beyond_the_spreads_that_were_seen() -> None:
-    spread = np.linspace(2.0, 5.0, 1000)
-    fit = fit_edge_errors(spread, errors_of(spread, 0.2, 1.5))
-    assert isinstance(fit, EdgeErrors)
-    expected = fit.of(np.array([0.0, 1.0, 2.5, 3.5, 4.5, 9.0, 90.0]))
-    assert expected[0] == expected[1] and expected[-2] == expected[-1]
-    assert (np.diff(expected) >= 0).all() and expected[0] > 0
-
-
 def test_a_spread_that_tells_nothing_is_refused() -> None:
     rng = np.random.default_rng(0)
     spread, errors = rng.uniform(1, 4, 3000), rng.laplace(0, 1.0, 3000)
@@ -60,7 +51,7 @@ def test_a_training_stores_the_errors_and_the_detector_tells_them(
         return EdgeErrors(factor=1.0, exponent=1.0, least_px=0.01, most_px=90.0, edges=len(spread_px))
 
     # the set is too small for a fit of its own
-    monkeypatch.setattr("annotator.detection.edge_calibration.fit_edge_errors", fit)
+    monkeypatch.setattr("annotator.detection.edge_errors.fit_edge_errors", fit)
     weights = tmp_path / "detector.safetensors"
     weights.write_bytes(tiny_model.weights.read_bytes())
     plain = tiny_model.model_copy(update={"weights": weights, "edge_errors": {}})
@@ -78,19 +69,3 @@ def test_a_training_stores_the_errors_and_the_detector_tells_them(
     bgr = cv2.imread(str(tiny_dataset / images[0].image))
     boxes = load_detector(weights, "torch").detect([PlainImage(np.ascontiguousarray(bgr[..., ::-1]))])[0]
     assert boxes and all(min(box.edge_sigma_px or (0.0,)) > 0 for box in boxes)
-
-
-@pytest.mark.slow
-def test_a_detector_measured_on_its_training_images_gets_no_expected_errors(
-    tiny_model: TrainedModel, tiny_dataset: Path
-) -> None:
-    manifest = read_manifest(tiny_dataset).model_copy(update={"measured_on": "train"})
-    plain = tiny_model.model_copy(update={"edge_errors": {}})
-    assert with_edge_errors(plain, tiny_dataset, manifest, "cpu") == plain
-
-
-def test_a_model_of_an_older_version_has_no_expected_errors(tmp_path: Path, tiny_model: TrainedModel) -> None:
-    stored = tiny_model.model_copy(update={"weights": Path(tiny_model.weights.name)})
-    text = stored.model_dump_json(exclude={"edge_errors"})
-    (tmp_path / "model.json").write_text(text, encoding="utf-8")
-    assert read_trained(tmp_path).edge_errors == {}

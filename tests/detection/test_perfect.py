@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.detection.perfect import PerfectDetector, Scene
+from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
-from annotator.types.errors import DetectionError
+from annotator.types import Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
 DISTORTED = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
@@ -46,12 +45,6 @@ NEAR = Truth("Car", make_box((0.0, 0.1, 3.0), (1.0, 0.6, 0.4)))
 FAR = Truth("Van", make_box((1.0, -0.3, 5.0), (0.8, 0.8, 0.8), 1.1))
 
 
-def test_the_perfect_detector_is_a_detector() -> None:
-    detector = PerfectDetector.for_frame(make_frame([NEAR, FAR], [50, 30]), [NEAR, FAR])
-    assert isinstance(detector, Detector)
-    assert detector.labels == ("Car", "Van")
-
-
 def test_view_box_spans_the_projected_corners() -> None:
     frame = make_frame([NEAR, FAR], [50, 30])
     view = make_view(frame.cloud.xyz_m, (300, 300), 0.02)
@@ -66,34 +59,12 @@ def test_view_box_spans_the_projected_corners() -> None:
         )
 
 
-def test_view_silhouette_spans_the_drawn_points() -> None:
-    frame = make_frame([NEAR], [50])
-    half = frame.cloud.xyz_m[:25]
-    view = make_view(half, (300, 300), 0.02)
-    (box,) = PerfectDetector.for_frame(frame, [NEAR], kind=BoxKind.SILHOUETTE).detect([view])[0]
-    along = half @ view.axes[:2].T
-    np.testing.assert_allclose(view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1))
-
-
-def test_boxes_are_clipped_to_the_view() -> None:
-    frame = make_frame([NEAR], [50])
-    (box,) = PerfectDetector.for_frame(frame, [NEAR]).detect([make_view(frame.cloud.xyz_m, (20, 14), 0.02)])[0]
-    assert box.xyxy == (-0.5, -0.5, 19.5, 13.5)
-
-
 @pytest.mark.parametrize(("drawn", "found"), [(0, 0), (2, 0), (4, 0), (5, 1), (50, 1)])
 def test_objects_with_too_few_drawn_points_are_not_detected(drawn: int, found: int) -> None:
     frame = make_frame([NEAR], [50])
     rest = np.array([[9.0, 9.0, 9.0]], np.float32)
     view = make_view(np.concatenate([frame.cloud.xyz_m[:drawn], rest]), (900, 900), 0.05)
     assert len(PerfectDetector.for_frame(frame, [NEAR]).detect([view])[0]) == found
-
-
-def test_objects_with_too_few_points_are_not_detected() -> None:
-    frame = make_frame([NEAR, FAR], [50, 6])
-    view = make_view(frame.cloud.xyz_m, (300, 300))
-    detector = PerfectDetector.for_frame(frame, [NEAR, FAR], min_points=7)
-    assert [[b.label for b in boxes] for boxes in detector.detect([frame, view])] == [["Car"], ["Car"]]
 
 
 @pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
@@ -119,13 +90,6 @@ def test_boxes_on_a_region_are_those_of_the_image_shifted_and_clipped() -> None:
     assert detector.detect([corner]) == [[]]
 
 
-def test_objects_outside_the_image_are_not_detected() -> None:
-    behind = Truth("a", make_box((0.0, 0.0, -3.0), (1.0, 1.0, 1.0)))
-    beside = Truth("b", make_box((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)))
-    frame = make_frame([behind, beside], [50, 50])
-    assert PerfectDetector.for_frame(frame, [behind, beside]).detect([frame]) == [[]]
-
-
 def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     frame = make_frame([NEAR], [200])
     views = [make_view(frame.cloud.xyz_m, (300, 200), 0.02 + 0.0001 * i) for i in range(300)]
@@ -139,30 +103,3 @@ def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
     assert other.detect(views[:1]) != noisy[:1]
     assert again.fingerprint != other.fingerprint
-
-
-def test_image_jitter_is_a_share_of_the_box() -> None:
-    frames = [make_frame([NEAR], [20], key=f"{i:06d}") for i in range(300)]
-    exact = PerfectDetector([Scene.of(f, [NEAR]) for f in frames]).detect(frames)
-    noisy = PerfectDetector([Scene.of(f, [NEAR]) for f in frames], jitter=0.05).detect(frames)
-    error = np.array([np.subtract(b[0].xyxy, a[0].xyxy) for a, b in zip(exact, noisy, strict=True)])
-    width, height = exact[0][0].width_px, exact[0][0].height_px
-    np.testing.assert_allclose(error.std(axis=0), 0.05 * np.array([width, height] * 2), rtol=0.15)
-
-
-def test_views_of_several_frames_in_one_batch_are_matched_to_their_frames() -> None:
-    first, second = make_frame([NEAR], [50], "000001"), make_frame([FAR], [50], "000002")
-    detector = PerfectDetector([Scene.of(first, [NEAR]), Scene.of(second, [FAR])])
-    views = [make_view(f.cloud.select(np.arange(10, 40)).xyz_m, (300, 300)) for f in (second, first)]
-    assert [[b.label for b in boxes] for boxes in detector.detect([first, *views])] == [["Car"], ["Van"], ["Car"]]
-
-
-def test_unknown_frames_and_unsupported_images_are_errors() -> None:
-    detector = PerfectDetector.for_frame(make_frame([NEAR], [50]), [NEAR])
-    with pytest.raises(DetectionError, match="000009"):
-        detector.detect([make_frame([NEAR], [50], "000009")])
-    with pytest.raises(DetectionError, match="Region"):
-        detector.detect([Region(make_view(fill(NEAR.box, 30)), 0, 0, 9, 9)])
-    several = PerfectDetector([Scene.of(make_frame([t], [50], key), [t]) for t, key in ((NEAR, "1"), (FAR, "2"))])
-    with pytest.raises(DetectionError, match="pseudo-view"):
-        several.detect([make_view(fill(make_box((0, 0, 9), (1, 1, 1)), 30))])

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import annotator
 from annotator.detection.config import TrainingConfig
-from annotator.detection.pretrained import check_model_name, check_start, find_starting_point, within
+from annotator.detection.pretrained import check_model_name, check_start, find_starting_point
+from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
+from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types.errors import ConfigError
+from annotator.workflows.training.base_detector import MANIFEST_FILE, BaseManifest
 
 
 @pytest.fixture
@@ -30,11 +35,6 @@ def downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     monkeypatch.setattr(api(), "weights_dir", tmp_path / "weights")
     monkeypatch.setattr(api(), "user_offline", False)
     return asked
-
-
-@pytest.mark.parametrize("name", ["yolo11n", "yolov5nu", "yolov8n.pt", "yolo26n.yaml", "yolov10n"])
-def test_detection_models_are_known_by_name(name: str) -> None:
-    assert check_model_name(name) == name.split(".")[0]
 
 
 @pytest.mark.parametrize("name", ["yolo99n", "yolo11n-seg", "yolo11n-cls", "rtdetr-l", "../yolo11n", "", "resnet"])
@@ -72,24 +72,6 @@ def test_downloaded_weights_are_used(downloads: list[str], monkeypatch: pytest.M
     assert "downloaded" in start.note
 
 
-def test_local_weights_are_used_without_a_download(downloads: list[str], tmp_path: Path) -> None:
-    folder = tmp_path / "weights"
-    folder.mkdir()
-    (folder / "yolo11n.pt").write_bytes(b"weights")
-    start = find_starting_point(TrainingConfig())
-    assert (start.weights, start.pretrained) == (folder / "yolo11n.pt", True)
-    assert downloads == []
-
-
-def test_without_pretrained_weights_or_network_access_there_is_no_download(
-    downloads: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(api(), "user_offline", True)
-    assert "YOLO_OFFLINE" in find_starting_point(TrainingConfig()).note
-    assert not find_starting_point(TrainingConfig(pretrained="never")).pretrained
-    assert downloads == []
-
-
 def test_weights_from_a_file(downloads: list[str], tmp_path: Path) -> None:
     own = tmp_path / "own.pt"
     with pytest.raises(ConfigError, match=r"own\.pt"):
@@ -97,15 +79,6 @@ def test_weights_from_a_file(downloads: list[str], tmp_path: Path) -> None:
     own.write_bytes(b"weights")
     assert find_starting_point(TrainingConfig(pretrained=own)).weights == own
     assert downloads == []
-
-
-def test_an_error_in_the_timed_thread_reaches_the_caller() -> None:
-    def fail() -> None:
-        raise KeyError("inside")
-
-    with pytest.raises(KeyError, match="inside"):
-        within(5.0, fail)
-    assert within(5.0, lambda: 7) == 7
 
 
 def save_model(path: Path, name: str) -> Path:
@@ -151,3 +124,22 @@ def test_unusable_initial_weights_are_an_error(downloads: list[str], tmp_path: P
         check_start(TrainingConfig(pretrained=tmp_path / ("n" * 300)))
     with pytest.raises(ConfigError, match="last layer Segment"):
         check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))
+
+
+# The base detector's files in the package.
+
+
+# tests replace `pretrained.FOLDER`
+FOLDER = Path(annotator.__file__).parent / "detection" / "base"
+MOST_BYTES = 8_000_000
+
+
+def test_the_package_has_the_weights_that_its_manifest_describes() -> None:
+    manifest = BaseManifest.model_validate_json((FOLDER / MANIFEST_FILE).read_bytes())
+    trained = read_trained(FOLDER)
+    content = trained.weights.read_bytes()
+    assert hashlib.sha256(content).hexdigest() == manifest.weights_sha256
+    assert len(content) < MOST_BYTES
+    assert trained.classes == tuple(AGNOSTIC_LABELS.values())
+    assert trained.image_size_px == manifest.image_size_px
+    assert set(trained.edge_errors) == set(trained.classes)

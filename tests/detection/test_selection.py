@@ -1,11 +1,59 @@
-"""From raw predictions to candidates: small examples, and a property test against a loop."""
+"""From images to canvases, and from raw predictions to boxes: small examples, and property tests against loops."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from annotator.detection.selection import MAX_CANDIDATES, candidates
+from annotator.detection.yolo import (
+    GREY,
+    MAX_CANDIDATES,
+    SQUARE_UP_TO_PX,
+    candidates,
+    fill_batch,
+    place,
+    suppress,
+    to_pictures,
+)
+
+# Scaling images to canvases, and boxes back to images.
+
+
+@given(height=st.integers(1, 700), width=st.integers(1, 700), side=st.sampled_from([64, 224, 320]))
+def test_the_canvas_is_the_smallest_multiple_of_the_stride(height: int, width: int, side: int) -> None:
+    placement = place((height, width), side, 32)
+    assert max(placement.scaled_width_px, placement.scaled_height_px) == side
+    for canvas, scaled, border in zip(
+        placement.canvas, (placement.scaled_width_px, placement.scaled_height_px), placement.corner, strict=True
+    ):
+        assert canvas % 32 == 0
+        assert canvas == side if side <= SQUARE_UP_TO_PX else 0 <= canvas - scaled < 32
+        assert border == (canvas - scaled) // 2
+
+
+@given(height=st.integers(40, 300), width=st.integers(40, 300), side=st.sampled_from([64, 96]), seed=st.integers(0, 99))
+def test_boxes_on_the_canvas_map_back_to_the_image(height: int, width: int, side: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rgb = np.full((height, width, 3), GREY, np.uint8)
+    x_min, y_min = int(rng.integers(0, width // 2)), int(rng.integers(0, height // 2))
+    x_max, y_max = int(rng.integers(x_min + 10, width + 1)), int(rng.integers(y_min + 10, height + 1))
+    rgb[y_min:y_max, x_min:x_max] = 255
+    placement = place((height, width), side, 32)
+    bright = fill_batch([rgb], [placement])[0, :, :, 0].astype(float) - GREY
+    # Moments of the canvas give centre and extent of the rectangle with subpixel accuracy.
+    edges = []
+    for axis in (0, 1):
+        profile = bright.sum(axis=axis)
+        profile /= profile.max()
+        middle = (profile * (np.arange(len(profile)) + 0.5)).sum() / profile.sum()
+        edges.append((middle - profile.sum() / 2, middle + profile.sum() / 2))
+    box = np.array([[edges[0][0], edges[1][0], edges[0][1], edges[1][1]]])
+    got = to_pictures(box, np.zeros(1, np.int64), [placement])[0]
+    want = np.array([x_min, y_min, x_max, y_max]) - 0.5
+    scale = max(height, width) / side
+    np.testing.assert_allclose(got, want, atol=0.8 * max(scale, 1))
 
 
 def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
@@ -17,24 +65,6 @@ def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
     assert selected.boxes.tolist() == [[8, 17, 12, 23], [4, 4, 6, 6]]
     assert selected.numbers.tolist() == [0, 1]
     np.testing.assert_allclose(selected.scores, [0.4, 0.9])
-
-
-def test_an_end_to_end_box_may_be_a_candidate_of_two_classes() -> None:
-    """With as many anchors as rows, so that swapped axes would still have valid shapes."""
-    raw = np.zeros((1, 6, 6), np.float32)
-    raw[0, :, 2] = [1, 2, 11, 12, 0.4, 0.3]
-    selected = candidates(raw, True, 0.05)
-    assert selected.boxes.tolist() == [[1, 2, 11, 12]] * 2
-    assert sorted(zip(selected.numbers.tolist(), (10 * selected.scores).round().tolist(), strict=True)) == [
-        (0, 4),
-        (1, 3),
-    ]
-
-
-def test_scores_below_the_threshold_give_no_candidates() -> None:
-    selected = candidates(np.zeros((3, 5, 7), np.float32), False, 0.0)
-    assert selected.boxes.shape == (0, 4)
-    assert len(selected.picture) == len(selected.scores) == len(selected.numbers) == 0
 
 
 @pytest.mark.parametrize("end2end", [False, True])
@@ -58,3 +88,35 @@ def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
     assert selected.numbers.tolist() == [0]
     assert selected.spreads is not None and selected.spreads.tolist() == [[1, 2, 3, 4]]
     assert candidates(raw[:, :6], end2end, 0.35).spreads is None
+
+
+# Greedy suppression of overlapping boxes.
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    shared = max(width, 0) * max(height, 0)
+    return shared / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - shared)
+
+
+def suppress_in_loops(boxes: np.ndarray, scores: np.ndarray, groups: np.ndarray, iou: float) -> list[int]:
+    """Reference implementation of the definition, one pair at a time."""
+    kept: list[int] = []
+    for i in sorted(range(len(boxes)), key=lambda i: (-scores[i], i)):
+        if all(groups[i] != groups[k] or overlap(boxes[i], boxes[k]) <= iou for k in kept):
+            kept.append(i)
+    return kept
+
+
+@settings(deadline=None)
+@given(
+    seed=st.integers(0, 10**6), count=st.integers(0, 40), iou=st.sampled_from([0.0, 0.3, 0.6, 1.0]), ties=st.booleans()
+)
+def test_suppression_agrees_with_the_definition(seed: int, count: int, iou: float, ties: bool) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(0, 30, (count, 2))
+    boxes = np.concatenate([low, low + rng.uniform(1, 25, (count, 2))], axis=1)
+    scores = np.round(rng.random(count), 1 if ties else 6)
+    groups = rng.integers(0, 3, count)
+    assert suppress(boxes, scores, groups, iou).tolist() == suppress_in_loops(boxes, scores, groups, iou)

@@ -16,7 +16,7 @@ from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
-from annotator.types import Detector, PseudoView, Region
+from annotator.types import PseudoView
 from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
@@ -40,11 +40,6 @@ def detector(tiny_model: TrainedModel) -> YoloDetector:
     return make(tiny_model.weights)
 
 
-def test_a_trained_model_is_a_detector(detector: YoloDetector) -> None:
-    assert isinstance(detector, Detector)
-    assert detector.labels == ("blue", "red")
-
-
 def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, scene: Callable[..., Any]) -> None:
     """Red and blue are distinguished only if the colour channels have the same order as in training.
 
@@ -57,15 +52,6 @@ def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, sc
     assert sum(right) >= 0.8 * len(right)
     errors = [np.subtract(boxes[0].xyxy, s.boxes[0].xyxy) for s, boxes in zip(scenes, detected, strict=True) if boxes]
     assert np.median(np.abs(errors)) < 10
-
-
-def test_boxes_are_sorted_by_score_and_inside_the_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    sensitive = make(detector.weights, confidence=0.001)
-    for boxes in sensitive.detect([scene(seed) for seed in range(8)]):
-        scores = [box.score for box in boxes]
-        assert scores == sorted(scores, reverse=True)
-        assert len(boxes) > 1
-        assert all(-0.5 <= box.x_min < box.x_max <= 95.5 and -0.5 <= box.y_min < box.y_max <= 95.5 for box in boxes)
 
 
 def test_boxes_do_not_depend_on_the_other_images(detector: YoloDetector, scene: Callable[..., Any]) -> None:
@@ -86,15 +72,6 @@ def test_a_view_is_scaled_to_its_own_size(detector: YoloDetector, scene: Callabl
     small, large = (make(detector.weights, confidence=0.001, image_size_px=size) for size in (96, 192))
     (asked,), (plain,), (expected,) = small.detect([view]), small.detect([Picture(rgb)]), large.detect([Picture(rgb)])
     assert asked == expected != plain
-
-
-def test_a_region_is_scaled_as_a_part_of_its_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    own = scene(102)
-    whole = np.full((150, 192, 3), 114, np.uint8)
-    whole[40:136, 60:156] = own.rgb
-    region = Region(Picture(whole), 60, 40, 96, 96)
-    (detected,) = make(detector.weights, image_size_px=192, confidence=ANY).detect([region])
-    assert detected == make(detector.weights, confidence=ANY).detect([own])[0] != []
 
 
 def test_detections_agree_with_ultralytics_own_predictor(
@@ -137,11 +114,6 @@ def test_boxes_scale_with_the_image(detector: YoloDetector, scene: Callable[...,
         np.testing.assert_allclose(np.array(b.xyxy) + 0.5, 2 * (np.array(a.xyxy) + 0.5), atol=1.0)
 
 
-def test_an_empty_batch_and_a_blank_image_are_accepted(detector: YoloDetector) -> None:
-    assert detector.detect([]) == []
-    assert len(detector.detect([Picture(np.full((1, 300, 3), 114, np.uint8))])) == 1
-
-
 @pytest.mark.parametrize(
     "rgb", [np.zeros((5, 5), np.uint8), np.zeros((5, 5, 3), np.float32), np.zeros((0, 5, 3), np.uint8)]
 )
@@ -164,16 +136,6 @@ def test_the_fingerprint_depends_on_weights_and_settings(
         fingerprint(backend="onnxruntime", threads=1) == detector.fingerprint
     )  # a batch may be continued on another backend
     assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4
-
-
-@pytest.mark.parametrize("name", ["o'neil", "a [1]", "100%", " "])
-def test_the_folder_of_the_weights_may_contain_special_characters(
-    detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path, name: str
-) -> None:
-    path = tmp_path / name / "yolov5n.pt"
-    path.parent.mkdir()
-    path.write_bytes(tiny_model.weights.read_bytes())
-    assert make(path, backend="torch").fingerprint == detector.fingerprint
 
 
 @pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])

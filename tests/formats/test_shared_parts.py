@@ -22,7 +22,7 @@ from annotator.formats.json_file import read_pairs
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.reading import read_mask
 from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.label import AttributeValue, Said

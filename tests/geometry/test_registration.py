@@ -45,16 +45,6 @@ def test_a_small_motion_is_found(
     assert moved_by < 0.03
 
 
-def test_a_turn_about_the_centre_is_followed_to_its_end() -> None:
-    # the centre does not move at all, so its rest says nothing about the turn
-    angles = np.linspace(0.0, 2 * np.pi, 200, endpoint=False)
-    ring = np.stack([np.cos(angles), 0.6 * np.sin(angles), np.zeros(200)], axis=1)
-    turn = Rotation.from_rotvec(0.2 * UP).as_matrix()
-    pose = register(ring, KDTree(ring @ turn.T), (np.eye(3), np.zeros(3)), 0.35, UP)
-    assert pose is not None
-    assert pose_error(pose, turn, np.zeros(3))[0] < 0.06
-
-
 def test_other_objects_and_hidden_parts_do_no_harm() -> None:
     rng = np.random.default_rng(3)
     points = corner(rng)
@@ -76,13 +66,6 @@ def test_with_a_vertical_the_rotation_stays_about_it() -> None:
     pose = register(points, KDTree(points @ turn.T), (np.eye(3), np.zeros(3)), 0.35, UP)
     assert pose is not None
     np.testing.assert_allclose(pose[0] @ UP, UP, atol=1e-12)
-
-
-def test_a_mirror_image_is_not_a_rotation() -> None:
-    points = corner(np.random.default_rng(5))
-    pose = register(points, KDTree(points * [1.0, -1.0, 1.0]), (np.eye(3), np.zeros(3)), 0.35)
-    assert pose is not None
-    assert np.linalg.det(pose[0]) == pytest.approx(1.0)
 
 
 def test_points_without_a_cloud_nearby_have_no_pose() -> None:
@@ -110,25 +93,9 @@ def test_a_surface_that_turns_is_turned_all_the_way_by_planes() -> None:
     assert error[0] < 0.2 * pose_error(by_points, turn, np.zeros(3))[0]
 
 
-def test_a_surface_far_away_is_not_registered() -> None:
-    points = corner(np.random.default_rng(0))
-    assert register_surface(points, KDTree(points + 5.0), points, (np.eye(3), np.zeros(3)), 0.1) is None
-
-
 @pytest.mark.parametrize("up", [None, UP])
 def test_points_on_a_line_have_no_planes_to_register_with(up: np.ndarray | None) -> None:
     line = np.linspace(0, 1, 200)[:, None] * [0.3, 0.2, 1.0] + [0.0, 0.0, 2.0]
     normals = normals_knn(line).astype(np.float64)
     assert not normals.any()
     assert register_surface(line + 0.01, KDTree(line), normals, (np.eye(3), np.zeros(3)), 0.1, up) is None
-
-
-def test_points_without_a_normal_do_no_harm() -> None:
-    points = corner(np.random.default_rng(0))
-    face = np.argmax(points == 0.5 * np.array([1.0, 0.6, 1.6]), axis=1)
-    normals, shift = np.eye(3)[face], np.array([0.02, -0.01, 0.02])
-    normals[::3] = 0
-    pose = register_surface(points - shift, KDTree(points), normals, (np.eye(3), np.zeros(3)), 0.2)
-    assert pose is not None
-    error = pose_error(pose, np.eye(3), shift)
-    assert error[0] < 1e-3 and error[1] < 1e-3

@@ -36,16 +36,6 @@ def test_axes_are_right_handed_and_keep_the_major_axis(major: np.ndarray, hint: 
         assert abs(frame[:, 2] @ hint) < 1e-9
 
 
-@pytest.mark.parametrize("hint", [(0.0, 0.0, 5.0), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), (1e-13, 0.0, 1.0)])
-def test_axes_with_a_hint_along_the_major_axis_are_a_rotation(hint: tuple[float, float, float]) -> None:
-    assert is_rotation(right_handed_axes(np.array([0.0, 0.0, 2.0]), np.array(hint)))
-
-
-def test_the_first_axis_is_the_major_axis() -> None:
-    frame = right_handed_axes(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1.0, 1.0]))
-    np.testing.assert_allclose(frame, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [

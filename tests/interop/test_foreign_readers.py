@@ -17,8 +17,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.nearest_upright import nearest_upright
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project as to_image
 from annotator.project import NewLabel, Project, WriteContext, create_project

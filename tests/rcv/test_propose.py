@@ -12,9 +12,12 @@ from scenes import frame_with, some_box
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.finish import finish
 from annotator.rcv.propose import propose
-from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason, Truth
+from annotator.rcv.recursion import ObjectState
+from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReason
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
@@ -120,17 +123,6 @@ def test_two_objects_in_one_frustum_become_two_proposals() -> None:
         assert max(iou_3d(truth.box, p.box) for p in found) > 0.95
 
 
-def test_duplicates_are_removed() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths)
-
-    class Twice(Counting):
-        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            return [found * 2 for found in self.inner.detect(images)]
-
-    assert len(propose([frame], Twice(perfect), perfect, RcvConfig())[0].proposals) == 1
-
-
 @pytest.mark.parametrize(("seen", "steps"), [(0, 1), (1, 2)])
 def test_an_object_without_view_detections_is_lost_and_the_trace_shows_the_step(seen: int, steps: int) -> None:
     frame, truths = frame_with([FREE_BOX])
@@ -178,14 +170,6 @@ def test_the_step_limit_holds(limit: int) -> None:
     assert found.trace[-1].stop is StopReason.STEP_LIMIT
 
 
-def test_frames_without_detections_and_an_empty_batch_give_no_proposals() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    nothing = PerfectDetector.for_frame(frame, [])
-    assert propose([frame], nothing, nothing, RcvConfig())[0].proposals == ()
-    assert propose([], nothing, nothing, RcvConfig()) == []
-    assert truths
-
-
 def test_the_trace_maps_the_box_back_as_in_equation_1() -> None:
     """B_o = prod_i T_i^{i+1} B_N with the homogeneous 4 x 4 transforms between the frames of successive steps."""
     frame, truths = frame_with([FREE_BOX])
@@ -227,33 +211,6 @@ def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
         assert a.proposals[0].trace == b.proposals[0].trace
 
 
-def test_the_first_views_show_the_frustum_and_later_ones_less() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    seen: list[int] = []
-
-    class Watching(Counting):
-        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            seen.extend(len(view.xyz_m) for view in images if isinstance(view, PseudoView))
-            return super().detect(images)
-
-    perfect = PerfectDetector.for_frame(frame, truths)
-    propose([frame], perfect, Watching(perfect), RcvConfig())
-    assert isinstance(frame, Frame)
-    assert 800 <= seen[0] < len(frame.cloud)
-    assert seen[2] < seen[0]
-
-
-def test_an_object_without_points_at_its_lower_end_keeps_its_height() -> None:
-    """A LiDAR often misses the foot of an object: its true box then extends below all points, and every picture cuts
-    it off. Cut ends were once ignored, and the box collapsed."""
-    frame, _ = frame_with([UPRIGHT_BOX], up=UP)
-    upper = frame.cloud.xyz_m[:, 1] < 0.1
-    kept = replace(frame, cloud=frame.cloud.select(upper))
-    perfect = PerfectDetector.for_frame(kept, [Truth("thing", UPRIGHT_BOX)])
-    (found,) = propose([kept], perfect, perfect, RcvConfig(orientation=Orientation.UPRIGHT))[0].proposals
-    assert iou_3d(found.box, UPRIGHT_BOX) > 0.9
-
-
 def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     frame, truths = frame_with([UPRIGHT_BOX], up=UP)
     perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
@@ -271,9 +228,49 @@ def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
 
 
-def test_an_object_without_enough_points_is_not_proposed() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths)
-    result = propose([frame], perfect, perfect, RcvConfig(min_points=900))[0]
-    assert result.proposals == ()
-    assert result.lost[0].trace[-1].stop is StopReason.TOO_FEW_POINTS
+# The selection of a frame's final boxes by their agreement with the image boxes.
+
+
+OWN = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
+OTHER = some_box([0.9, 0.0, 3.0], [0, 0.2, 0], [0.4, 0.5, 0.3])
+
+
+def seen(frame: Frame, box: OrientedBox) -> Box2D:
+    found = box_on_image(frame.camera, box, "thing")
+    assert found is not None
+    return found
+
+
+def ended(frame: Frame, image_box: Box2D, box: OrientedBox, points: slice = slice(0, 800)) -> ObjectState:
+    mask = np.zeros(len(frame.cloud), bool)
+    mask[points] = True
+    stop = StopReason.BOX_CONVERGED
+    cloud = frame.cloud.select(mask)
+    return ObjectState(0, image_box, cloud, None, np.eye(3), box=box, view_score=0.9, stop=stop)
+
+
+@pytest.fixture
+def frame() -> Frame:
+    return frame_with([OWN, OTHER])[0]
+
+
+def result(frame: Frame, states: Sequence[ObjectState], **settings: object) -> list[OrientedBox]:
+    return [p.box for p in finish(frame, states, RcvConfig(**settings)).proposals]
+
+
+def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame) -> None:
+    image_box = seen(frame, OWN)
+    both = [ended(frame, image_box, OTHER), ended(frame, image_box, OWN)]
+    assert len(result(frame, both, min_image_agreement=0.0)) == 2
+    (kept,) = result(frame, both, min_image_agreement=0.2)
+    assert kept is OWN
+    assert len(result(frame, both[:1], min_image_agreement=1.0)) == 1, "the only object of its frustum is kept"
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame, order: int) -> None:
+    own, neighbours = seen(frame, OWN), seen(frame, OTHER)
+    better = ended(frame, own, OWN)
+    worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.pose, OWN.size_m * 0.9))
+    (found,) = finish(frame, [worse, better][::order], RcvConfig(min_image_agreement=0.0)).proposals
+    assert found.image_box == own

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.rcv.config import ViewConfig
-from annotator.rcv.drawing import BACKGROUND
-from annotator.rcv.pseudo_view import drawn_points, render_pairs
+from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.pseudo_view import (
+    BACKGROUND,
+    KeyLayout,
+    draw_views,
+    fit_windows,
+    is_deep,
+    pack_colors,
+    render_pairs,
+    splat_px,
+)
+from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, PointCloud
 
 VIEW = ViewConfig(size_px=100, padding=0.05)
@@ -36,24 +46,6 @@ def test_every_point_is_drawn_at_its_pixel(seed: int, count: int) -> None:
             assert tuple(view.rgb[pixel_of(view, point)]) == (7, 7, 7)
 
 
-def test_the_nearest_point_is_drawn_in_both_views() -> None:
-    near, far = [255, 0, 0], [0, 0, 255]
-    cloud = cloud_of([[0, 0, 1], [0, 0, 2], [1, 0, 1.5], [-1, 0, 1.5]], [near, far, far, near])
-    front, side = render_pairs(cloud, [np.eye(3)], VIEW)
-    assert tuple(front.rgb[pixel_of(front, [0, 0, 1])]) == tuple(near)
-    # the side view looks along -x: the point with the larger x is nearer
-    assert tuple(side.rgb[pixel_of(side, [1, 0, 1.5])]) == tuple(far)
-
-
-def test_front_and_side_share_the_second_axis() -> None:
-    frame = Rotation.from_rotvec([0.3, -0.4, 0.2]).as_matrix().T
-    front, side = render_pairs(cloud_of([[0, 0, 1], [1, 1, 2]]), [frame], VIEW)
-    np.testing.assert_allclose(front.axes, frame)
-    np.testing.assert_allclose(side.axes, [frame[2], frame[1], -frame[0]])
-    for view in (front, side):
-        assert np.linalg.det(view.axes) == pytest.approx(1)
-
-
 @given(st.floats(-0.5, 60), st.floats(-0.5, 60), st.floats(1, 30), st.floats(1, 30))
 def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: float, height: float) -> None:
     front, _ = render_pairs(cloud_of([[0, 0, 1], [1, 2, 2]]), [np.eye(3)], VIEW)
@@ -62,56 +54,10 @@ def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: fl
     assert again.xyxy == pytest.approx(box.xyxy, abs=1e-9)
 
 
-def test_scale_is_uniform_and_the_longer_side_fills_the_picture() -> None:
-    front, _ = render_pairs(cloud_of([[0, 0, 1], [4, 1, 1]]), [np.eye(3)], VIEW)
-    assert front.rgb.shape[1] == VIEW.size_px
-    assert front.rgb.shape[0] == pytest.approx(VIEW.size_px / 4, abs=2)
-    np.testing.assert_allclose(front.extent_m[0], 4 * 1.1, rtol=1e-6)
-
-
 def test_additional_points_lie_within_the_view() -> None:
     corners = np.array([[-3.0, 0, 1], [3, 0, 1]])
     front, _ = render_pairs(cloud_of([[0, 0, 1], [0.1, 0.1, 1]]), [np.eye(3)], VIEW, corners)
     assert front.origin_m[0] < -3 and front.origin_m[0] + front.extent_m[0] > 3
-
-
-def test_sparse_points_are_drawn_larger_than_dense_ones() -> None:
-    rng = np.random.default_rng(0)
-
-    def covered(n: int) -> float:
-        cloud = PointCloud(rng.uniform(0, 1, (n, 3)).astype(np.float32), np.zeros((n, 3), np.uint8))
-        view = render_pairs(cloud, [np.eye(3)], VIEW)[0]
-        return float((view.rgb[..., 0] == 0).sum()) / n
-
-    assert covered(50) > 20
-    assert covered(20_000) < 1.5
-
-
-def test_a_dense_cloud_is_thinned_and_looks_the_same() -> None:
-    """A wall in two colours, as measured by a depth camera: 13 points per pixel, of which four are drawn."""
-    column, row = np.meshgrid(np.linspace(-1, 1, 380), np.linspace(-1, 1, 350))
-    xyz = np.stack([column, row, 3 + 0.2 * column], axis=-1).reshape(-1, 3).astype(np.float32)
-    rgb = np.where(xyz[:, :1] < 0.2, [[200, 40, 40]], [[40, 40, 200]]).astype(np.uint8)
-    cloud = PointCloud(xyz, rgb)
-    all_of = VIEW.model_copy(update={"points_per_px": 1000.0})
-    for thin, full in zip(
-        render_pairs(cloud, [np.eye(3)], VIEW), render_pairs(cloud, [np.eye(3)], all_of), strict=True
-    ):
-        assert np.shares_memory(thin.xyz_m, xyz) and len(thin.xyz_m) == len(cloud)
-        assert thin.rgb.shape == full.rgb.shape
-        np.testing.assert_allclose(thin.origin_m, full.origin_m, atol=thin.metres_per_px)
-        assert (thin.rgb == full.rgb).all(axis=2).mean() > 0.97
-    numbers = drawn_points(len(cloud), VIEW)
-    assert numbers is not None
-    assert len(numbers) == 4 * VIEW.size_px**2 < len(cloud)
-    assert drawn_points(len(numbers), VIEW) is drawn_points(len(cloud), all_of) is None
-
-
-def test_a_near_splat_covers_a_far_one() -> None:
-    colors = [[255, 0, 0], [0, 255, 0], [9, 9, 9], [9, 9, 9]]
-    points = [[0.5, 0.5, 1], [0.51, 0.5, 2], [0, 0, 3], [1, 1, 3]]
-    front = render_pairs(cloud_of(points, colors), [np.eye(3)], VIEW)[0]
-    assert tuple(front.rgb[pixel_of(front, points[1])]) == (255, 0, 0)
 
 
 def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
@@ -124,7 +70,81 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     assert shown.rgb[0, -1, 0] == BACKGROUND
 
 
-def test_a_single_point_gives_a_picture() -> None:
-    front, side = render_pairs(cloud_of([[0, 0, 1]]), [np.eye(3)], VIEW)
-    assert front.rgb.shape == side.rgb.shape == (100, 100, 3)
-    np.testing.assert_allclose(front.extent_m, VIEW.min_extent_m * 1.1, rtol=0.05)
+# The compiled drawing, compared with plain numpy and OpenCV.
+
+
+VIEWS = 3
+
+
+def reference(xyz, rgb, axes, window, largest_splat_px):
+    """The picture of one view, point by point from far to near."""
+    right, down, depth = axes @ xyz
+    left, top = (window.origin_m - window.metres_per_px / 2).astype(np.float32)
+    scale = np.float32(1 / window.metres_per_px)
+    column = np.clip(((right - left) * scale).astype(int), 0, window.width_px - 1)
+    row = np.clip(((down - top) * scale).astype(int), 0, window.height_px - 1)
+    n, layout = len(depth), KeyLayout.of(len(depth))
+    near = depth.min()
+    level = ((depth - near) * np.float32(layout.scale(float(near), float(depth.max())))).astype(int)
+    order = np.lexsort([-np.arange(n), -level])
+    first = np.full((window.height_px, window.width_px), n, np.float64)
+    rank = np.empty(n)
+    rank[order] = np.arange(n)[::-1]  # the nearest is 0
+    for i in order:
+        first[row[i], column[i]] = rank[i]
+    side = splat_px(n, window, largest_splat_px)
+    first = cv2.erode(first, np.ones((side, side), np.uint8)).astype(int)
+    by_rank = np.append(order[::-1], n)[first]
+    if rgb is not None:
+        return np.concatenate([rgb, np.full((1, 3), BACKGROUND)])[by_rank]
+    grey = 250 - 190 * (np.append(level, 0)[by_rank].astype(np.float32) / layout.levels)
+    return np.repeat(np.where(by_rank == n, BACKGROUND, grey.astype(int))[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("n", [1, 40, 700, 6000])
+def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> None:
+    rng = np.random.default_rng(n)
+    xyz = rng.normal(size=(3, n)).astype(np.float32) * np.float32([[1], [0.3], [0.6]])
+    rgb = rng.integers(0, 255, (n, 3)).astype(np.uint8) if colored else None
+    axes = Rotation.random(VIEWS, rng=rng).as_matrix().astype(np.float32)
+    along = axes @ xyz
+    config = ViewConfig(size_px=64)
+    windows = fit_windows(
+        along[:, :2].min(axis=2).astype(np.float64), along[:, :2].max(axis=2).astype(np.float64), config
+    )
+    depths = np.stack([along[:, 2].min(axis=1), along[:, 2].max(axis=1)], axis=1)
+    pictures = draw_views(xyz, pack_colors(rgb, n), axes, windows, depths, config.max_splat_px)
+    for picture, rows, window in zip(pictures, axes, windows, strict=True):
+        wanted = reference(xyz, rgb, rows, window, config.max_splat_px)
+        assert picture.shape == wanted.shape
+        # another order of summation may move a point across the border of a pixel or depth level
+        differ = (picture != wanted).any(axis=2).mean()
+        assert differ <= 0.002, f"{differ:.2%} of the pixels"
+
+
+# The first step's pictures of frustums that are much deeper than wide.
+
+
+CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))
+
+
+def frustum(depth_m: float) -> PointCloud:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1, 1) for z in (5.0, 5.0 + depth_m)])
+    return PointCloud(corners.astype(np.float32))
+
+
+@pytest.mark.parametrize(("depth_m", "size_px", "look_px"), [(3.9, 96, 0), (4.1, 224, 224), (60.0, 224, 224)])
+def test_a_deep_frustum_is_drawn_and_detected_at_a_larger_size(depth_m: float, size_px: int, look_px: int) -> None:
+    cloud = frustum(depth_m)
+    assert is_deep(cloud, CONFIG) == (size_px == 224)
+    views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
+    assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
+
+
+@pytest.mark.parametrize("degrees", [-60, -35, 0, 35, 60])
+@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+def test_depth_is_measured_along_the_frustum(degrees: float, axis: list[float]) -> None:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)
+    for depth_m, deep in ((3.0, False), (6.0, True), (60.0, True)):
+        assert is_deep(PointCloud(frustum(depth_m).xyz_m @ turn.T), CONFIG) == deep

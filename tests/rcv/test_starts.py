@@ -11,11 +11,9 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import starts
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, ViewConfig
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.typical_size.evidence import Candidates, Evidence
-from annotator.rcv.typical_size.placement import place
-from annotator.rcv.typical_size.sizes import TypicalSize
+from annotator.rcv.typical_size import Candidates, Evidence, place
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 
@@ -117,11 +115,3 @@ def test_a_box_that_does_not_agree_with_the_image_is_not_used(placed: list[int])
     wrong = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], half)])
     _, notes, _ = found(frame, wrong, config_for(FREE, [TYPICAL], True))
     assert placed and starts.NOT_SEEN in notes
-
-
-def test_the_settings_tell_whether_the_detector_is_trained() -> None:
-    assert "trained" not in config_for(FREE, [TYPICAL], False).record()
-    assert config_for(FREE, [TYPICAL], True).record()["trained"] is True
-    assert not RcvConfig().for_detector(BoxKind.BOX, class_agnostic=False, trained=True).trained
-    silhouettes = RcvConfig().for_detector(BoxKind.SILHOUETTE, class_agnostic=True, trained=True)
-    assert "trained" not in silhouettes.record()  # it changes nothing there

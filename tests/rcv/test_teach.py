@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scenes import frame_with, some_box
-from scipy.spatial.transform import Rotation
 
 from annotator.geometry.oriented_box import contains
 from annotator.rcv import teach
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.rcv.teach import TaughtObject, TaughtView, project_box, span_on_view, teach_views
+from annotator.rcv.teach import TaughtObject, TaughtView, project_box, teach_views
 from annotator.types import BoxKind, Frame, OrientedBox, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -84,19 +79,6 @@ def test_silhouettes_contain_the_objects_drawn_points() -> None:
             assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own.astype(float))), abs=1e-3)
 
 
-def test_given_points_replace_those_in_the_box() -> None:
-    frame, objects = two()
-    half = np.zeros(len(frame.cloud), bool)
-    half[:800] = frame.cloud.xyz_m[:800, 1] < 0.1
-    given_points = TaughtObject("left", BOXES[0], half)
-    for item in taught(frame, [given_points], BoxKind.SILHOUETTE):
-        shown = {tuple(point) for point in item.view.xyz_m}
-        own = np.array([point for point in frame.cloud.xyz_m[half] if tuple(point) in shown], float)
-        for box in item.boxes:
-            assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own)), abs=1e-3)
-    assert objects
-
-
 def test_boxes_stay_on_the_picture() -> None:
     frame, objects = two()
     for kind in BoxKind:
@@ -105,17 +87,6 @@ def test_boxes_stay_on_the_picture() -> None:
             for box in item.boxes:
                 assert -0.5 <= box.x_min < box.x_max <= width_px - 0.5
                 assert -0.5 <= box.y_min < box.y_max <= height_px - 0.5
-
-
-def test_pictures_depend_only_on_the_seed() -> None:
-    frame, objects = two()
-    first, again, other = (taught(frame, objects, seed=seed) for seed in (5, 5, 6))
-    assert len(first) == len(again)
-    for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a.view.rgb, b.view.rgb)
-        np.testing.assert_array_equal(a.view.axes, b.view.axes)
-        assert a.boxes == b.boxes
-    assert [item.boxes for item in first] != [item.boxes for item in other]
 
 
 def test_neighbours_in_a_crop_are_labelled_too() -> None:
@@ -151,43 +122,6 @@ def test_an_object_with_few_points_is_left_out() -> None:
     assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
 
 
-def test_the_given_number_of_view_pairs_is_drawn() -> None:
-    frame, objects = two()
-    assert len(taught(frame, objects[:1], draws=9)) == 2 * 9
-    assert len(taught(frame, objects, draws=4)) == 2 * 2 * 4
-    assert taught(frame, []) == []
-
-
-@given(turn=st.integers(0, 2**32 - 1))
-@settings(max_examples=15, deadline=None)
-def test_views_of_upright_objects_are_level(turn: int) -> None:
-    frame, objects = two()
-    for item in taught(frame, objects[:1], draws=2, seed=turn):
-        np.testing.assert_allclose(item.view.axes[1], -UP, atol=1e-9)
-        np.testing.assert_allclose(item.view.axes @ item.view.axes.T, np.eye(3), atol=1e-9)
-
-
-def test_views_of_free_objects_are_from_all_directions() -> None:
-    frame, objects = two()
-    views = taught(frame, objects[:1], draws=40, up=None)
-    down = np.array([item.view.axes[1] for item in views])
-    assert (np.abs(down @ UP) < 0.7).any()
-    assert all(np.linalg.det(item.view.axes) == pytest.approx(1) for item in views)
-
-
-def test_an_object_partly_behind_the_camera_has_views() -> None:
-    """Its frustum contains too little of it, but crops are possible."""
-    frame, _ = frame_with(BOXES[:1], up=UP)
-    near = some_box([0, 0, 0.05], [0, 0, 0], [0.5, 0.5, 0.4])
-    rng = np.random.default_rng(0)
-    xyz = frame.cloud.xyz_m.copy()
-    xyz[:200] = rng.uniform(-0.2, 0.2, (200, 3)) * [1, 1, 0.5] + [0, 0, 0.15]
-    moved = replace(frame, cloud=replace(frame.cloud, xyz_m=xyz))
-    views = taught(moved, [TaughtObject("near", near)], draws=20)
-    assert 0 < len(views) < 40
-    assert all(item.boxes for item in views)
-
-
 def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale: float) -> PseudoView:
     picture = np.zeros((height_px, width_px, 3), np.uint8)
     return PseudoView(picture, np.eye(3), scale, np.array(origin_m), np.zeros((1, 3), np.float32))
@@ -214,27 +148,6 @@ def test_a_projected_box_is_clipped_to_the_view(center: list[float], expected: t
         assert found is not None
         assert found.xyxy == pytest.approx(expected)
         assert found.label == "a"
-
-
-def test_points_without_extent_have_no_box() -> None:
-    view = view_of(100, 60, (-0.495, -0.295), 0.01)
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0]]), "a") is None
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]]), "a") is None
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.001, 0.001, 1.0]]), "a") is None
-    found = span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 1.0]]), "a")
-    assert found is not None
-    assert found.xyxy == pytest.approx((49.5, 29.5, 59.5, 39.5))
-
-
-def test_a_rotated_box_has_the_extent_of_its_corners() -> None:
-    view = view_of(100, 60, (-0.495, -0.295), 0.01)
-    turned = OrientedBox.from_parts(
-        np.array([0.0, 0.0, 3.0]), Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix(), np.array([0.2, 0.2, 0.1])
-    )
-    found = project_box(view, turned, "a")
-    assert found is not None
-    assert found.width_px == pytest.approx(20 * np.sqrt(2))
-    assert found.height_px == pytest.approx(20 * np.sqrt(2))
 
 
 def test_views_that_show_a_doubtful_object_are_left_out() -> None:

@@ -7,20 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_first_look import AnyClass
+from test_warm_start import AnyClass
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import finish
-from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
-from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
-from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, place
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors
@@ -129,16 +127,6 @@ def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
     assert (rough >= change - 1e-9).all()
 
 
-def test_the_box_between_plausible_ones_has_the_highest_expected_iou() -> None:
-    candidates = moved(BOX, (-0.1, 0, 0), (0, 0, 0), (0.1, 0, 0), (3.0, 0, 0))
-    even, iou = best_expected(candidates, np.array([1.0, 0.999, 1.0, 0.5]))
-    assert 0.5 < iou < 0.9
-    assert even.center_m == pytest.approx(BOX.center_m)
-    sure, iou = best_expected(candidates, np.array([1.0, 0.0, 0.0, 2.0]))
-    assert iou == pytest.approx(1, abs=1e-3)
-    assert sure.center_m == pytest.approx(BOX.center_m + np.array([3.0, 0, 0]))
-
-
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])
 def test_a_box_of_typical_size_is_placed_without_a_detector(up: np.ndarray | None, least: float) -> None:
     wall = np.column_stack([np.random.default_rng(0).uniform(-1.5, 1.5, (600, 2)), np.full(600, 4.5)])
@@ -152,35 +140,6 @@ def test_a_box_of_typical_size_is_placed_without_a_detector(up: np.ndarray | Non
         assert placed.rotation[:, :, 2] @ up == pytest.approx(np.ones(BY_SCORE))
     again = place(evidence)
     assert np.array_equal(again.center_m, placed.center_m)
-
-
-def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
-    """The same image box may be a small near object or a large far one."""
-    far = OrientedBox.from_parts(BOX.center_m * 2, BOX.rotation, BOX.size_m * 2)
-    cloud = np.concatenate([surface(BOX)[::2], surface(far)[::2]])
-    image_box = box_on_image(CAMERA, BOX, "crate")
-    for truth in (BOX, far):
-        length, width, height = (float(side) for side in truth.size_m)
-        typical = TypicalSize(label="crate", size_m=(length, width, height), spread=(0.1, 0.1, 0.1))
-        evidence = Evidence.of(CAMERA, cloud, image_box, as_drawn(image_box), typical, UP)
-        assert evidence is not None
-        best = place(evidence).boxes[0]
-        assert iou_3d(best, truth) > 0.6
-
-
-def test_distinct_boxes_overlap_little() -> None:
-    candidates = moved(BOX, (0, 0, 0), (0.01, 0, 0), (0, 0, 1.0), (0, 0, 1.01), (0, 0, 2.0))
-    chosen = distinct(candidates, 3, 0.5)
-    assert [box.center_m[2] for box in chosen] == pytest.approx([3.0, 4.0, 5.0])
-    assert len(distinct(candidates, 2, 0.5)) == 2
-
-
-def test_changed_boxes_stay_upright_and_near() -> None:
-    new = changed(Candidates.of([BOX]), evidence_of(BOX), 50, 1.0, np.random.default_rng(0))
-    assert len(new) == 50
-    assert new.rotation[:, :, 2] @ UP == pytest.approx(np.ones(50))
-    assert np.linalg.norm(new.center_m - BOX.center_m, axis=1).max() < BOX.size_m.max()
-    assert np.abs(np.log(new.size_m / BOX.size_m)).max() < 0.4
 
 
 def test_a_given_size_counts_more_than_the_name() -> None:
@@ -202,15 +161,6 @@ def test_an_image_box_where_the_distortion_has_no_inverse_gives_no_evidence() ->
     inner = Evidence.of(camera, xyz, middle, as_drawn(middle), TYPICAL, UP)
     assert inner is not None
     assert np.isfinite(inner.score(Candidates.of([BOX]))).all()
-
-
-def test_sizes_are_recorded_only_if_they_are_used() -> None:
-    config = config_for(TYPICAL).model_copy(update={"reviewed_sizes": (TYPICAL,)})
-    assert "typical_sizes" in config.record()
-    assert "reviewed_sizes" not in config.record()
-    for unused in (config_for(TYPICAL, use=False), config.for_detector(BoxKind.SILHOUETTE, True)):
-        assert "typical_sizes" not in unused.record()
-        assert unused.typical_size("crate") is None
 
 
 class Blind:

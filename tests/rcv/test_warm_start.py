@@ -1,8 +1,9 @@
-"""Warm starts: a correct start box saves steps, a wrong one costs only time."""
+"""Warm starts from an earlier box, and the first look of a class-agnostic detector."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
-from annotator.rcv.config import Orientation, RcvConfig, Strategy, WarmConfig
-from annotator.rcv.propose import propose
-from annotator.rcv.warm_start import WARM_START, WarmStart, is_warm, match_warm_starts
-from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, Proposal, PseudoView
+from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig, Strategy
+from annotator.rcv.first_look import Outline, depth_crops, expected_outline, image_planes
+from annotator.rcv.propose import propose, propose_from_boxes
+from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, Proposal
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recorded.reading import load_truth
 
 UP = np.array([0.0, -1.0, 0.0])
 BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
@@ -58,31 +64,6 @@ def test_a_good_start_box_takes_one_step_of_six_views() -> None:
     # the start box counts as a measurement, so it still has an effect after one step
     assert iou_3d(found.box, BOX) > 0.94
     assert found.trace[0].fallback == (WARM_START,)
-
-
-def test_the_setting_seed_doubt_controls_the_weight_of_the_start_box() -> None:
-    start_box = changed(BOX, [0.03, 0.02, -0.04], [0.05, -0.1, 0.05])
-
-    def iou(seed_doubt: float) -> float:
-        config = RcvConfig(warm=WarmConfig(seed_doubt=seed_doubt, max_steps=1))
-        return iou_3d(run(start_box, config)[0].box, BOX)
-
-    assert iou(0.005) < iou(0.05) < iou(100.0)
-    assert iou(100.0) > 0.999
-
-
-@pytest.mark.parametrize("jitter", [0.0, 0.02])
-def test_two_steps_are_enough_if_the_object_has_rotated(jitter: float) -> None:
-    found, pictures = run(changed(BOX, [0.02, 0.0, 0.0], [0.3, 0.1, -0.2]), jitter=jitter)
-    assert is_warm(found)
-    assert pictures == [6, 6]
-    assert iou_3d(found.box, BOX) > (0.94 if jitter == 0 else 0.75)
-
-
-def test_a_start_box_is_moved_to_the_image_box() -> None:
-    found, _ = run(changed(BOX, [0.2, 0.0, 0.0]))
-    assert is_warm(found)
-    assert iou_3d(found.box, BOX) > 0.99
 
 
 @pytest.mark.parametrize(
@@ -160,22 +141,124 @@ def test_tilted_start_boxes_give_upright_boxes_from_silhouettes(strategy: Strate
     assert abs(found.box.rotation[:, 2] @ UP) > 1 - 1e-9
 
 
-def test_an_object_without_points_around_the_start_box_starts_from_its_frustum() -> None:
-    found, _ = run(changed(BOX, [0.0, 0.0, 8.0]), RcvConfig.model_validate({"warm": {"min_image_iou": 0.01}}))
-    assert "too few" in found.trace[0].fallback[0]
-    assert iou_3d(found.box, BOX) > 0.99
+# The first look of a class-agnostic detector: crops along the depth, bounds from the image box, choice of a rival.
 
 
-def test_an_object_without_view_detections_is_lost_despite_a_warm_start() -> None:
-    frame, truths = frame_with([BOX])
-    perfect = PerfectDetector.for_frame(frame, truths)
+SQUARE_CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
+DRAWN_BOX = OrientedBox.from_parts(np.array([0.1, -0.05, 2.0]), np.eye(3), np.array([0.4, 0.5, 0.3]))
 
-    class Blind(Calls):
+
+class AnyClass:
+    """A class-agnostic detector that gives the boxes of another detector under the names of what they measure."""
+
+    labels = tuple(AGNOSTIC_LABELS.values())
+    fingerprint = "any class"
+
+    def __init__(self, detector: Detector, kind: BoxKind = BoxKind.BOX) -> None:
+        self._detector, self._kind = detector, kind
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        label = AGNOSTIC_LABELS[self._kind]
+        return [[replace(box, label=label) for box in boxes] for boxes in self._detector.detect(images)]
+
+
+def first_look(orientation: Orientation) -> RcvConfig:
+    """Settings with which no class has a typical size."""
+    look = FirstLookConfig(use_typical_sizes=False)
+    return RcvConfig(orientation=orientation, first_look=look).for_detector(BoxKind.BOX, class_agnostic=True)
+
+
+def points_at(depths_m: Sequence[float], count: int = 200) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    layers = [np.column_stack([rng.uniform(-0.1, 0.1, (count, 2)) * z, np.full(count, z)]) for z in depths_m]
+    return np.concatenate(layers).astype(np.float32)
+
+
+def test_each_layer_of_depth_gets_a_crop() -> None:
+    image_box = Box2D("object", 130.0, 90.0, 190.0, 150.0)
+    layers = (1.0, 2.0, 3.0, 5.0)
+    xyz = points_at(layers)
+    crops = depth_crops(SQUARE_CAMERA, xyz, image_box, FirstLookConfig(), 5)
+    assert [sorted(set(xyz[crop, 2].tolist())) for crop in crops] == [[depth] for depth in layers]
+    assert depth_crops(SQUARE_CAMERA, xyz, image_box, FirstLookConfig(), len(xyz)) == []
+
+
+def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
+    outline = box_on_image(SQUARE_CAMERA, DRAWN_BOX, "object")
+    planes = image_planes(SQUARE_CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
+    heights = box_corners(DRAWN_BOX) @ planes.directions.T
+    assert len(planes.directions) == 4
+    assert heights.max(axis=0) == pytest.approx(0, abs=1e-9)
+    assert np.isinf(planes.sigma_m[:, 0]).all()
+    assert planes.sigma_m[:, 1] == pytest.approx(2 * 2.0 / 260, rel=0.1)
+
+
+def test_the_outline_of_a_whole_box_lies_outside_what_is_seen() -> None:
+    config, image_box = RcvConfig(), Box2D("object", 100.0, 50.0, 200.0, 239.0)
+    for image_kind, kind in ((BoxKind.BOX, BoxKind.BOX), (BoxKind.SILHOUETTE, BoxKind.SILHOUETTE)):
+        same = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(kind, True, image_kind))
+        assert same.box is image_box and same.sigma_px == pytest.approx(2.0)
+    whole = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(BoxKind.BOX, True, BoxKind.SILHOUETTE))
+    room = config.first_look.silhouette_room
+    # the object may go on beyond the lower border of the image
+    assert whole.box.xyxy == pytest.approx((100 - 100 * room, 50 - 189 * room, 200 + 100 * room, 239.0))
+    assert (whole.sigma_px > 2).all()
+
+
+@pytest.mark.parametrize(("name", "least"), [("people", 0.85), ("hands", 0.75)])
+def test_objects_of_any_class_are_measured(
+    generated, knowing: Callable[..., Detectors], name: str, least: float
+) -> None:
+    recording = open_recording(generated / name)
+    frame = recording.frame(0)
+    truths = load_truth(recording, 0, frame)
+    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
+    orientation = Orientation.UPRIGHT if name == "people" else Orientation.FREE
+    config = first_look(orientation)
+    view = AnyClass(knowing(name).view)
+    (result,) = propose_from_boxes([frame], [boxes], view, config)
+    assert len(result.proposals) == len(truths)
+    for proposal in result.proposals:
+        truth = truths[[box is proposal.image_box for box in boxes].index(True)]
+        assert iou_3d(proposal.box, truth.box) > least
+        assert proposal.label == truth.label
+        assert {box.label for step in proposal.trace for view in step.views for box in view.boxes} == {truth.label}
+    # the detector's other class is not used
+    (none,) = propose_from_boxes([frame], [boxes], AnyClass(knowing(name).view, BoxKind.SILHOUETTE), config)
+    assert none.proposals == ()
+    assert len(none.lost) == len(truths)
+
+
+def test_a_detector_of_the_class_sees_no_crops(generated, knowing: Callable[..., Detectors]) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    truths = load_truth(recording, 0, frame)
+    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
+    seen: list[int] = []
+
+    class Counting(AnyClass):
         def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            assert all(isinstance(image, PseudoView) for image in images)
-            return [[] for _ in images]
+            seen.append(len(images))
+            return self._detector.detect(images)
 
-    assert isinstance(frame, Frame)
-    result = propose([frame], perfect, Blind(perfect), RcvConfig(), [[WarmStart("thing", BOX)]])[0]
-    (lost,) = result.lost
-    assert lost.trace[0].fallback == (f"{WARM_START}: the views do not show the object",)
+    for class_agnostic in (False, True):
+        config = RcvConfig(orientation=Orientation.UPRIGHT).for_detector(BoxKind.BOX, class_agnostic)
+        propose_from_boxes([frame], [boxes], Counting(knowing("people").view), config)
+        first = seen.copy()[0]
+        seen.clear()
+        assert (first == 2 * len(boxes)) is not class_agnostic
+
+
+def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Callable[..., Detectors]) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    truth = load_truth(recording, 0, frame)[0]
+    image_box = box_on_image(frame.camera, truth.box, truth.label)
+    config = first_look(Orientation.UPRIGHT)
+    view = AnyClass(knowing("people").view)
+    good = WarmStart(truth.label, truth.box)
+    wrong = WarmStart(truth.label, OrientedBox(truth.box.pose, truth.box.size_m * [1, 1, 0.4]))
+    for start, dropped in ((good, False), (wrong, True)):
+        (result,) = propose_from_boxes([frame], [[image_box]], view, config, [[start]])
+        assert iou_3d(result.proposals[0].box, truth.box) > 0.85
+        assert result.proposals[0].trace[0].fallback[0].startswith("warm start: ") == dropped

@@ -125,13 +125,6 @@ def test_another_object_is_not_followed() -> None:
     assert all(iou_3d(a.box, b.box) > 0.99 for a, b in zip(alone, both, strict=True))
 
 
-def test_points_where_a_frame_shows_something_farther_are_not_there() -> None:
-    frame, _ = shown(0.0)
-    seen, _ = drawn(frame)
-    in_front, behind, beside = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.3], [1.0, 0.0, 0.0]]) + CENTER
-    assert seen.may_be_at(np.stack([in_front, behind, beside])).tolist() == [False, True, False]
-
-
 def of_points(xyz_m: np.ndarray, up: np.ndarray | None = UP) -> list[Offered]:
     """What is offered for an object of which one frame shows these points."""
     cloud = PointCloud(xyz_m.astype(np.float32))

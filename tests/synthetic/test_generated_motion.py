@@ -6,17 +6,12 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
-from annotator.synthetic.furniture import HALF_WIDTH_M
-from annotator.synthetic.gestures import Reach, elbow_m, hand_moments
-from annotator.synthetic.looks import HAIR_STYLES, random_looks
+from annotator.synthetic.hands import Reach, hand_moments
 from annotator.synthetic.materials import Palette
-from annotator.synthetic.people import body_mesh
-from annotator.synthetic.pose import GESTURES, Pose, from_vector, gesturing, to_vector, walking
-from annotator.synthetic.room import furnished_room
+from annotator.synthetic.objects import HALF_WIDTH_M
+from annotator.synthetic.scene import furnished_room
 
 ZONE = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0), (0.9, 4.2, 2.0, 5.0)))
 
@@ -44,57 +39,11 @@ def test_people_avoid_each_other_and_the_furniture(walk: tuple[np.ndarray, ...])
         assert not ((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)).any()
 
 
-def test_people_walk_turn_and_gesture(walk: tuple[np.ndarray, ...]):
-    places, yaws, _, gestures = walk
-    assert (np.ptp(places, axis=0) > 1.0).any(axis=1).all()
-    assert (np.ptp(yaws, axis=0) > np.pi).all()
-    assert len(gestures) > 5
-
-
 def test_motion_is_continuous(walk: tuple[np.ndarray, ...]):
     places, yaws, joints, _ = walk
     assert np.linalg.norm(np.diff(places, axis=0), axis=2).max() < 0.25  # 2.5 m/s
     assert np.abs(np.diff(yaws, axis=0)).max() < 0.3
     assert np.abs(np.diff(joints, axis=0)).max() < 0.81
-
-
-@given(st.lists(st.floats(-3, 3), min_size=16, max_size=16))
-def test_a_pose_is_recovered_from_its_vector(values: list[float]):
-    np.testing.assert_array_equal(to_vector(from_vector(np.array(values))), values)
-
-
-@pytest.mark.parametrize("kind", range(len(GESTURES)))
-def test_every_body_stands_on_the_floor(kind: int):
-    palette, random = Palette(), np.random.default_rng(kind)
-    looks = random_looks(palette, random, HAIR_STYLES[kind % len(HAIR_STYLES)])
-    for pose in (Pose(), gesturing(kind, 0.7), walking(0.9 * kind, 1.0)):
-        mesh = body_mesh(looks, pose, 4)
-        assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-5)
-        assert 0.9 < mesh.vertices[:, 2].max() < 2.5
-        assert set(mesh.track) == {4}
-    assert body_mesh(looks, Pose(), 1).vertices[:, 2].max() == pytest.approx(looks.height_m, rel=0.05)
-
-
-def test_a_gait_is_symmetric_in_left_and_right():
-    one, other = walking(0.4, 1.0), walking(0.4 + np.pi, 1.0)
-    np.testing.assert_allclose([one.left_leg.hip, one.left_leg.knee], [other.right_leg.hip, other.right_leg.knee])
-    assert one.left_arm.flex == pytest.approx(other.right_arm.flex)
-    assert one.left_arm.flex * one.left_leg.hip < 0  # arms swing against the legs
-
-
-@given(st.integers(0, 10_000), st.floats(-3, 3), st.floats(0.1, 0.56))
-def test_arm_bones_keep_their_lengths(seed: int, swivel: float, distance: float):
-    direction = np.random.default_rng(seed).normal(size=3)
-    direction /= np.linalg.norm(direction)
-    if (
-        max(abs(direction[2]), abs(direction[0])) > 0.999
-    ):  # parallel to a reference direction: the elbow's side is undefined
-        return
-    shoulder = np.array([0.2, 1.0, 1.4])
-    wrist = shoulder + distance * direction
-    elbow = elbow_m(shoulder, wrist, 0.31, 0.26, swivel, np.array([1.0, 0.0, 0.0]))
-    assert np.linalg.norm(elbow - shoulder) == pytest.approx(0.31, abs=1e-9)
-    assert np.linalg.norm(wrist - elbow) == pytest.approx(0.26, abs=1e-9)
 
 
 def test_hands_move_smoothly_stay_apart_and_rotate_freely():

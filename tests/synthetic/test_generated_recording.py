@@ -70,17 +70,6 @@ def test_the_truth_is_in_a_separate_folder_and_fits_the_measured_points(generate
             assert contains(truth.box, points).sum() > 0.5 * contains(truth.box, frame.cloud.xyz_m).sum()
 
 
-def test_boxes_of_people_are_upright_and_those_of_hands_are_not(generated: dict[str, Path]):
-    for preset, upright in (("people", True), ("hands", False)):
-        up = open_recording(generated[preset]).frame(0).up
-        truths = [t for ts in read_boxes(generated[preset] / "truth" / "boxes.json").values() for t in ts]
-        tilts = [float(truth.box.rotation[:, 2] @ up) for truth in truths]
-        assert all(tilt == pytest.approx(1, abs=1e-6) for tilt in tilts) == upright
-        sizes = np.array([truth.box.size_m for truth in truths])
-        low, high = (0.9, 2.5) if upright else (0.05, 0.25)
-        assert ((sizes.max(axis=1) > low) & (sizes.max(axis=1) < high)).all()
-
-
 def test_the_depth_is_in_millimetres_with_holes(generated: dict[str, Path]):
     frame = open_recording(generated["people"]).frame(0)
     assert 0.5 < (frame.depth_m > 0).mean() < 0.995
@@ -93,18 +82,6 @@ def test_equal_seeds_give_equal_bytes_and_other_seeds_do_not(generated: dict[str
     write_generated(tmp_path / "other", "people", 1, seed=4, **SIZE)
     one, other = (contents(folder)["color/000000.jpg"] for folder in (tmp_path / "again", tmp_path / "other"))
     assert one != other
-
-
-def test_a_longer_recording_begins_like_a_shorter_one(generated: dict[str, Path], tmp_path: Path):
-    write_generated(tmp_path / "short", "hands", 1, seed=3, **SIZE)
-    for name in ("color/000000.jpg", "depth/000000.png", "truth/mask/000000.png"):
-        assert contents(tmp_path / "short")[name] == contents(generated["hands"])[name]
-
-
-def test_progress_is_reported(tmp_path: Path):
-    seen: list[tuple[int, int]] = []
-    write_generated(tmp_path / "r", "hands", 2, 0, 32, 24, report=lambda done, all_: seen.append((done, all_)))
-    assert seen == [(1, 2), (2, 2)]
 
 
 def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):

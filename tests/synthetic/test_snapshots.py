@@ -11,7 +11,7 @@ from annotator.synthetic.materials import Palette
 from annotator.synthetic.objects import FAMILIES, random_object
 from annotator.synthetic.snapshots import MIN_POINTS, Snapshot, snapshot
 
-SEEDS = range(24)
+SEEDS = range(12)
 
 
 @pytest.fixture(scope="module")

@@ -183,7 +183,7 @@ def test_steps_are_answered_without_storing_anything(live: Live, generated: Path
 def test_review_tools_render_fit_and_copy(
     live: Live, project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path / "none")
+    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path / "none")
     found = live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 128}).json()
     assert [view["name"] for view in found["views"]] == ["top", "front", "side"]
     assert all((view["width"], view["height"]) == (128, 128) for view in found["views"])

@@ -61,7 +61,7 @@ libc.fflush(out)
 late = {"numba", "viser"}
 print("loaded late:", sorted(late & set(sys.modules)))
 preload().join()
-from annotator.geometry.kernels.points_in_box import points_in_box
+from annotator.geometry.kernels import points_in_box
 print("loaded ahead:", sorted(late & set(sys.modules)), bool(points_in_box.signatures))
 """
 

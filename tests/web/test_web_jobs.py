@@ -23,8 +23,8 @@ from live_server import PATIENCE_S, ended, look, running
 from room_api import ROOM
 from test_events import listen, next_of
 
-from annotator.detection import base_detector
-from annotator.detection.base_detector import TITLE
+from annotator.detection import pretrained
+from annotator.detection.pretrained import TITLE
 from annotator.project import WriteContext, open_project
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
@@ -357,7 +357,7 @@ class AnyClass:
 
 @pytest.fixture
 def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
-    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, base_detector.NAME)
+    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, pretrained.NAME)
 
 
 def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
@@ -396,7 +396,7 @@ def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_
     assert named() == (None, None)
     (tmp_path / "base").mkdir()
     (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "base")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
     assert named() == (TITLE, TITLE)
     project = live.context.project("room")
     weights = project.path / "models" / "own.pt"

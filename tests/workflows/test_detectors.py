@@ -12,7 +12,7 @@ import pytest
 
 from annotator.project import Project
 from annotator.project.classes import edit
-from annotator.rcv.warm_start import is_warm
+from annotator.rcv.starts import is_warm
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 from annotator.workflows.detectors import active_detectors, image_model, load_detector
@@ -71,11 +71,10 @@ from annotator.workflows.warm_up import warm_up
 
 warm_up()
 compiled = {}
-for package in (of_geometry, of_rcv):
-    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
-        for name, value in vars(import_module(module.name)).items():
-            if hasattr(value, "signatures") and not name.startswith("_"):
-                compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
+for module in KERNELS:
+    for name, value in vars(import_module(module)).items():
+        if hasattr(value, "signatures") and not name.startswith("_"):
+            compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
 print(json.dumps(compiled))
 """
 

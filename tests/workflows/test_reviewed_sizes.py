@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.typical_size.sizes import typical_size
+from annotator.rcv.config import typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError

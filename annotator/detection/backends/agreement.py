@@ -25,8 +25,7 @@ from jaxtyping import Float, UInt8
 
 from annotator.detection.backends.export import export
 from annotator.detection.backends.network import Answer, Network
-from annotator.detection.backends.raw_network import raw_network
-from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.backends.torch_network import TorchNetwork, raw_network
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
 
@@ -74,11 +73,7 @@ class Agreements:
     def __init__(self, weights: Path, images: UInt8[np.ndarray, "n h w 3"]) -> None:
         """
         Args:
-            weights: weights file of the network.
             images: RGB images; height and width are multiples of the network's stride.
-
-        Raises:
-            DetectionError: the packages cannot be loaded, or torch cannot run the network.
         """
         self._weights, self._images = weights, images
         torch = TorchNetwork(weights, pick_device("cpu"))
@@ -94,7 +89,6 @@ class Agreements:
 
         Raises:
             BackendMissingError: the backend is not installed or not supported by the CPU.
-            DetectionError: the backend fails, or its output has another shape.
         """
         network = open_network(self._weights)
         reference = "float64"
@@ -139,8 +133,7 @@ def openers(cuda_devices: Sequence[str]) -> dict[str, Callable[[Path], Network]]
     exported = lru_cache(export)  # used for both precisions of OpenVINO
 
     def openvino_network(weights: Path, *, bfloat16: bool) -> Network:
-        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
-        from annotator.detection.backends.openvino_network import OpenVinoNetwork
+        from annotator.detection.backends.openvino_network import OpenVinoNetwork, computes_bfloat16, openvino
 
         if find_spec("openvino") is None:
             raise BackendMissingError("not installed")

@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export, one_at_a_time
+from annotator.detection.backends.export import Export, export, export_key, find_export, keep_export, one_at_a_time
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
@@ -50,22 +50,21 @@ def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, ba
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
     # Imported here, so that only the packages of the backend in use are loaded.
     if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_api import computes_bfloat16
-        from annotator.detection.backends.openvino_network import OpenVinoNetwork
+        from annotator.detection.backends.openvino_network import OpenVinoNetwork, computes_bfloat16
 
         if backend == "openvino-bf16" and not computes_bfloat16():
             if config.backend == backend:
                 raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
             backend = "openvino"
-        export = _exported(weights, weights_sha256, "openvino")
-        return OpenVinoNetwork(export.facts, export.parts, config.threads, bfloat16=backend == "openvino-bf16")
+        exported = _exported(weights, weights_sha256, "openvino")
+        return OpenVinoNetwork(exported.facts, exported.parts, config.threads, bfloat16=backend == "openvino-bf16")
     if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import OnnxNetwork
 
         if find_spec("onnxruntime") is None:  # reported before the slow export
             raise MissingExtraError("onnxruntime", "onnx")
-        export = _exported(weights, weights_sha256, backend)
-        return OnnxNetwork(export.facts, export.parts, config.threads)
+        exported = _exported(weights, weights_sha256, backend)
+        return OnnxNetwork(exported.facts, exported.parts, config.threads)
     from annotator.detection.backends.torch_network import TorchNetwork
     from annotator.detection.ultralytics_api import pick_device
 
@@ -80,8 +79,6 @@ def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
     with one_at_a_time():
         cached = find_export(kind, key)  # another process may have finished it meanwhile
         if cached is None:
-            from annotator.detection.backends.export import export
-
             LOG.info("%s: converting for %s; the result is reused", weights, kind)
             facts, parts = export(weights, kind)
             cached = Export(facts, parts)
@@ -113,10 +110,6 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
     """The backend that `open_network` would choose for a network that all backends support, and the reason.
 
     Loads the packages of each candidate until one loads without an error.
-
-    Raises:
-        ConfigError: the backend cannot use the device.
-        DetectionError: no backend can be loaded.
     """
     choices, reasons = _choices(config), list[str]()
     if config.device == "auto":
@@ -132,7 +125,7 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 def _loaded(backend: Backend, reasons: list[str]) -> Backend:
     """Loads the packages of a backend and appends the reasons; returns openvino for openvino-bf16 without bfloat16."""
     if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
+        from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
 
         openvino()
         reasons.append("OpenVINO is the fastest on x86 processors")
@@ -141,7 +134,7 @@ def _loaded(backend: Backend, reasons: list[str]) -> Backend:
             reasons.append("this processor supports bfloat16" if has_bfloat16 else "this processor has no bfloat16")
             return backend if has_bfloat16 else "openvino"
     elif backend == "onnxruntime":
-        from annotator.detection.backends.onnx_api import onnxruntime
+        from annotator.detection.backends.onnx_network import onnxruntime
 
         onnxruntime()
         if find_spec("openvino") is None:

@@ -1,17 +1,40 @@
-"""A network on ONNX Runtime, for machines without OpenVINO."""
+"""A network on ONNX Runtime, for machines without OpenVINO. Only this module imports it; its telemetry is off."""
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from annotator.detection.backends.cores import Image, rejoined, side_by_side, single, usable_cores
-from annotator.detection.backends.network import Answer, Batch, NetworkFacts
-from annotator.detection.backends.onnx_api import onnxruntime
+from annotator.detection.backends.network import (
+    Answer,
+    Batch,
+    Image,
+    NetworkFacts,
+    rejoined,
+    side_by_side,
+    single,
+    usable_cores,
+)
 from annotator.detection.config import Backend
-from annotator.types.errors import DetectionError
+from annotator.types.errors import DetectionError, MissingExtraError
+
+# Read on import. If it is not set, the official builds send telemetry and store an id and a database in the user's
+# home.
+SWITCH = "ORT_DISABLE_TELEMETRY"
+
+
+def onnxruntime() -> Any:
+    """The module `onnxruntime`, loaded on the first call."""
+    os.environ.setdefault(SWITCH, "1")
+    try:
+        import onnxruntime as module
+    except ImportError as error:
+        raise MissingExtraError("onnxruntime", "onnx") from error
+    return module
+
 
 ERRORS_ONLY = 3  # ONNX Runtime's log severity
 
@@ -21,8 +44,6 @@ class OnnxNetwork:
 
     Attributes:
         backend: "onnxruntime".
-        device: "cpu".
-        facts: its classes, stride and kind of output.
     """
 
     backend: Backend = "onnxruntime"
@@ -31,13 +52,8 @@ class OnnxNetwork:
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """
         Args:
-            facts: its classes, stride and kind of output.
             parts: files of its export: network.onnx.
             threads: CPU threads; None: all cores that the process may use.
-
-        Raises:
-            DetectionError: ONNX Runtime cannot read the export.
-            MissingExtraError: it is not installed.
         """
         self.facts = facts
         self._threads = threads or usable_cores()

@@ -1,4 +1,4 @@
-"""A network on OpenVINO, the fastest backend on x86 processors.
+"""A network on OpenVINO, the fastest backend on x86 processors. Only this module imports it; its telemetry is off.
 
 The network is compiled for each canvas size on first use, for single images and for batches. Compiled once with
 dynamic sizes, it takes about 1.5 times as long per image (docs/detector_backends.md), and a detector uses few sizes.
@@ -7,20 +7,71 @@ dynamic sizes, it takes about 1.5 times as long per image (docs/detector_backend
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from annotator.detection.backends.cores import rejoined, side_by_side, single, usable_cores
-from annotator.detection.backends.network import Answer, Batch, NetworkFacts
-from annotator.detection.backends.openvino_api import openvino
+from annotator.detection.backends.network import (
+    Answer,
+    Batch,
+    NetworkFacts,
+    rejoined,
+    side_by_side,
+    single,
+    usable_cores,
+)
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError
+
+# OpenVINO imports this package when it loads. The package sends telemetry and stores an id in the user's home. OpenVINO
+# works without it.
+TELEMETRY = "openvino_telemetry"
+
+_LOCK = threading.Lock()
+
+
+def openvino() -> Any:
+    """The module `openvino`, loaded on the first call."""
+    with _LOCK:
+        return _load()
+
+
+def computes_bfloat16() -> bool:
+    """Whether the CPU has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2) and OpenVINO uses them."""
+    runtime = openvino()
+    try:
+        return "BF16" in runtime.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    except RuntimeError as error:
+        reason = (str(error).strip() or "no reason given").splitlines()[-1]
+        raise DetectionError(f"OpenVINO cannot use the processor ({reason}); use the backend torch") from error
+
+
+@lru_cache(maxsize=1)
+def _load() -> Any:
+    hidden = TELEMETRY not in sys.modules
+    if hidden:
+        sys.modules[TELEMETRY] = None  # type: ignore[assignment]  # None makes an import of it fail
+    try:
+        import openvino as module
+        import openvino.tools.ovc.convert_impl  # else the first conversion imports it with telemetry
+    except ImportError as error:
+        raise DetectionError(f"OpenVINO cannot be loaded ({error}); run: pip install openvino") from error
+    finally:
+        if hidden:
+            del sys.modules[TELEMETRY]
+    # The bindings initialise their numpy support on first use. If two threads do this at once, they deadlock: one holds
+    # Python's lock, the other the bindings' own. So it is done here.
+    module.Type.u8.to_dtype()
+    _ = module.Tensor(np.zeros(1, np.uint8)).data
+    return module
+
 
 LOG = logging.getLogger("annotator.detectors")
 
@@ -51,8 +102,6 @@ class OpenVinoNetwork:
 
     Attributes:
         backend: "openvino", or "openvino-bf16" in half precision.
-        device: "cpu".
-        facts: its classes, stride and kind of output.
     """
 
     device = "cpu"
@@ -62,13 +111,9 @@ class OpenVinoNetwork:
     ) -> None:
         """
         Args:
-            facts: its classes, stride and kind of output.
             parts: files of its export: network.xml and network.bin.
             threads: CPU threads; None: all cores that the process may use.
             bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
-
-        Raises:
-            DetectionError: OpenVINO is missing or cannot read the export.
         """
         self.backend: Backend = "openvino-bf16" if bfloat16 else "openvino"
         self.facts = facts

@@ -34,7 +34,7 @@ from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read
 from annotator.project.database.schema import events
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, explained
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
-from annotator.types.names import first_few
+from annotator.types.messages import first_few
 
 # What a backup leaves free on the disk, bytes.
 SPARE_BYTES = 2**25

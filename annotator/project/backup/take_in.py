@@ -36,8 +36,8 @@ from annotator.project.database.schema import events, frames, models, recordings
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
 from annotator.project.log.writing import Writer
 from annotator.project.recordings import KEPT, Recordings
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
+from annotator.types.messages import amount
 
 # --- a copy without labels --------------------------------------------------------------------------------------------
 

@@ -36,9 +36,8 @@ from annotator.project.database.schema import (
 )
 from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
 from annotator.project.log.derived import rebuild
-from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 
 MOST_NAMED = 3
 # The columns that identify a row of a derived table, and those that a rebuild may number anew.

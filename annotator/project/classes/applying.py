@@ -31,9 +31,9 @@ from annotator.project.log.records import (
     said_json,
     said_of,
 )
-from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
 
 CHANGED = "classes_changed"
 _BATCH = 2000

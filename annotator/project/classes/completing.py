@@ -29,7 +29,7 @@ from annotator.project.log.records import SaidRecord, parsed, said_of, track_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 
 Values = dict[str, AttributeValue]
 

@@ -18,8 +18,7 @@ from annotator.project.classes.attributes import (
 )
 from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
-from annotator.types.names import alternatives
-from annotator.types.validation import first_problem
+from annotator.types.messages import alternatives, first_problem
 
 
 @dataclass(frozen=True)

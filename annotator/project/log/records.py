@@ -19,8 +19,7 @@ from pydantic_core import PydanticSerializationError
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
 from annotator.types.errors import RESTORE, ProjectError
-from annotator.types.label import Said
-from annotator.types.proposal import Matrix3
+from annotator.types.label import Matrix3, Said
 
 ROTATION_TOLERANCE = 1e-6
 

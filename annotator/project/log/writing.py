@@ -34,7 +34,7 @@ from annotator.project.log.events import CLASSES, Effort, Event, insert_event, r
 from annotator.project.log.records import BoxRecord, parsed, storable
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError, TrackTakenError
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 
 # Events without class names that concern attributes.
 _OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet, ProposalsImported)

@@ -21,12 +21,11 @@ from jaxtyping import Float, Float32, Float64, Int32, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.depth_values import in_metres
-from annotator.geometry.projection import undistort_px
+from annotator.geometry.projection import in_metres, undistort_px
 from annotator.recordings.kinect.matroska import Block
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 MM_PER_M = 1000.0
 LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"

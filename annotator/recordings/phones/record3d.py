@@ -30,8 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
-from annotator.geometry.depth_values import in_metres
-from annotator.geometry.projection import resized
+from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import sorted_keys
@@ -40,9 +39,9 @@ from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_folder import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
+from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
-from annotator.types.times import LATEST_NS
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 # Data that cannot be compressed gets a little larger.
 MOST_GROWTH, HEADS_BYTES = 1.1, 4096

@@ -26,7 +26,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.frame_limits import read_frame_file
-from annotator.geometry.depth_values import in_metres
+from annotator.geometry.projection import in_metres
 from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import read_confidence, read_depth

@@ -23,8 +23,8 @@ from jaxtyping import Int64
 from annotator.files import open_file, read_text_file
 from annotator.recordings.ros.bag_files import ROS1_MAGIC, SQLITE_MAGIC, BagFile, Channel, Ros1File, SqliteFile
 from annotator.recordings.ros.mcap_file import MCAP_MAGIC, McapFile
-from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
+from annotator.types.messages import amount
 
 METADATA = "metadata.yaml"
 MAGICS = {".bag": ROS1_MAGIC, ".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC}

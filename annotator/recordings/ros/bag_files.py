@@ -26,8 +26,8 @@ from jaxtyping import Int64
 
 from annotator.files import check_file, open_file
 from annotator.frame_limits import require_memory
-from annotator.types.amounts import amount
 from annotator.types.errors import MissingExtraError
+from annotator.types.messages import amount
 
 # Limit of a chunk's content; recorders write some megabytes.
 MOST_BYTES = 1 << 29

@@ -17,7 +17,7 @@ import numpy as np
 
 from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag_files import HEAD_OF_MESSAGE, Channel, Chunk, ChunkedFile, Messages, unpacked_message
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 # Damaged places of a file that are named.
 MOST_NAMED = 8

@@ -38,9 +38,9 @@ from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotatio
 from annotator.recordings.ros.bag import Topic, short_type
 from annotator.recordings.ros.bag_files import Channel
 from annotator.types import Camera
-from annotator.types.camera import DISTORTION_LENGTHS
+from annotator.types.checks import LATEST_NS
 from annotator.types.errors import MissingExtraError
-from annotator.types.times import LATEST_NS
+from annotator.types.frame import DISTORTION_LENGTHS
 
 # Enough of a message for its time.
 HEAD_BYTES = 32

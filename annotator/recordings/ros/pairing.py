@@ -25,7 +25,7 @@ from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 LOG = logging.getLogger("annotator.bags")
 # Faster topics are not kept.

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
 from annotator.frame_limits import most_pixels, require_pixels
-from annotator.geometry.depth_values import in_metres
+from annotator.geometry.projection import in_metres
 from annotator.image_bytes import decode_image
 from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
 from annotator.recordings.ros.bag import Topic

@@ -28,8 +28,8 @@ from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, frame_id, message
 from annotator.recordings.ros.pictures import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, InputError, RecordingError
+from annotator.types.messages import amount
 
 IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove/RawImage", "foxglove/CompressedImage")
 VIDEO_TYPE = "foxglove/CompressedVideo"

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.project import new_action
 from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.web.jobs.records import (
     LIFT_STAGE,
     BoxesRequest,

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from annotator.project import Basis, Project
 from annotator.types import Correction
-from annotator.types.correction import MOST_OFFSET_S, MOST_SHIFT_M
+from annotator.types.frame import MOST_OFFSET_S, MOST_SHIFT_M
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
 from annotator.workflows.recorded.adjusting import correct_calibration, estimate_recording_up

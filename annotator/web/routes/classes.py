@@ -14,7 +14,7 @@ from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassList, list_classes
 from annotator.project.project import change_classes
 from annotator.types.errors import ConfigError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 from annotator.web.context import Ctx, Operator
 from annotator.web.frame_json import STALE, both_versions, frame_state
 from annotator.web.routes.projects import ProjectInfo, project_info

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Path, Query
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection.base_detector import has_base
+from annotator.detection.pretrained import has_base
 from annotator.project import Project
 from annotator.project.config import free_path
 from annotator.types import BoxKind, DetectorKind, ReviewState

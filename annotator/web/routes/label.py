@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 
-from annotator.geometry.edges import visible_edges
+from annotator.geometry.outline import visible_edges
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.context import Context, Ctx, Operator

@@ -11,10 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
-from annotator.geometry.projection import undistort_px
-from annotator.geometry.thinning import thin
+from annotator.geometry.projection import in_frustum, thin, undistort_px
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
 
 # Default limit of shown points, which graphics cards and networks handle without delay.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.rcv.drawing import BACKGROUND
+from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.drawing import (
     Draft,

@@ -15,8 +15,8 @@ from jaxtyping import Float64
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, Truth
-from annotator.types.amounts import amount
 from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
 
 # Factor by which a side may differ from the median of its class.
 SIZE_FACTOR = 1.6

@@ -19,12 +19,11 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv import MANIFEST
 from annotator.formats.units import Angles
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.types import Frame, OrientedBox
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
-from annotator.types.names import folded
-from annotator.workflows.checking import findings as rules
+from annotator.types.messages import amount, folded
+from annotator.workflows.checking import findings
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
 from annotator.workflows.checking.findings import (
@@ -102,10 +101,9 @@ class BoxSet:
             empty: those of them without points.
         """
         self._boxes += boxes
-        if empty:
-            index = PointIndex.of(xyz_m)
-            for axis in MIRRORED:
-                self._mirrored[axis] += sum(index.count(mirrored(box, axis)) >= LEAST_POINTS for box in empty)
+        for axis in MIRRORED:
+            counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)
+            self._mirrored[axis] += sum(count >= LEAST_POINTS for count in counts)
 
     def report(self, findings: Findings, path: Path) -> None:
         """Adds what the boxes show to `findings`; `path` is the dataset."""
@@ -205,12 +203,12 @@ class DatasetCheck:
             return self.source.read(index)
         except AnnotatorError as error:
             file = getattr(error, "path", self.source.path)
-            rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
+            rule = findings.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
             self.findings.add_error(rule, error, self.source.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
-            self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
+            self.findings.add(findings.UNREADABLE_FILE, self.source.path, message, frame=key)
         return None
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
@@ -224,7 +222,7 @@ class DatasetCheck:
             if recording is not None and has_masks(recording):
                 load_mask(recording, frame)
         except AnnotatorError as error:
-            self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
+            self.findings.add_error(findings.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
         if not self.source.in_time_order or frame.timestamp_ns is None:
@@ -233,7 +231,7 @@ class DatasetCheck:
             message = (
                 f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
             )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
+            self.findings.add(findings.TIME_BACKWARDS, self.source.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
@@ -242,7 +240,7 @@ class DatasetCheck:
             return
         labels = files.of(index, key, frame)
         if labels.missing is not None:
-            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
+            self.findings.add(findings.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
         for error in labels.problems:
             self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
@@ -254,7 +252,7 @@ class DatasetCheck:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             in_frame = list(rules_in_frame(frame, objects))
-            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
+            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is findings.EMPTY_BOX]
             self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
@@ -279,13 +277,13 @@ class DatasetCheck:
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
         if self.source.in_time_order or self.source.format == "rcv":
             for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.in_time_order):
-                yield rules.HEADING_JUMP, number, message
+                yield findings.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
             earlier_class = classes.get(truth.track_id, truth.label)
             if truth.track_id is not None and earlier_class != truth.label:
                 message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
-                yield rules.TRACK_CLASS, number, message
+                yield findings.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
         files = self.source.labels
@@ -296,33 +294,33 @@ class DatasetCheck:
         for strays in (of_labels, of_recording):
             try:
                 for file, line, name in strays:
-                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+                    self.findings.add(findings.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
             except FormatError as error:  # a list that is not text
-                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
+                self.findings.add_error(findings.UNREADABLE_FILE, error, self.source.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
         for each in self.sizes:
             if each.label in usual and usual[each.label].odd(each.size_m):
                 message = odd_size_message(each.label, each.size_m, usual[each.label])
-                self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
+                self.findings.add(findings.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
         path = self.source.path
         self.boxes.report(self.findings, path)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
-            self.findings.add(rules.FLAT_LABEL, path, message)
+            self.findings.add(findings.FLAT_LABEL, path, message)
         for names in _spellings({each.label for each in self.sizes}):
-            self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
+            self.findings.add(findings.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
         for rule, kind, among, message in (
             (
-                rules.BOXES_OFF_CLOUD,
-                rules.EMPTY_BOX,
+                findings.BOXES_OFF_CLOUD,
+                findings.EMPTY_BOX,
                 self.seen,
                 "boxes contain no point; check that labels, clouds and calibration belong together",
             ),
             (
-                rules.BOXES_OFF_IMAGE,
-                rules.IMAGE_BOX_OFF,
+                findings.BOXES_OFF_IMAGE,
+                findings.IMAGE_BOX_OFF,
                 self.with_row,
                 "2D boxes do not match their 3D boxes; check that the calibration is the right one",
             ),
@@ -332,19 +330,19 @@ class DatasetCheck:
         declared = self.source.declared_objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
             message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
-            self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
+            self.findings.add(findings.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
-            self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
+            self.findings.add(findings.CALIBRATION_OFF, self.source.calibration(0), problem)
 
 
 def _rule_of_file(file: Path) -> Rule:
     """Returns the rule that an unreadable file of a frame breaks."""
     if not file.exists():
-        return rules.MISSING_FILE
+        return findings.MISSING_FILE
     if file.parent.name in CALIBRATION_FOLDERS or file.name.startswith(CALIBRATION_NAMES):
-        return rules.UNREADABLE_CALIBRATION
-    return rules.UNREADABLE_FILE
+        return findings.UNREADABLE_CALIBRATION
+    return findings.UNREADABLE_FILE
 
 
 def _spellings(names: set[str]) -> Iterator[list[str]]:

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from annotator.formats.kitti_rows import NEAR_M, KittiLabel, derived_box, label_box, observation_angle
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
-from annotator.geometry.point_index import PointIndex
 from annotator.geometry.projection import project
 from annotator.recordings.plausible import DISTANCES_M
 from annotator.types import Camera, Frame
@@ -117,7 +116,6 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
     """Checks the boxes against the image and the cloud."""
     # if the cloud has points behind the camera, boxes outside the image are valid
     all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
-    index = PointIndex.of(frame.cloud.xyz_m) if labels else None
     for number, entry in enumerate(labels):
         truth = entry.truth
         if not all_around:
@@ -127,7 +125,7 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
             if box_on_image(frame.camera, truth.box, truth.label, LEAST_SEEN_PX) is None:
                 yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is outside the image"
                 continue
-        count = 0 if index is None else index.count(truth.box)
+        count = int(np.count_nonzero(contains(truth.box, frame.cloud.xyz_m)))
         if count < LEAST_POINTS:
             yield EMPTY_BOX if count == 0 else SPARSE_BOX, number, few_points_message(truth.label, count)
         if entry.row is not None:

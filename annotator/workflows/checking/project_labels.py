@@ -23,16 +23,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, RootModel, ValidationError
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 from annotator.workflows.checking.box_rules import (
     LEAST_POINTS,
     OVERLAP_IOU,
@@ -110,13 +111,13 @@ class PointCounts:
     def _count(self, frame: StoredFrame, boxes: dict[str, OrientedBox]) -> bool:
         begin = time.perf_counter()
         try:
-            index = PointIndex.of(self._source.read(frame).cloud.xyz_m)
+            xyz_m = self._source.read(frame).cloud.xyz_m
         except (FrameError, RecordingError) as error:
             self.unreadable.append(f"{frame.key}: {error}")
             return False
         finally:
             self._spent_s += time.perf_counter() - begin
-        counts = {key: index.count(box) for key, box in boxes.items()}
+        counts = {key: int(np.count_nonzero(contains(box, xyz_m))) for key, box in boxes.items()}
         self._cached |= counts
         self._new |= counts
         return True

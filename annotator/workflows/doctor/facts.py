@@ -13,19 +13,18 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from importlib.util import find_spec
 from pathlib import Path
-from pkgutil import iter_modules
 
 import annotator
 from annotator.detection.backends.choose import chosen
-from annotator.detection.backends.cores import usable_cores
-from annotator.detection.base_detector import TITLE, base_weights, has_base
+from annotator.detection.backends.network import usable_cores
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.pretrained import TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import cache_dir
 from annotator.files import read_text_file
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
+from annotator.types.messages import amount
 from annotator.workflows.doctor.report import Line, State
 
 MACHINE = "machine"
@@ -154,7 +153,7 @@ SYSTEM_LIBRARIES = {
     "libgomp.so.1": "libgomp1",
 }
 LIBRARY = re.compile(r"lib[\w.+-]*?\.so[\w.]*")
-KERNELS = ("annotator.geometry.kernels", "annotator.rcv.kernels")
+KERNELS = ("annotator.geometry.kernels", "annotator.rcv.drawing_kernels", "annotator.rcv.fit_kernels")
 
 
 def required(_: Path) -> Iterator[Line]:
@@ -219,8 +218,8 @@ def ultralytics(_: Path) -> Iterator[Line]:
 
 def openvino(_: Path) -> Iterator[Line]:
     """Checks whether OpenVINO can be loaded, and lists its devices; missing, it matters on x86 processors only."""
-    from annotator.detection.backends.openvino_api import computes_bfloat16
-    from annotator.detection.backends.openvino_api import openvino as load
+    from annotator.detection.backends.openvino_network import computes_bfloat16
+    from annotator.detection.backends.openvino_network import openvino as load
 
     def facts() -> str:
         module = load()
@@ -236,7 +235,7 @@ def openvino(_: Path) -> Iterator[Line]:
 
 def onnxruntime(_: Path) -> Iterator[Line]:
     """Checks whether ONNX Runtime can be loaded, and lists its providers."""
-    from annotator.detection.backends.onnx_api import onnxruntime as load
+    from annotator.detection.backends.onnx_network import onnxruntime as load
 
     def facts() -> str:
         module = load()
@@ -251,11 +250,7 @@ def numba(_: Path) -> Iterator[Line]:
     from annotator.compiled import cached_code, is_compiled
 
     try:
-        modules = [
-            import_module(f"{package}.{submodule.name}")
-            for package in KERNELS
-            for submodule in iter_modules(import_module(package).__path__)
-        ]
+        modules = [import_module(name) for name in KERNELS]
     except (ImportError, OSError) as error:
         yield _broken("numba", "numba", error, State.FAILED)
         return
@@ -285,7 +280,7 @@ def open3d(_: Path) -> Iterator[Line]:
     """Checks whether open3d, which needs the system's OpenGL, can be loaded and casts rays."""
     import numpy as np
 
-    from annotator.synthetic.raycast import RayScene
+    from annotator.synthetic.render import RayScene
 
     def facts() -> str:
         corners = np.array([[-1, -1, 2], [1, -1, 2], [0, 1, 2]], np.float32)

@@ -48,7 +48,7 @@ def generated_frame() -> Frame:
 def backends(_: Path) -> Iterator[Line]:
     """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights."""
     from annotator.detection.backends.agreement import TOLERANCE, Agreements, BackendMissingError, openers
-    from annotator.detection.seeded_network import write_seeded_network
+    from annotator.detection.pretrained import write_seeded_network
 
     rgb, (rows, columns) = generated_frame().rgb, PICTURE_PX
     pictures = np.stack([rgb[:rows, :columns], rgb[-rows:, -columns:]])

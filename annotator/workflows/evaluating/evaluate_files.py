@@ -22,8 +22,8 @@ from annotator.formats.rcv import MANIFEST, read_rcv
 from annotator.formats.reading import holds_texts
 from annotator.text import normal
 from annotator.types import OrientedBox, ReviewState
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 
 # Used for boxes without a score.
 DEFAULT_SCORE = 1.0

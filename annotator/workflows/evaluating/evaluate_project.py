@@ -21,8 +21,8 @@ from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, ReviewState, Source
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.evaluating.evaluate_files import (
     DEFAULT_SCORE,
     Options,

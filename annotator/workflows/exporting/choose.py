@@ -15,9 +15,8 @@ import numpy as np
 from annotator.formats.losses import Losses, Lost
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.types import Box2D, ReviewState
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives, amount
 from annotator.workflows.frame_source import once
 
 # Parts become the names of files and folders.

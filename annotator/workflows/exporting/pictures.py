@@ -27,7 +27,7 @@ from annotator.formats.dataset_writing import (
 from annotator.formats.frame_names import FrameOrigin
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat
-from annotator.geometry.image_shares import clip_to_image
+from annotator.geometry.outline import clip_to_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes

@@ -12,7 +12,7 @@ from typing import Generic, NamedTuple, TypeVar
 from annotator.project import Project, StoredFrame
 from annotator.text import normal
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.names import alternatives, folded, nearest
+from annotator.types.messages import alternatives, folded, nearest
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)

@@ -14,10 +14,9 @@ from jaxtyping import Float64
 
 from annotator.formats.units import Lengths
 from annotator.project import Project
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.rcv.config import TypicalSize, typical_size
 from annotator.types import Source
-from annotator.types.amounts import amount
-from annotator.types.names import nearest
+from annotator.types.messages import amount, nearest
 from annotator.workflows.importing.label_set import ScoreRange
 from annotator.workflows.importing.pictures import FlatFormat, placed_pictures, read_pictures
 from annotator.workflows.importing.placing import Matched

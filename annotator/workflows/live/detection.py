@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from annotator.geometry.outline import box_on_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import box_iou
 from annotator.rcv.finish import FrameProposals
+from annotator.rcv.measure import box_iou
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for

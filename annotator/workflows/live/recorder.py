@@ -31,8 +31,8 @@ from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.frame_writer import FrameWriter, trim
 from annotator.types import Source
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError
+from annotator.types.messages import amount
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import Detected

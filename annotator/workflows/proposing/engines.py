@@ -20,7 +20,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO
 
-from annotator.detection.backends.cores import usable_cores
+from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
 from annotator.workflows.proposing.runner import Engine, InlineEngine, TaskRunner

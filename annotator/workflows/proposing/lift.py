@@ -21,7 +21,7 @@ from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.names import MOST_LISTED, first_few
+from annotator.types.messages import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM, Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import FlatFormat, checked_images, read_pictures

@@ -10,9 +10,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from annotator.detection.backends.cores import usable_cores
-from annotator.types.amounts import amount
+from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import TrainedDetectors
 from annotator.workflows.proposing.engines import cuda_devices, environment
 from annotator.workflows.proposing.pool import (
@@ -27,7 +27,14 @@ from annotator.workflows.proposing.pool import (
     fault_of,
 )
 from annotator.workflows.proposing.runner import TaskRunner
-from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, PackedDetectors, Storage, Task
+from annotator.workflows.proposing.tasks import (
+    Answer,
+    DetectorSource,
+    Identity,
+    PackedDetectors,
+    Storage,
+    Task,
+)
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.

@@ -26,7 +26,7 @@ from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.recordings import stored_options
 from annotator.types import NO_CORRECTION, BoxKind, Correction
 from annotator.types.errors import ConfigError, DetectionError, WorkerError

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.geometry.common_axis import common_axis
+from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.project import Basis, BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.adjusting import Up
@@ -20,8 +20,8 @@ from annotator.project.labels import ReviewedBox
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
 from annotator.recordings.frame_times import has_times
 from annotator.types import NO_CORRECTION, Correction, Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 
 AUTHOR = "up direction of reviewed boxes"

@@ -17,8 +17,8 @@ from annotator.project.log.event_types import ImageBoxesSet, Payload, ViewBoxesR
 from annotator.project.overview import FramePage, read_page
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.label_set import LabelSet, truths_of
 from annotator.workflows.importing.placing import NO_NAMES, renamed_class

@@ -22,9 +22,8 @@ from annotator.recordings import ReaderOptions, Recording, open_recording, store
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.recording import files_of
 from annotator.types import Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, MovedError
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 
 
 def fingerprint_of(frame: Frame) -> str:

@@ -13,7 +13,7 @@ from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, 
 from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.overview import neighbours, read_page
 from annotator.project.sources import covered_by
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, TrackingConfig, link, overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue

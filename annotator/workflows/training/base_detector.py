@@ -13,14 +13,19 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset
-from annotator.detection.held_out import is_held_out
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
-from annotator.detection.progress import Report
+from annotator.detection.dataset import (
+    GENERATED,
+    MANIFEST_NAME,
+    DatasetManifest,
+    TrainingSample,
+    is_held_out,
+    read_manifest,
+    write_dataset,
+)
 from annotator.detection.trained import TrainedModel, read_trained
-from annotator.detection.training import train_detector
+from annotator.detection.training import Report, train_detector
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.formats.json_file import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
@@ -150,7 +155,7 @@ def install_base(folder: Path, target: Path | None = None) -> BaseManifest:
         model=trained.config.model,
         image_size_px=trained.image_size_px,
     )
-    target = target or base_detector.FOLDER
+    target = target or pretrained.FOLDER
     target.mkdir(parents=True, exist_ok=True)
     write_atomic(target / trained.weights.name, content)
     trained.write(target)

@@ -1,6 +1,6 @@
 """Measures view detectors on the reviewed objects of held-out frames.
 
-A fixed fifth of the frames, drawn by a hash of their recordings and keys (`detection.held_out`), never trains a
+A fixed fifth of the frames, drawn by a hash of their recordings and keys (`detection.dataset`), never trains a
 detector. Its reviewed 3D boxes decide what a training starts from, and which view detector the project uses afterwards.
 A detector gets the objects' boxes on the image, slightly wrong, as an operator would draw them; the measure is the mean
 exact 3D IoU of the boxes that it then finds.
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.detection.held_out import is_held_out
+from annotator.detection.dataset import is_held_out
 from annotator.detection.trained import read_trained
 from annotator.files import read_file, write_atomic
 from annotator.geometry.iou import iou_3d

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.detection.dataset import GENERATED
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
+from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.image_bytes import read_image
 from annotator.project import StoredModel

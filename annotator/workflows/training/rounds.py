@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from annotator.detection.base_detector import has_base
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import read_manifest
-from annotator.detection.progress import TrainingStoppedError
+from annotator.detection.dataset import read_manifest
+from annotator.detection.pretrained import has_base
 from annotator.detection.trained import read_trained
+from annotator.detection.training import TrainingStoppedError
 from annotator.project import REVIEWED, Project, StoredModel
 from annotator.types import DetectorKind
 from annotator.types.errors import DetectionError, FormatError

@@ -26,7 +26,7 @@ from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.project.sources import covered_by
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.operator import LABELLED_STEPS, cut_out
+from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_agnostic_views, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState

@@ -12,18 +12,15 @@ from itertools import accumulate
 from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
+from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, tiled, write_dataset
 from annotator.detection.pretrained import check_start
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
-from annotator.detection.tiles import tiled
 from annotator.detection.trained import MODEL_NAME, RUN_NAME, TrainedModel, read_run
-from annotator.detection.training import train_detector
+from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError, FrameError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.settings import rcv_config

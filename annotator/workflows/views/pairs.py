@@ -20,14 +20,13 @@ from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, read_file
 from annotator.formats.json_file import write_text
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.project import ViewBoxes, ViewGeometry
 from annotator.project.log.records import Rotation3
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import box_iou, make_pair
-from annotator.rcv.drawing import Window
-from annotator.rcv.pseudo_view import drawn_points, render_window, side_axes
+from annotator.rcv.measure import box_iou, make_pair
+from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_axes
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView
@@ -212,7 +211,7 @@ def redrawn(
 
 
 def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx, config: RcvConfig) -> PointCloud:
-    """The points in the boxes of the first step, as in `rcv.operator.next_views`; all if these boxes are gone."""
+    """The points in the boxes of the first step, as in `rcv.known_objects.next_views`; all if these boxes are gone."""
     pair = front_and_side(steps.get(0, ()))
     if pair is None:
         return frustum

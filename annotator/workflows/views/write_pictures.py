@@ -33,9 +33,9 @@ from annotator.project.log.event_types import (
     ViewBoxesSet,
 )
 from annotator.project.overview import FramePage
+from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.normals import frame_with_normals
-from annotator.rcv.operator import first_views, next_views
+from annotator.rcv.known_objects import first_views, next_views
 from annotator.types import Box2D, Frame, PseudoView, ReviewState
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for

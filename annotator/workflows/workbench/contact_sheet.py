@@ -18,12 +18,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.thinning import thin
+from annotator.geometry.projection import thin
 from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
 from annotator.project.boxes import png
 from annotator.project.log.event_types import LabelAccepted
-from annotator.rcv.drawing import BACKGROUND, Window, draw_views, pack_colors
-from annotator.rcv.pseudo_view import point_colors
+from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError, FrameError
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
@@ -73,7 +72,7 @@ def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[Ortho
     Args:
         size_px: side length of each (square) view, pixels.
     """
-    return views_of_points(opened.frame.cloud, opened.index.inside(shown_volume(box)), box, size_px)
+    return views_of_points(opened.frame.cloud, opened.inside(shown_volume(box)), box, size_px)
 
 
 def shown_volume(box: OrientedBox) -> OrientedBox:

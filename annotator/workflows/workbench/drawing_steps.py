@@ -31,14 +31,14 @@ from typing import TypeGuard
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.edges import visible_edges
 from annotator.geometry.oriented_box import box_corners, canonical_box
+from annotator.geometry.outline import visible_edges
 from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import make_pair, measured_intervals
 from annotator.rcv.interval_fit import fit_box
-from annotator.rcv.operator import Span, first_views, next_views
+from annotator.rcv.known_objects import Span, first_views, next_views
+from annotator.rcv.measure import make_pair, measured_intervals
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.whole_box import Offered, SeenObject, whole_boxes
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
@@ -79,7 +79,7 @@ def suggested_boxes(
     if box is None or None not in drawn:
         return None, None
     if kind is BoxKind.SILHOUETTE:
-        points = opened.frame.cloud.xyz_m[opened.index.inside(box)].astype(np.float64)
+        points = opened.frame.cloud.xyz_m[opened.inside(box)].astype(np.float64)
     else:
         points = box_corners(box)
     if len(points) == 0:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int64
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
+from annotator.geometry.projection import in_frustum
 from annotator.project import Project, StoredFrame
 from annotator.project.boxes import png
 from annotator.project.overview import FramePage, neighbours
@@ -31,8 +31,8 @@ JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.
 MAX_RESULTS = 80
 
-# Position, color, pixel and normal of a point, and its position and number in the index.
-BYTES_A_POINT = 12 + 3 + 4 + 12 + 12 + 8
+# Position, color, pixel and normal of a point.
+BYTES_A_POINT = 12 + 3 + 4 + 12
 
 T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
@@ -74,7 +74,6 @@ class OpenFrame:
         self.is_prepared = False
         self.page: FramePage | None = None
         self._jpeg = _Once(lambda: _jpeg(frame))
-        self._index = _Once(lambda: PointIndex.of(frame.cloud.xyz_m))
         self._with_normals = _Once(lambda: _with_normals(frame))
         self._counts: dict[bytes, int] = {}
         self._lock = threading.Lock()
@@ -83,7 +82,7 @@ class OpenFrame:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory that the frame takes with its index and its normals, roughly."""
+        """Memory that the frame takes with its normals, roughly."""
         frame = self.frame
         depth_bytes = 0 if frame.depth_m is None else frame.depth_m.nbytes
         return frame.rgb.nbytes + depth_bytes + BYTES_A_POINT * len(frame.cloud)
@@ -94,21 +93,20 @@ class OpenFrame:
         return self._jpeg.get()
 
     @property
-    def index(self) -> PointIndex:
-        """The cloud, indexed for queries of single boxes."""
-        return self._index.get()
-
-    @property
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
         return self._with_normals.get()
+
+    def inside(self, box: OrientedBox) -> Int64[np.ndarray, "m"]:
+        """Returns the indices of the points in a box."""
+        return np.flatnonzero(contains(box, self.frame.cloud.xyz_m))
 
     def points_in(self, box: OrientedBox) -> int:
         """Returns the number of points in a box; counted once for each box."""
         key = box.pose.tobytes() + box.size_m.tobytes()
         count = self._counts.get(key)
         if count is None:
-            count = self._counts[key] = self.index.count(box)
+            count = self._counts[key] = int(np.count_nonzero(contains(box, self.frame.cloud.xyz_m)))
         return count
 
     def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
@@ -384,7 +382,7 @@ class FrameCache:
         # set first, so that a frame with a broken neighbour is prepared only once
         opened.is_prepared = True
         try:
-            _ = opened.jpeg, opened.index, opened.with_normals
+            _ = opened.jpeg, opened.with_normals
             previous_id, next_id = neighbours(project, request.stored)
             for neighbour_id in (next_id, previous_id):
                 if not self._is_current(request, operator):
@@ -400,6 +398,6 @@ class FrameCache:
 
     def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
         opened = self._open(project, project.frames.get(frame_id))
-        _ = opened.jpeg, opened.index
+        _ = opened.jpeg
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)

@@ -12,9 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from annotator.geometry.edges import visible_edges
-from annotator.geometry.projection import inside_image, project
-from annotator.geometry.thinning import thin
+from annotator.geometry.outline import visible_edges
+from annotator.geometry.projection import inside_image, project, thin
 from annotator.project import Project, StoredLabel, StoredRecording, ViewBoxes
 from annotator.project.adjusting import Up
 from annotator.project.overview import FramePage, read_page

@@ -22,17 +22,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.edges import visible_edges
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import aligned_box, canonical_box
-from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.geometry.thinning import thin
+from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
+from annotator.geometry.projection import in_frustum, thin
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import traced_intervals
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
-from annotator.rcv.operator import Span, cut_out
+from annotator.rcv.known_objects import Span, cut_out
+from annotator.rcv.measure import traced_intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
 from annotator.rcv.starts import TYPICAL_SIZE
@@ -248,7 +246,7 @@ def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, p
 def _recurse(
     opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector
 ) -> ObjectState | None:
-    inside = opened.index.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
+    inside = opened.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
     cloud = opened.with_normals.cloud.select(np.sort(inside))
     if len(cloud) < config.min_points:
         return None
@@ -274,7 +272,7 @@ def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud
 
 
 def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
-    xyz_m = opened.frame.cloud.xyz_m[opened.index.inside(box)]
+    xyz_m = opened.frame.cloud.xyz_m[opened.inside(box)]
     if len(xyz_m) < config.min_points:
         note = f"{reason}, and the box is unchanged: it contains too few points ({len(xyz_m)})"
         return _result(opened, box, None, POINTS, note)

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.outline import box_on_image, heading_px
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox, PointCloud
 from annotator.workflows.workbench.contact_sheet import views_of_points

@@ -10,8 +10,8 @@ import pytest
 from browser_page import refuse, until
 from room_api import coco
 
-from annotator.detection import base_detector
-from annotator.detection.base_detector import TITLE
+from annotator.detection import pretrained
+from annotator.detection.pretrained import TITLE
 from annotator.project import WriteContext
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
@@ -34,7 +34,7 @@ def test_a_coco_file_becomes_proposals(
     (tmp_path / "base").mkdir()
     (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
     with monkeypatch.context() as patch:
-        patch.setattr(base_detector, "FOLDER", tmp_path / "base")
+        patch.setattr(pretrained, "FOLDER", tmp_path / "base")
         project, content = live.context.project("room"), coco(generated)
         people = len(content["annotations"]) - 1
         (tmp_path / "boxes.json").write_text(json.dumps(content))

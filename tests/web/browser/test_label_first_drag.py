@@ -11,7 +11,7 @@ import pytest
 from browser_page import answers_drag
 from label_bench import EDGES, Bench
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.geometry.iou import iou_3d
 from annotator.types import Box2D, BoxKind, DetectorKind, Suggestion
 from annotator.workflows.detectors import AGNOSTIC
@@ -121,7 +121,7 @@ def test_the_dashed_boxes_follow_a_corrected_one(
     bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE).view
-    teach(name=base_detector.NAME, view=perfect)
+    teach(name=pretrained.NAME, view=perfect)
     page = bench.page
     drawn = bench.draw_on_image(0)
     dashed = page.locator(".views .box.suggested")
@@ -143,7 +143,7 @@ def test_the_dashed_boxes_follow_a_corrected_one(
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
     bench.saved()
     (label,) = bench.labels
-    assert label.suggestion == Suggestion(base_detector.TITLE, perfect.fingerprint, corrected=True)
+    assert label.suggestion == Suggestion(pretrained.TITLE, perfect.fingerprint, corrected=True)
     stored = [box for _, box in bench.state["objects"][0]["views"]]
     assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
     # after a reload, the box that is left is on its view again

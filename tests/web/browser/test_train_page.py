@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from browser_page import label_truth
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.jobs.records import JobState, LiftRequest
@@ -105,7 +105,7 @@ def test_the_switch_stays_on_when_a_running_job_reports_its_progress(
 def test_what_held_out_frames_decided_is_shown_and_the_base_detector_can_be_chosen(
     signed_in: Page, room: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     folder = room.models_folder / "view" / "run"
     folder.mkdir(parents=True)
     for weights in (tmp_path / "detector.safetensors", folder / "detector.safetensors"):

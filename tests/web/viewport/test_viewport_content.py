@@ -14,7 +14,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.operator import first_views
+from annotator.rcv.known_objects import first_views
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud
 from annotator.web.viewport.drawing import (

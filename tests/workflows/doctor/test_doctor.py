@@ -22,12 +22,12 @@ import numpy as np
 import pytest
 
 from annotator import __version__
-from annotator.detection import base_detector, ultralytics_api
+from annotator.detection import pretrained, ultralytics_api
 from annotator.detection.backends import agreement, choose
 from annotator.detection.backends.agreement import Agreements
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
-from annotator.detection.seeded_network import write_seeded_network
+from annotator.detection.pretrained import write_seeded_network
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
 from annotator.workflows.doctor import Line, Report, State, as_text, examine, facts, self_test
@@ -197,7 +197,7 @@ def test_numba_that_cannot_be_loaded_is_a_failure(monkeypatch: pytest.MonkeyPatc
 def test_compiled_kernels_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
-    from annotator.geometry.kernels.points_in_box import points_in_box
+    from annotator.geometry.kernels import points_in_box
 
     points_in_box(np.zeros((1, 3)), np.zeros(3), np.eye(3), np.ones(3))
     found = lines(facts.numba)["numba"]
@@ -241,14 +241,14 @@ def test_published_weights_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 def test_the_base_detector_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert "a project needs a view detector of its own" in lines(facts.base_detector)["base detector"].found
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
     broken = lines(facts.base_detector)["base detector"]
     assert broken.state is State.FAILED and "model.json" in broken.found
     monkeypatch.setattr(facts, "read_trained", lambda _: None)
     found = lines(facts.base_detector)["base detector"]
-    assert found.state is State.OK and found.found.endswith(base_detector.TITLE)
+    assert found.state is State.OK and found.found.endswith(pretrained.TITLE)
 
 
 def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -411,11 +411,11 @@ def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
 
 
 def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from annotator.detection import seeded_network
+    from annotator.detection import pretrained
 
     def missing() -> None:
         raise DetectionError("no ultralytics")
 
-    monkeypatch.setattr(seeded_network, "api", missing)
+    monkeypatch.setattr(pretrained, "api", missing)
     (line,) = self_test.backends(tmp_path)
     assert (line.state, line.found) == (State.WARNING, "not tested (no ultralytics)")

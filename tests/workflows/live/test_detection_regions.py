@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import box_iou
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.measure import box_iou
+from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
 from annotator.workflows.live.detection import WHOLE_EVERY, RegionDetection, regions_around
 

@@ -17,7 +17,7 @@ from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.warm_start import is_warm
+from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError

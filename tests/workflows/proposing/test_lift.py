@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.detection.base_detector import TITLE
+from annotator.detection.pretrained import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.project import BoxRotation, NewLabel, Project, WriteContext

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from view_detectors import HELD_OUT
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.project import Project, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
@@ -40,7 +40,7 @@ def labelled(
             simulate_recording(project, recording, BoxKind.BOX, RcvConfig(), every=1)
 
     project = copy_project(made_once("labelled project", fill) / "project0")
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "base")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
     recording = project.recordings.all()[0].id
     monkeypatch.setattr(held_out, "is_held_out", {f"{recording}/{key}" for key in HELD_OUT}.__contains__)
     return project

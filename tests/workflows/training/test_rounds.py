@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from view_detectors import CONFIG, HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, register, write_model
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import read_manifest
-from annotator.detection.network_file import NetworkDescription, build, write_network
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.dataset import read_manifest
 from annotator.detection.trained import TrainedModel, read_trained
+from annotator.detection.training import TrainingProgress, TrainingStoppedError
+from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
@@ -57,7 +57,7 @@ def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: P
 def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
     labelled: Project, ious: dict[str, float]
 ) -> None:
-    write_model(base_detector.FOLDER, size_px=96)
+    write_model(pretrained.FOLDER, size_px=96)
     ious["base detector"] = 0.5
     start = choose_start(labelled, held(labelled), CONFIG)
     assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
@@ -206,7 +206,7 @@ def test_parts_double_and_none_is_too_short() -> None:
 def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: Project) -> None:
     install_base()
     network = build(NetworkDescription(architecture="yolo11n", labels=AGNOSTIC))
-    write_network(base_detector.FOLDER / "detector.safetensors", network)
+    write_network(pretrained.FOLDER / "detector.safetensors", network)
     plan = replace(PLAN, view=CONFIG.model_copy(update={"epochs": None}), minutes=0.2)
     begin = time.monotonic()
     (trained,) = train(labelled, plan, roles=(DetectorKind.VIEW,))

@@ -13,10 +13,9 @@ import pytest
 from view_detectors import PLAN, Fixed, held, register, trained_model
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.manifest import read_manifest
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
+from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.project import Project, WriteContext, create_project
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.recordings import open_recording

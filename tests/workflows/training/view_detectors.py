@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import DatasetManifest, ManifestEntry
+from annotator.detection.dataset import DatasetManifest, ManifestEntry
 from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Project, StoredModel
 from annotator.types import Box2D, BoxKind, DetectorKind, Image
@@ -56,7 +56,7 @@ def write_model(folder: Path, size_px: int = 64) -> Path:
 
 
 def install_base() -> None:
-    write_model(base_detector.FOLDER)
+    write_model(pretrained.FOLDER)
 
 
 def register(project: Project, name: str, *, active: bool = False, learned: str | None = "000000") -> StoredModel:

@@ -9,14 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from live_server import wait_until
 
-from annotator.geometry.point_index import PointIndex
 from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.project import overview as overview_module
 from annotator.recordings import open_recording
@@ -88,19 +86,19 @@ def test_more_frames_are_cached_as_long_as_memory_allows(project: Project, reads
 
 def test_a_frame_does_not_wait_for_the_results_of_another(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     slow, fast = (OpenFrame(FrameSource(project).read(project.frames.get(frame))) for frame in (1, 2))
-    began, ends, make_index = threading.Event(), threading.Event(), PointIndex.of
+    began, ends, jpeg = threading.Event(), threading.Event(), frame_cache._jpeg
 
-    def held_up(xyz_m: Any) -> PointIndex:
-        if xyz_m is slow.frame.cloud.xyz_m:
+    def held_up(frame: Frame) -> bytes:
+        if frame is slow.frame:
             began.set()
             assert ends.wait(30)
-        return make_index(xyz_m)
+        return jpeg(frame)
 
-    monkeypatch.setattr(PointIndex, "of", held_up)
+    monkeypatch.setattr(frame_cache, "_jpeg", held_up)
     with ThreadPoolExecutor(3) as pool:
-        first, second = pool.submit(lambda: slow.index), pool.submit(lambda: slow.index)
+        first, second = pool.submit(lambda: slow.jpeg), pool.submit(lambda: slow.jpeg)
         assert began.wait(30)
-        assert pool.submit(lambda: fast.index).result(30) is fast.index
+        assert pool.submit(lambda: fast.jpeg).result(30) is fast.jpeg
         ends.set()
         assert first.result(30) is second.result(30), "computed once"
 

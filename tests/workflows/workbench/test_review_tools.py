@@ -17,7 +17,7 @@ from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteConte
 from annotator.project.log.event_types import LabelRejected, LabelTracked
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.drawing import BACKGROUND
+from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.recordings import open_recording
 from annotator.types import (
     Box2D,

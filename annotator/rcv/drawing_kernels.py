@@ -60,7 +60,7 @@ def draw_views(
     begins: np.ndarray,
     images: np.ndarray,
 ) -> None:
-    """Draws all views of a cloud; `annotator.rcv.drawing` explains the method.
+    """Draws all views of a cloud; `annotator.rcv.pseudo_view` explains the method.
 
     Args:
         xyz: (3, n) float32.

@@ -1,11 +1,81 @@
-"""The intersection volume of two boxes, pair by pair; `geometry.iou` explains the method."""
+"""Compiled loops of the geometry. Import this module inside functions: it loads numba."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 
 from annotator.compiled import compiled
+
+
+@compiled
+def points_in_box(
+    xyz: Float[np.ndarray, "n 3"],
+    center: Float[np.ndarray, "3"],
+    rotation: Float[np.ndarray, "3 3"],
+    half: Float[np.ndarray, "3"],
+) -> Bool[np.ndarray, "n"]:
+    """Which points lie in a box or on its surface; NaN points are outside.
+
+    Args:
+        xyz: points, contiguous rows.
+        center: of the box, in the points' frame; like all other arguments, with the dtype of the points.
+        rotation: columns = box axes in that frame.
+        half: half the lengths of the box.
+    """
+    inside = np.empty(len(xyz), np.bool_)
+    # scalars, so that the compiler does not reload them in the loop
+    cx, cy, cz = center[0], center[1], center[2]
+    xx, yx, zx = rotation[0, 0], rotation[1, 0], rotation[2, 0]
+    xy, yy, zy = rotation[0, 1], rotation[1, 1], rotation[2, 1]
+    xz, yz, zz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
+    hx, hy, hz = half[0], half[1], half[2]
+    # a constant stride, and `&` instead of `and`, so that the loop vectorises
+    flat = xyz.reshape(-1)
+    for i in range(len(xyz)):
+        x, y, z = flat[3 * i] - cx, flat[3 * i + 1] - cy, flat[3 * i + 2] - cz
+        inside[i] = (
+            (abs(xx * x + yx * y + zx * z) <= hx)
+            & (abs(xy * x + yy * y + zy * z) <= hy)
+            & (abs(xz * x + yz * y + zz * z) <= hz)
+        )
+    return inside
+
+
+@compiled
+def depth_points(
+    depth: Float32[np.ndarray, "p"], x: Float32[np.ndarray, "p"], y: Float32[np.ndarray, "p"]
+) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
+    """The point and the place of each pixel with a positive, finite depth and a ray.
+
+    Args:
+        depth: z of each pixel, metres.
+        x, y: x/z and y/z of the ray of each pixel; x is NaN for a pixel without a ray.
+    """
+    count = 0
+    for i in range(len(depth)):
+        count += (depth[i] > 0) & (depth[i] < np.inf) & (x[i] == x[i])
+    xyz = np.empty((count, 3), np.float32)
+    index = np.empty(count, np.int32)
+    k = 0
+    for i in range(len(depth)):
+        z = depth[i]
+        if (z > 0) & (z < np.inf) & (x[i] == x[i]):
+            xyz[k, 0], xyz[k, 1], xyz[k, 2] = x[i] * z, y[i] * z, z
+            index[k] = i
+            k += 1
+    return xyz, index
+
+
+@compiled
+def colors_at(rgb: UInt8[np.ndarray, "p 3"], index: Int32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """The colours of the pixels at these places."""
+    colors = np.empty((len(index), 3), np.uint8)
+    for k in range(len(index)):
+        i = index[k]
+        colors[k, 0], colors[k, 1], colors[k, 2] = rgb[i, 0], rgb[i, 1], rgb[i, 2]
+    return colors
+
 
 # Each face of the box with the longer diagonal is moved outwards by this share of that diagonal.
 TIE = 1e-13

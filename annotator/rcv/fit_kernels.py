@@ -1,16 +1,110 @@
-"""Damped Gauss-Newton steps that fit a box to the ends of intervals, one equation per end.
+"""Compiled loops of the box fit: costs of many rotations, refinement of a box, and counts of points in boxes.
 
-A low end lies at `d.c - r` and a high end at `d.c + r`, with direction d, centre c and the box's half-extent
-`r = sum_i s_i / 2 |d.r_i|` along d, with sizes s and axes r_i (`reach` in the code). Functions that call each other are
-in one file, because numba's cache only checks the file of the outermost function for changes.
+In the loops over rotations, every inner loop runs along the rotations and writes one array, so that it vectorises.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float32, Float64
 
 from annotator.compiled import compiled
+
+# Keeps the equations solvable if a direction is not measured at all.
+SIZE_RIDGE = 1e-6
+# Below this share of the cubed trace, a determinant is rounding error.
+LEAST_DETERMINANT = 1e-9
+
+
+@compiled
+def size_costs(
+    scaled: Float64[np.ndarray, "m 3"],
+    target: Float64[np.ndarray, "m"],
+    rotations: Float64[np.ndarray, "k 3 3"],
+    delta: float,
+    least: float,
+    rounds: int,
+) -> Float64[np.ndarray, "k"]:
+    """The robust cost of each rotation with the sizes that fit the intervals' lengths best.
+
+    Args:
+        scaled: directions divided by twice the expected error of half an interval, per metre.
+        target: half the intervals' lengths divided by that error.
+        rotations: columns = box axes in the frame of the directions.
+        delta: residual above which Huber's cost is linear.
+        least: lower bound of the sizes, metres.
+        rounds: number of solutions for the sizes: the first with weights of one, the others with Huber's weights.
+    """
+    m, k, turned = len(target), len(rotations), rotations.transpose(1, 2, 0).copy()
+    reach, weighted, sizes, sums = np.empty((3, k)), np.empty((3, k)), np.empty((3, k)), np.empty((9, k))
+    residual, cost, weight = np.empty(k), np.zeros(k), np.ones((m, k))
+    for done in range(rounds):
+        sums[:] = 0.0
+        cost[:] = 0.0
+        for i in range(m):
+            _reach(scaled[i], turned, reach)
+            place = 0
+            for a in range(3):
+                for j in range(k):
+                    weighted[a, j] = weight[i, j] * reach[a, j]
+                for j in range(k):
+                    sums[6 + a, j] += target[i] * weighted[a, j]
+                for b in range(a + 1):
+                    for j in range(k):
+                        sums[place, j] += weighted[a, j] * reach[b, j]
+                    place += 1
+        _solve(sums, least, sizes)
+        for i in range(m):
+            _reach(scaled[i], turned, reach)
+            for j in range(k):
+                predicted = sizes[0, j] * reach[0, j] + sizes[1, j] * reach[1, j] + sizes[2, j] * reach[2, j]
+                residual[j] = abs(predicted - target[i])
+            for j in range(k):
+                inner = min(residual[j], delta)
+                cost[j] += inner * (residual[j] - 0.5 * inner)
+            if done + 1 == rounds:
+                continue
+            for j in range(k):
+                weight[i, j] = min(1.0, delta / max(residual[j], 1e-6))
+    return cost
+
+
+@compiled
+def _reach(direction: np.ndarray, turned: np.ndarray, reach: np.ndarray) -> None:
+    """Fills in the derivatives (3, k) of the extent along a direction with respect to the sizes.
+
+    Args:
+        turned: (3, 3, k) rotations.
+    """
+    x, y, z = direction
+    for a in range(3):
+        for j in range(turned.shape[2]):
+            reach[a, j] = abs(x * turned[0, a, j] + y * turned[1, a, j] + z * turned[2, a, j])
+
+
+@compiled
+def _solve(sums: np.ndarray, least: float, sizes: np.ndarray) -> None:
+    """Fills in the sizes (3, k) by Cramer's rule; `sums` holds a symmetric matrix's lower triangle and right side."""
+    for j in range(sums.shape[1]):
+        xx, xy, yy, xz, yz, zz, bx, by, bz = sums[:, j]
+        trace = xx + yy + zz
+        xx, yy, zz = xx + SIZE_RIDGE * trace, yy + SIZE_RIDGE * trace, zz + SIZE_RIDGE * trace
+        cx, cy, cz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        dy, dz, ez = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        determinant = xx * cx + xy * cy + xz * cz
+        # the last term avoids a division by zero if nothing is measured
+        inverse = 1.0 / max(determinant, LEAST_DETERMINANT * trace**3 + 1e-300)
+        sizes[0, j] = max((cx * bx + cy * by + cz * bz) * inverse, least)
+        sizes[1, j] = max((cy * bx + dy * by + dz * bz) * inverse, least)
+        sizes[2, j] = max((cz * bx + dz * by + ez * bz) * inverse, least)
+
+
+# Damped Gauss-Newton steps that fit a box to the ends of intervals, one equation per end.
+#
+# A low end lies at `d.c - r` and a high end at `d.c + r`, with direction d, centre c and the box's half-extent `r =
+# sum_i s_i / 2 |d.r_i|` along d, with sizes s and axes r_i (`reach` in the code). Functions that call each other are
+# in one file, because numba's cache only checks the file of the outermost function for changes.
+
 
 # Limits of the iteration. They are not settings, because they only trade accuracy against time.
 ROUNDS = 12
@@ -249,3 +343,139 @@ def _copy(box: Box, place: Box) -> None:
         place[0][i], place[2][i] = box[0][i], box[2][i]
         for j in range(3):
             place[1][i, j] = box[1][i, j]
+
+
+# Corners nearer than this are moved to it before they are projected, metres.
+NEAR_M = 0.05
+
+
+@compiled
+def outlines(
+    rotation: Float64[np.ndarray, "k 3 3"],
+    center: Float64[np.ndarray, "k 3"],
+    size: Float64[np.ndarray, "k 3"],
+    image: Float64[np.ndarray, "4"],
+) -> Float64[np.ndarray, "k 4"]:
+    """The projections of boxes, clipped to the image.
+
+    Args:
+        rotation: columns = box axes.
+        center, size: metres, camera frame.
+        image: left, right, top and bottom end of the image, normalised (x/z, y/z).
+
+    Returns:
+        left, right, top, bottom, normalised.
+    """
+    result = np.empty((len(center), 4))
+    for k in range(len(center)):
+        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+        for corner in range(8):
+            a = size[k, 0] * (0.5 if corner & 1 else -0.5)
+            b = size[k, 1] * (0.5 if corner & 2 else -0.5)
+            c = size[k, 2] * (0.5 if corner & 4 else -0.5)
+            x = center[k, 0] + rotation[k, 0, 0] * a + rotation[k, 0, 1] * b + rotation[k, 0, 2] * c
+            y = center[k, 1] + rotation[k, 1, 0] * a + rotation[k, 1, 1] * b + rotation[k, 1, 2] * c
+            z = center[k, 2] + rotation[k, 2, 0] * a + rotation[k, 2, 1] * b + rotation[k, 2, 2] * c
+            z = max(z, NEAR_M)
+            left, right = min(left, x / z), max(right, x / z)
+            top, bottom = min(top, y / z), max(bottom, y / z)
+        result[k, 0] = min(max(left, image[0]), image[1])
+        result[k, 1] = min(max(right, image[0]), image[1])
+        result[k, 2] = min(max(top, image[2]), image[3])
+        result[k, 3] = min(max(bottom, image[2]), image[3])
+    return result
+
+
+@compiled
+def point_evidence(
+    rotation: Float64[np.ndarray, "k 3 3"],
+    center: Float64[np.ndarray, "k 3"],
+    size: Float64[np.ndarray, "k 3"],
+    points: Float64[np.ndarray, "n 3"],
+    in_middle: Bool[np.ndarray, "n"],
+    margin: float,
+) -> Float64[np.ndarray, "k 3"]:
+    """How the rays from the camera through points meet boxes.
+
+    A ray that meets a box ends in it (a hit), behind it, or in front of it, at something that hides the box.
+
+    Args:
+        rotation, center, size: as in `outlines`.
+        points: camera frame; at least one.
+        in_middle: which points are in the middle of the image box.
+        margin: by which the boxes are enlarged on each side, share of their mean side.
+
+    Returns:
+        hits as shares of all points, of those not ending in front, and of the middle's points not ending in front.
+    """
+    count = len(points)
+    result = np.empty((len(center), 3))
+    origin, half = np.empty(3), np.empty(3)
+    for k in range(len(center)):
+        mean = (size[k, 0] + size[k, 1] + size[k, 2]) / 3
+        for axis in range(3):
+            half[axis] = size[k, axis] / 2 + margin * mean
+            origin[axis] = -(
+                rotation[k, 0, axis] * center[k, 0]
+                + rotation[k, 1, axis] * center[k, 1]
+                + rotation[k, 2, axis] * center[k, 2]
+            )
+        hits, behind, hits_middle, open_middle = 0, 0, 0, 0
+        for i in range(count):
+            enter, leave = -np.inf, np.inf
+            for axis in range(3):
+                along = (
+                    rotation[k, 0, axis] * points[i, 0]
+                    + rotation[k, 1, axis] * points[i, 1]
+                    + rotation[k, 2, axis] * points[i, 2]
+                )
+                first, second = (-half[axis] - origin[axis]) / along, (half[axis] - origin[axis]) / along
+                enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            meets = enter < leave and leave > 0
+            is_front = meets and enter > 1
+            is_hit = meets and enter <= 1 and leave >= 1
+            hits += is_hit
+            behind += meets and leave < 1
+            if in_middle[i] and not is_front:
+                open_middle += 1
+                hits_middle += is_hit
+        result[k, 0] = hits / count
+        result[k, 1] = hits / max(hits + behind, 1)
+        result[k, 2] = hits_middle / max(open_middle, 1)
+    return result
+
+
+@compiled
+def count_within(
+    xyz: Float32[np.ndarray, "n 3"],
+    axes: Float32[np.ndarray, "3 3"],
+    low: Float32[np.ndarray, "3"],
+    high: Float32[np.ndarray, "3"],
+) -> tuple[int, int, int]:
+    """Counts the points between pairs of planes perpendicular to given axes.
+
+    Args:
+        xyz: points, contiguous rows.
+        axes: rows = a1, a2, a3.
+        low, high: positions of the planes along the axes; points on a plane count.
+
+    Returns:
+        the numbers of points within all three pairs of planes, within the first two pairs, and within the last two.
+    """
+    # scalars, so that the compiler does not reload them in the loop
+    xx, xy, xz = axes[0, 0], axes[0, 1], axes[0, 2]
+    yx, yy, yz = axes[1, 0], axes[1, 1], axes[1, 2]
+    zx, zy, zz = axes[2, 0], axes[2, 1], axes[2, 2]
+    low_x, low_y, low_z = low[0], low[1], low[2]
+    high_x, high_y, high_z = high[0], high[1], high[2]
+    every, first, last = 0, 0, 0
+    # a constant stride, and `&` instead of `and`, so that the loop vectorises
+    flat = xyz.reshape(-1)
+    for i in range(len(xyz)):
+        a, b, c = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
+        x, y, z = xx * a + xy * b + xz * c, yx * a + yy * b + yz * c, zx * a + zy * b + zz * c
+        in_x, in_y, in_z = (x >= low_x) & (x <= high_x), (y >= low_y) & (y <= high_y), (z >= low_z) & (z <= high_z)
+        every += in_x & in_y & in_z
+        first += in_x & in_y
+        last += in_y & in_z
+    return every, first, last

@@ -1,1 +1,0 @@
-"""Compiled loops of the geometry. Import these modules inside functions: they load numba."""
