@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import * as geometry from "../../web_assets/js/editor2d/geometry.js";
 import { hitTest } from "../../web_assets/js/editor2d/gestures.js";
-import { createView } from "../../web_assets/js/editor2d/view.js";
+import { createView } from "../../web_assets/js/editor2d/geometry.js";
 
 const SIZE = { width: 320, height: 240 };
 const LIMITS = geometry.pictureLimits(SIZE, true);

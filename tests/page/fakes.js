@@ -1,6 +1,6 @@
 // What the page's logic expects of a browser and of `app`, as far as it needs it without a display.
 
-import { createState } from "../../web_assets/js/state.js";
+import { createState } from "../../web_assets/js/frame_state.js";
 
 /** Resolves after everything that is ready has run. */
 export const settled = () => new Promise((resolve) => setImmediate(resolve));

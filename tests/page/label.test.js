@@ -3,15 +3,15 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
-import { carryBox } from "../../web_assets/js/label/carry.js";
-import { finality, kindChange, objectChange, valuesChange } from "../../web_assets/js/label/changes.js";
 import {
+  carryBox,
   createStepLoader,
   demoteSecondStep,
   drawnObject,
   makeDraft,
   takeSteps,
 } from "../../web_assets/js/label/draft.js";
+import { finality, kindChange, objectChange, valuesChange } from "../../web_assets/js/label/changes.js";
 import * as items from "../../web_assets/js/label/items.js";
 import { createSaver } from "../../web_assets/js/label/saver.js";
 import { fakeApp, frameState, held, settled } from "./fakes.js";

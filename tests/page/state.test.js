@@ -4,13 +4,13 @@ import assert from "node:assert/strict";
 import { beforeEach, mock, test } from "node:test";
 import { ApiError } from "../../web_assets/js/errors.js";
 import { createFrameState } from "../../web_assets/js/frame_state.js";
-import { createOrder } from "../../web_assets/js/label/order.js";
+import { createOrder } from "../../web_assets/js/label/frames.js";
 import { createDesk } from "../../web_assets/js/review/desk.js";
 import { createPreload } from "../../web_assets/js/review/preload.js";
 import { createQueue } from "../../web_assets/js/review/queue.js";
 import { copiedText } from "../../web_assets/js/review/tracks.js";
 import { makeHash, parseHash } from "../../web_assets/js/router.js";
-import { followImports } from "../../web_assets/js/start/imports.js";
+import { followImports } from "../../web_assets/js/jobs.js";
 import { fakeApp, frameState, freshStorage, held, settled } from "./fakes.js";
 
 beforeEach(() => {
@@ -63,6 +63,15 @@ test("a change of another camera's frame may change the outlines in this one", a
   assert.equal(frames.isBehind, false);
   frames.hear({ frame: 7, revision: 2 });
   assert.equal(frames.isBehind, true);
+  // one that is changed while this frame is read anew: the answer may be older, although it has the same revision
+  const answers = [held(), held()];
+  let reads = 0;
+  app.api.get = () => answers[reads++].promise;
+  const opened = frames.open(1);
+  frames.hear({ frame: 7, revision: 3 });
+  for (const answer of answers) answer.resolve({ ...frameState(1), siblings: [7] });
+  await opened;
+  assert.deepEqual([reads, frames.isBehind], [2, false]);
 });
 
 test("a frame that could not be read again is still behind", async () => {

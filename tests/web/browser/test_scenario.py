@@ -8,6 +8,7 @@ measures it.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 from browser_page import answers_drag, drag_box, draw_on_views
 from drawing import Scene
-from live_server import ended
+from live_server import ended, running
 
 from annotator.formats.rcv import read_rcv
 from annotator.geometry.iou import iou_3d
@@ -39,9 +40,10 @@ RIGHT = 0.5
 
 
 @pytest.fixture
-def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """Settings of a server without projects that may access the generated recordings."""
-    return ServerSettings(tmp_path / "projects", (generated,), port=0)
+def live(tmp_path: Path, generated: Path) -> Iterator[Live]:
+    """A server without projects that may access the generated recordings."""
+    with running(ServerSettings(tmp_path / "projects", (generated,), port=0)) as server:
+        yield server
 
 
 def begins_job(answer: Response) -> bool:
@@ -238,10 +240,10 @@ class Operator:
 @pytest.mark.timeout(1500)
 @pytest.mark.usefixtures("jobs_on_path")
 def test_from_an_empty_folder_to_a_downloaded_dataset(
-    page: Page, live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    open_page: Callable[[], Page], live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenes = [Scene.of(generated / "people", index, ("person",)) for index in range(5)]
-    operator = Operator(page, live, scenes)
+    operator = Operator(open_page(), live, scenes)
     operator.sign_in("Ada")
     operator.make_project(generated.name)
     drawn = operator.label_frames()

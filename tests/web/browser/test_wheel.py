@@ -28,7 +28,10 @@ from annotator import __version__
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/"),
+]
 
 ROOT = Path(__file__).resolve().parents[3]
 STEM = f"rcv_annotator-{__version__}"
