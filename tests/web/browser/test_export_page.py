@@ -58,7 +58,7 @@ def test_a_dataset_is_exported_and_downloaded(
     assert dataset.manifest.counts.objects == count
     assert dataset.manifest.counts.frames == 2
     jobs = shop.live.context.jobs
-    (job,) = jobs.all()
+    (job,) = (job for job in jobs.all() if job.project == room.path.name)
     jobs.file(job.id).unlink()
     jobs._tidy()
     expect(page.get_by_test_id("download-gone")).to_have_text("The dataset is no longer kept. Export it again.")

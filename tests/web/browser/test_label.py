@@ -104,6 +104,9 @@ def test_an_object_takes_five_drags_and_each_step_can_be_undone(bench: Bench) ->
     assert bench.labels[0].uid == before.uid
     page.keyboard.press("Control+z")
     until(page, lambda: np.allclose(bench.labels[0].box.size_m, before.box.size_m))
+    for kind in (BoxKind.BOX, BoxKind.SILHOUETTE):
+        page.keyboard.press("Control+z")
+        until(page, lambda kind=kind: bench.labels[0].box_kind is kind)
     page.keyboard.press("Control+z")
     expect(row).to_have_attribute("data-boxes", "4")
     assert bench.labels == []
@@ -266,8 +269,9 @@ def test_a_failed_save_or_class_is_shown_and_nothing_is_lost(bench: Bench) -> No
     # one whose class is removed is discarded, or gets another
     for kept in (False, True):
         change(lambda config: edit.add_class(config, "cat"))
+        for _ in ("its box", "itself"):
+            page.keyboard.press("Escape")
         page.get_by_test_id("class-cat").click()
-        page.keyboard.press("Escape")
         _save_in_between(bench, lambda: change(lambda config: edit.remove_class(config, "cat")))
         bench.drag_on_image(2)
         expect(problem).to_contain_text("'cat' is not a class")

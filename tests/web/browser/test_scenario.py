@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from browser_page import answers_drag, drag_box, draw_on_views
 from drawing import Scene
+from label_bench import Bench
 from live_server import ended, running
 
 from annotator.formats.rcv import read_rcv
@@ -83,17 +83,6 @@ class Operator:
         self.page.keyboard.press("Escape")
         self.click("open-crowd")
 
-    def draw_object(self, scene: Scene, number: int) -> None:
-        """Draws the five boxes of an object."""
-        camera = scene.frame.camera
-        with self.page.expect_response(answers_drag(0)) as answer:
-            drag_box(self.page, "image-editor", scene.image_box(number), camera.width_px, camera.height_px)
-        first = answer.value.json()["drawn"]["steps"][0]["views"]
-        with self.page.expect_response(answers_drag(2)) as answer:
-            draw_on_views(self.page, scene, number, first)
-        draw_on_views(self.page, scene, number, answer.value.json()["drawn"]["steps"][1]["views"], step=1)
-        self.page.wait_for_selector(".label-mode:not([data-saving])")
-
     def label_frames(self) -> int:
         """Draws all visible objects of the frames to label; returns their number."""
         self.page.get_by_test_id("order").select_option("time")
@@ -101,7 +90,7 @@ class Operator:
         for index in LABELLED:
             self.go_to_frame(index)
             for number in range(len(self.scenes[index].objects)):
-                self.draw_object(self.scenes[index], number)
+                Bench(self.page, self.live, self.project, self.scenes[index]).draw_object(number)
                 drawn += 1
             expect(self.page.get_by_test_id("object")).to_have_count(len(self.scenes[index].objects))
         return drawn

@@ -23,7 +23,7 @@ LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
 PAGE = """async ([project, left, top, width, height]) => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const [viewport, keys, api, events, effort, state] = await Promise.all(
-    ["viewport", "keys", "api", "events", "effort", "state"].map(load));
+    ["viewport", "keys", "api", "events", "effort", "frame_state"].map(load));
   const app = { effort: effort.createEffort(), events: events.createEvents(), keys: keys.createKeys(),
     state: state.createState({ route: { project } }) };
   app.api = api.createApi(app.effort, () => {});
