@@ -50,7 +50,7 @@ class WorkerThread:
 
     def _run(self, order: Order) -> None:
         try:
-            outcome = _work(order, self, self._orders)  # type: ignore[arg-type]
+            outcome = _work(order, self, self._orders)
             self.send(Finished(message=outcome.message, result=outcome.result))
         except JobStoppedError as error:
             self.send(Stopped(message=str(error)))

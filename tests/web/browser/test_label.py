@@ -308,9 +308,10 @@ def test_keys_change_the_frame_finalise_it_and_list_themselves(bench: Bench) -> 
     page.keyboard.press("Escape")
     table.wait_for(state="detached")
     # the next frame is fetched ahead, which going elsewhere cancels
+    page.get_by_test_id("order").select_option("time")
     with page.expect_request("**/frames/2/image.jpg*"):
-        page.get_by_test_id("order").select_option("time")
         page.reload()
+    page.get_by_test_id("object").first.wait_for()
     page.keyboard.press("n")
     page.wait_for_url("**/label/2")
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")

@@ -48,8 +48,7 @@ def test_fields_and_keys_set_values_and_the_queue_filters_by_them(desk: Desk, wa
     expect(page.get_by_test_id("attribute-pose").locator("option:checked")).to_have_text("sitting")
     expect(page.get_by_test_id("label-facts")).to_contain_text("until it is reviewed")
     desk.settled()
-    # as on a Mac
-    page.evaluate("dispatchEvent(new KeyboardEvent('keydown', { key: 'ø', code: 'KeyO', altKey: true }))")
+    desk.press("Alt+o")
     wait_for(lambda: values() == {"pose": "standing"})
     desk.settled()
     page.get_by_test_id("attribute-pose").select_option(label="sitting")

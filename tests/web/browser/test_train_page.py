@@ -13,6 +13,7 @@ from browser_page import label_truth
 from annotator.detection import base_detector
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
+from annotator.web.jobs.process import WorkerProcess
 from annotator.web.jobs.records import JobState, LiftRequest
 from annotator.workflows.training.held_out import Decision, Rival
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+# a training gives way to all other programs
+BEGINS_MS = 500_000.0
 
 
 def test_training_is_set_up_and_a_detector_is_chosen(
@@ -97,8 +101,9 @@ def test_training_is_set_up_and_a_detector_is_chosen(
 
 @pytest.mark.slow
 def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
-    shared_page: Page, room: Project, generated: Path
+    shared_page: Page, room: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("annotator.web.jobs.runner.WorkerProcess", WorkerProcess)
     page = shared_page
     count = label_truth(room, generated / "people", 2)
     page.goto(f"/#/{room.path.name}/train")
@@ -111,8 +116,8 @@ def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
     expect(page.get_by_test_id("stop-train")).to_be_visible()
     expect(page.get_by_test_id("job-indicator")).to_be_visible()
     page.reload()  # the training continues, and the page shows it again
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector")
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector", timeout=BEGINS_MS)
     page.get_by_test_id("stop-train").click()
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped")
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped", timeout=BEGINS_MS)
     expect(page.get_by_test_id("train-start")).to_be_enabled()
     expect(page.get_by_test_id("propose-start")).to_be_disabled()
