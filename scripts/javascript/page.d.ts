@@ -134,7 +134,7 @@ interface App {
   state: State;
   viewport: Viewport | null;
   given: Given | null;
-  toast: typeof import("../../web_assets/js/toasts.js").toast;
+  toast: typeof import("../../web_assets/js/dialogs.js").toast;
   /** Goes to an address from router.makeHash; `given` is for the mode that the address names. */
   go(hash: string, given?: Given | null): void;
   /** The path of a resource of the open project: app.path("frames", 3). */
@@ -215,7 +215,7 @@ type Overlay = {
 type Handles = { edges: boolean; corners: boolean; rotate: boolean };
 type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
 type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
-type View = ReturnType<typeof import("../../web_assets/js/editor2d/view.js").createView>;
+type View = ReturnType<typeof import("../../web_assets/js/editor2d/geometry.js").createView>;
 
 interface EditorOptions {
   /** Accessible name. */
@@ -392,13 +392,13 @@ type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange
 
 type AskSteps = (draft: Draft, suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
 
-type Order = ReturnType<typeof import("../../web_assets/js/label/order.js").createOrder>;
+type Order = ReturnType<typeof import("../../web_assets/js/label/frames.js").createOrder>;
 type OrderName = "teach" | "time";
 type Saver = ReturnType<typeof import("../../web_assets/js/label/saver.js").createSaver>;
 type StepLoader = ReturnType<typeof import("../../web_assets/js/label/draft.js").createStepLoader>;
 type Suggester = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createSuggester>;
-type WholeBoxes = ReturnType<typeof import("../../web_assets/js/label/whole_boxes.js").createWholeBoxes>;
-type Prefetch = ReturnType<typeof import("../../web_assets/js/label/prefetch.js").createPrefetch>;
+type WholeBoxes = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createWholeBoxes>;
+type Prefetch = ReturnType<typeof import("../../web_assets/js/label/frames.js").createPrefetch>;
 type ViewsPane = ReturnType<typeof import("../../web_assets/js/label/views_pane.js").createViewsPane>;
 type Objects = ReturnType<typeof import("../../web_assets/js/label/objects.js").createObjects>;
 type Panel = typeof import("../../web_assets/js/label/side_panel.js");

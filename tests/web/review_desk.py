@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from browser_page import drag, sign_in
+from browser_page import drag
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.outline import box_on_image
@@ -84,9 +84,7 @@ class Desk:
 
 def begin(page: Page, shop: Shop) -> Desk:
     """Opens Review mode of a new project with proposals; the most doubtful one is selected."""
-    project = shop.new_project()
-    propose(project, shop.recording)
-    sign_in(page, shop.live.url)
+    project = shop.new_project("proposed")
     page.goto(f"/#/{project.path.name}/review")
     desk = Desk(page, shop.live, project)
     page.locator(f"[data-testid=review-image] img.picture[src*='/{desk.name}/']").wait_for()

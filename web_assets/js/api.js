@@ -122,8 +122,7 @@ export function createApi(effort, onSignedOut) {
      */
     patch: (path, body) => request("PATCH", path, body),
 
-    /** @param {string} path */
-    del: (path) => request("DELETE", path, undefined),
+    del: (/** @type {string} */ path) => request("DELETE", path, undefined),
 
     /**
      * A POST that carries the effort since the last acknowledged change.
@@ -149,8 +148,7 @@ async function* chunks(response) {
   for (let read = await reader?.read(); read?.value; read = await reader?.read()) yield read.value;
 }
 
-/** @param {Response} response */
-async function readJson(response) {
+async function readJson(/** @type {Response} */ response) {
   if (response.status === 204) return null;
   const text = await response.text();
   try {
@@ -160,12 +158,7 @@ async function readJson(response) {
   }
 }
 
-/**
- * The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3.
- *
- * @param {string} project
- * @param {...(string | number)} parts
- */
-export function projectPath(project, ...parts) {
+/** The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3. */
+export function projectPath(/** @type {string} */ project, /** @type {...(string | number)} */ ...parts) {
   return ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
 }

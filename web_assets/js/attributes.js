@@ -8,10 +8,9 @@ const MOST_STEPS = 20;
 /**
  * The values that a key goes through; null for an attribute that is typed.
  *
- * @param {Attribute} attribute
  * @returns {(string | number | boolean)[] | null}
  */
-export function steps({ kind, choices, minimum, maximum }) {
+export function steps(/** @type {Attribute} */ { kind, choices, minimum, maximum }) {
   if (kind === "choice") return choices ?? [];
   if (kind === "boolean") return [true, false];
   if (kind !== "integer" || minimum === undefined || maximum === undefined || maximum - minimum >= MOST_STEPS)
@@ -20,27 +19,19 @@ export function steps({ kind, choices, minimum, maximum }) {
   return Array.from({ length: Math.floor(maximum) - first + 1 }, (_, n) => first + n);
 }
 
-/**
- * @param {App} app
- * @returns {Attribute[]}
- */
-export const schemaOf = (app) =>
+/** @returns {Attribute[]} */
+export const schemaOf = (/** @type {App} */ app) =>
   /** @type {Attribute[]} */ (/** @type {unknown} */ (app.state.project?.attributes ?? []));
 
-/**
- * A value as the operator reads it.
- *
- * @param {string | number | boolean} value
- */
-export const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
+/** A value as the operator reads it. */
+export const nameOf = (/** @type {string | number | boolean} */ value) =>
+  value === true ? "yes" : value === false ? "no" : String(value);
 
-/**
- * The values of a box in one line, in the order of the project's attributes, such as "pose=sitting, mass=80".
- *
- * @param {App} app
- * @param {{ attributes?: Record<string, string | number | boolean> }} label
- */
-export const valuesText = (app, { attributes = {} }) =>
+/** The values of a box in one line, in the order of the project's attributes, such as "pose=sitting, mass=80". */
+export const valuesText = (
+  /** @type {App} */ app,
+  /** @type {{ attributes?: Record<string, string | number | boolean> }} */ { attributes = {} },
+) =>
   schemaOf(app)
     .filter(({ name, of }) => of !== "frame" && attributes[name] !== undefined)
     .map(({ name }) => `${name}=${nameOf(attributes[name])}`)
@@ -83,22 +74,16 @@ export function createAttributes(host, app, target) {
     );
   }
 
-  /** @param {Attribute} attribute */
-  function current({ name, of, default: usual }) {
+  function current(/** @type {Attribute} */ { name, of, default: usual }) {
     if (of !== "frame") return target.shown()?.attributes?.[name];
     return app.state.frame?.frame.attributes[name] ?? usual;
   }
 
-  /**
-   * @param {Attribute} attribute
-   * @param {string | number | boolean | null} value
-   */
-  function set({ name, of }, value) {
+  function set(/** @type {Attribute} */ { name, of }, /** @type {string | number | boolean | null} */ value) {
     if (of === "frame" || owner !== null) void target.set(of === "frame" ? null : owner, { [name]: value });
   }
 
-  /** @param {Attribute} attribute */
-  function field(attribute) {
+  function field(/** @type {Attribute} */ attribute) {
     const { name, kind, key, of, required, minimum, maximum } = attribute;
     const values = steps(attribute);
     const common = {

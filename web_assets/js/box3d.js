@@ -49,39 +49,22 @@ export const EDGES = [
   [3, 7],
 ];
 
-/**
- * A copy that shares nothing with the box.
- *
- * @param {Box3D} box
- */
-export function copyBox({ center, size, rotation }) {
+/** A copy that shares nothing with the box. */
+export function copyBox(/** @type {Box3D} */ { center, size, rotation }) {
   return { center: [...center], size: [...size], rotation: rotation.map((row) => [...row]) };
 }
 
-/**
- * The box axis `i` as a unit vector in the camera frame.
- *
- * @param {Box3D} box
- * @param {number} i
- */
-export const boxAxis = (box, i) => column(box.rotation, i);
+/** The box axis `i` as a unit vector in the camera frame. */
+export const boxAxis = (/** @type {Box3D} */ box, /** @type {number} */ i) => column(box.rotation, i);
 
-/**
- * The 8 corners, camera frame.
- *
- * @param {Box3D} box
- */
-export function corners(box) {
+/** The 8 corners, camera frame. */
+export function corners(/** @type {Box3D} */ box) {
   const half = [0, 1, 2].map((i) => scale(boxAxis(box, i), box.size[i] / 2));
   return SIGNS.map((sign) => half.reduce((point, side, i) => add(point, scale(side, sign[i])), box.center));
 }
 
-/**
- * The arrow that shows the heading: from the middle of the box through its front (the +x face).
- *
- * @param {Box3D} box
- */
-export function headingArrow(box) {
+/** The arrow that shows the heading: from the middle of the box through its front (the +x face). */
+export function headingArrow(/** @type {Box3D} */ box) {
   const mean = (box.size[0] + box.size[1] + box.size[2]) / 3;
   return [box.center, add(box.center, scale(boxAxis(box, 0), box.size[0] / 2 + ARROW_BEYOND * mean))];
 }
@@ -89,12 +72,8 @@ export function headingArrow(box) {
 /**
  * Whether two boxes agree within a tolerance in metres, in their centres, their sizes, and the shift of their ends by
  * the rotation between them.
- *
- * @param {Box3D} a
- * @param {Box3D} b
- * @param {number} [toleranceM]
  */
-export function sameBox(a, b, toleranceM = 1e-6) {
+export function sameBox(/** @type {Box3D} */ a, /** @type {Box3D} */ b, /** @type {number} */ toleranceM = 1e-6) {
   const turned = (angleBetween(a.rotation, b.rotation) * Math.max(...b.size)) / 2;
   const sizes = a.size.map((value, i) => Math.abs(value - b.size[i]));
   return Math.max(length(subtract(a.center, b.center)), turned, ...sizes) <= toleranceM;
@@ -102,74 +81,50 @@ export function sameBox(a, b, toleranceM = 1e-6) {
 
 // -- on a view
 
-/**
- * The position of a point of the camera frame on a view, px.
- *
- * @param {Plane} view
- * @param {Vector} point
- */
-export function toView(view, point) {
+/** The position of a point of the camera frame on a view, px. */
+export function toView(/** @type {Plane} */ view, /** @type {Vector} */ point) {
   return [0, 1].map((i) => (dot(view.axes[i], point) - view.origin_m[i]) / view.metres_per_px);
 }
 
 /**
  * The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it.
  *
- * @param {Plane} view
- * @param {Box3D} box
  * @returns {Arrow}
  */
-export function viewHeading(view, box) {
+export function viewHeading(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   const x = boxAxis(box, 0);
   const [from, to] = [0, 0.4].map((share) => toView(view, add(box.center, scale(x, share * box.size[0]))));
   return { from, to, sight: dot(view.axes[2], x) };
 }
 
-/**
- * The rectangle around a box on a view: {x_min, y_min, x_max, y_max}, px.
- *
- * @param {Plane} view
- * @param {Box3D} box
- */
-export function viewRect(view, box) {
+/** The rectangle around a box on a view: {x_min, y_min, x_max, y_max}, px. */
+export function viewRect(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   const spans = [0, 1].map((i) =>
     spanAlong(box, view.axes[i]).map((m) => (m - view.origin_m[i]) / view.metres_per_px),
   );
   return { x_min: spans[0][0], y_min: spans[1][0], x_max: spans[0][1], y_max: spans[1][1] };
 }
 
-/**
- * The 12 edges of a box on a view: pairs of points, px.
- *
- * @param {Plane} view
- * @param {Box3D} box
- */
-export function viewOutline(view, box) {
+/** The 12 edges of a box on a view: pairs of points, px. */
+export function viewOutline(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   const px = corners(box).map((point) => toView(view, point));
   return EDGES.map(([a, b]) => [px[a], px[b]]);
 }
 
-/**
- * The interval that a box covers along a unit vector, metres.
- *
- * @param {Box3D} box
- * @param {Vector} direction
- */
-function spanAlong(box, direction) {
+/** The interval that a box covers along a unit vector, metres. */
+function spanAlong(/** @type {Box3D} */ box, /** @type {Vector} */ direction) {
   const middle = dot(direction, box.center);
   const half = [0, 1, 2].reduce((sum, i) => sum + (box.size[i] / 2) * Math.abs(dot(direction, boxAxis(box, i))), 0);
   return [middle - half, middle + half];
 }
 
-/**
- * The box that covers `low` to `high` along a direction; the side that is most parallel to it is changed.
- *
- * @param {Box3D} box
- * @param {Vector} direction
- * @param {number} low
- * @param {number} high
- */
-function withSpan(box, direction, low, high) {
+/** The box that covers `low` to `high` along a direction; the side that is most parallel to it is changed. */
+function withSpan(
+  /** @type {Box3D} */ box,
+  /** @type {Vector} */ direction,
+  /** @type {number} */ low,
+  /** @type {number} */ high,
+) {
   const shares = [0, 1, 2].map((i) => Math.abs(dot(direction, boxAxis(box, i))));
   const k = shares.indexOf(Math.max(...shares));
   const others = [0, 1, 2].reduce((sum, i) => sum + (i === k ? 0 : box.size[i] * shares[i]), 0);
@@ -182,18 +137,10 @@ function withSpan(box, direction, low, high) {
 /**
  * The box after its rectangle on a view has become `rect` (px). Its extent along the line of sight does not change,
  * nor does any side of the box whose edge did not move.
- *
- * @param {Plane} view
- * @param {Box3D} box
- * @param {Rect} rect
  */
-export function withViewRect(view, box, rect) {
+export function withViewRect(/** @type {Plane} */ view, /** @type {Box3D} */ box, /** @type {Rect} */ rect) {
   const before = viewRect(view, box);
-  /**
-   * @param {number} px
-   * @param {number} i
-   */
-  const metres = (px, i) => view.origin_m[i] + px * view.metres_per_px;
+  const metres = (/** @type {number} */ px, /** @type {number} */ i) => view.origin_m[i] + px * view.metres_per_px;
   let after = copyBox(box);
   if (rect.x_min !== before.x_min || rect.x_max !== before.x_max) {
     after = withSpan(after, view.axes[0], metres(rect.x_min, 0), metres(rect.x_max, 0));
@@ -204,32 +151,17 @@ export function withViewRect(view, box, rect) {
   return after;
 }
 
-/**
- * The box turned about its centre and a unit vector of the camera frame.
- *
- * @param {Box3D} box
- * @param {Vector} axis
- * @param {number} angleRad
- */
-export function turned(box, axis, angleRad) {
+/** The box turned about its centre and a unit vector of the camera frame. */
+export function turned(/** @type {Box3D} */ box, /** @type {Vector} */ axis, /** @type {number} */ angleRad) {
   return { ...copyBox(box), rotation: orthonormal(multiply(aboutAxis(axis, angleRad), box.rotation)) };
 }
 
-/**
- * The box after a view's rotation handle was turned by an angle, clockwise on the screen (x to y).
- *
- * @param {Plane} view
- * @param {Box3D} box
- * @param {number} angleRad
- */
-export const turnedInView = (view, box, angleRad) => turned(box, view.axes[2], angleRad);
+/** The box after a view's rotation handle was turned by an angle, clockwise on the screen (x to y). */
+export const turnedInView = (/** @type {Plane} */ view, /** @type {Box3D} */ box, /** @type {number} */ angleRad) =>
+  turned(box, view.axes[2], angleRad);
 
-/**
- * The same cuboid with its heading turned by 90 degrees about z: length and width are swapped.
- *
- * @param {Box3D} box
- */
-export function headingTurned(box) {
+/** The same cuboid with its heading turned by 90 degrees about z: length and width are swapped. */
+export function headingTurned(/** @type {Box3D} */ box) {
   const [x, y, z] = [0, 1, 2].map((i) => boxAxis(box, i));
   return {
     center: [...box.center],
@@ -241,28 +173,20 @@ export function headingTurned(box) {
 // -- as numbers in a form
 
 const DEGREES = 180 / Math.PI;
-/** @param {number} value */
-const tidy = (value) => (Object.is(value, -0) ? 0 : value);
+const tidy = (/** @type {number} */ value) => (Object.is(value, -0) ? 0 : value);
 
-/**
- * {yaw, pitch, roll} in degrees; see `toAngles` for what they mean.
- *
- * @param {Box3D} box
- * @param {Vector | null} up
- */
-export function anglesDeg(box, up) {
+/** {yaw, pitch, roll} in degrees; see `toAngles` for what they mean. */
+export function anglesDeg(/** @type {Box3D} */ box, /** @type {Vector | null} */ up) {
   const { yaw, pitch, roll } = toAngles(box.rotation, up);
   return { yaw: tidy(yaw * DEGREES), pitch: tidy(pitch * DEGREES), roll: tidy(roll * DEGREES) };
 }
 
-/**
- * The box with these angles in degrees.
- *
- * @param {Box3D} box
- * @param {Vector | null} up
- * @param {Angles} angles
- */
-export function withAnglesDeg(box, up, { yaw, pitch, roll }) {
+/** The box with these angles in degrees. */
+export function withAnglesDeg(
+  /** @type {Box3D} */ box,
+  /** @type {Vector | null} */ up,
+  /** @type {Angles} */ { yaw, pitch, roll },
+) {
   const angles = { yaw: yaw / DEGREES, pitch: pitch / DEGREES, roll: roll / DEGREES };
   return { ...copyBox(box), rotation: fromAngles(angles, up) };
 }

@@ -12,44 +12,26 @@ const STEPS = 16;
 /** @type {WeakMap<Api.ImageJson, Camera>} */
 const cameras = new WeakMap();
 
-/**
- * The camera with its picture's size: one object per picture, because the range of its lens is kept by object.
- *
- * @param {Api.ImageJson} image
- */
-export function cameraOf(image) {
+/** The camera with its picture's size: one object per picture, because the range of its lens is kept by object. */
+export function cameraOf(/** @type {Api.ImageJson} */ image) {
   const { width, height } = image;
   const camera = cameras.get(image) ?? { ...image.camera, width, height };
   cameras.set(image, camera);
   return camera;
 }
 
-/**
- * A point's pixel coordinates; null if it is behind the camera or outside the range of the lens model.
- *
- * @param {Camera} camera
- * @param {Vector} point
- */
-export function project(camera, [x, y, z]) {
+/** A point's pixel coordinates; null if it is behind the camera or outside the range of the lens model. */
+export function project(/** @type {Camera} */ camera, /** @type {Vector} */ [x, y, z]) {
   if (!(z > 0)) return null;
   const seen = distorted(camera, x / z, y / z);
   return seen && [seen[0] * camera.fx + camera.cx, seen[1] * camera.fy + camera.cy];
 }
 
-/**
- * Whether straight lines are curved in the picture.
- *
- * @param {Camera} camera
- */
-const isBent = (camera) => camera.distortion.some((value) => value !== 0);
+/** Whether straight lines are curved in the picture. */
+const isBent = (/** @type {Camera} */ camera) => camera.distortion.some((value) => value !== 0);
 
-/**
- * Lines of two or more points (px) along the edges of a box, cut at the near plane and at the picture's border.
- *
- * @param {Camera} camera
- * @param {Box3D} box
- */
-export function outline(camera, box) {
+/** Lines of two or more points (px) along the edges of a box, cut at the near plane and at the picture's border. */
+export function outline(/** @type {Camera} */ camera, /** @type {Box3D} */ box) {
   const points = corners(box);
   return EDGES.flatMap(([a, b]) => line(camera, points[a], points[b]));
 }
@@ -57,25 +39,17 @@ export function outline(camera, box) {
 /**
  * The arrow of a box's heading as far as it is on the picture; null if nothing of it is.
  *
- * @param {Camera} camera
- * @param {Box3D} box
  * @returns {Arrow | null}
  */
-export function imageHeading(camera, box) {
+export function imageHeading(/** @type {Camera} */ camera, /** @type {Box3D} */ box) {
   const [middle, front] = headingArrow(box);
   const px = line(camera, middle, front).flat();
   const [from, to] = [px[0], px.at(-1)];
   return from && to ? { from, to, sight: dot(unit(box.center), boxAxis(box, 0)) } : null;
 }
 
-/**
- * The parts of a straight line in the camera frame that are on the picture.
- *
- * @param {Camera} camera
- * @param {Vector} from
- * @param {Vector} to
- */
-export function line(camera, from, to) {
+/** The parts of a straight line in the camera frame that are on the picture. */
+export function line(/** @type {Camera} */ camera, /** @type {Vector} */ from, /** @type {Vector} */ to) {
   const ends = cutNear(from, to);
   if (!ends) return [];
   const count = isBent(camera) ? STEPS : 1;
@@ -95,31 +69,17 @@ export function line(camera, from, to) {
   return parts;
 }
 
-/**
- * @param {number[]} a
- * @param {number[]} b
- * @param {number} share
- */
-const between = (a, b, share) => a.map((value, i) => value + share * (b[i] - value));
+const between = (/** @type {number[]} */ a, /** @type {number[]} */ b, /** @type {number} */ share) =>
+  a.map((value, i) => value + share * (b[i] - value));
 
-/**
- * @param {Vector} a
- * @param {Vector} b
- */
-function cutNear(a, b) {
+function cutNear(/** @type {Vector} */ a, /** @type {Vector} */ b) {
   if (a[2] < NEAR_M && b[2] < NEAR_M) return null;
   const crossing = () => between(a, b, (NEAR_M - a[2]) / (b[2] - a[2]));
   return [a[2] < NEAR_M ? crossing() : a, b[2] < NEAR_M ? crossing() : b];
 }
 
-/**
- * The part of a line that is in the picture (Liang-Barsky clipping); null if there is none.
- *
- * @param {Camera} camera
- * @param {Point} a
- * @param {Point} b
- */
-function cutToPicture(camera, a, b) {
+/** The part of a line that is in the picture (Liang-Barsky clipping); null if there is none. */
+function cutToPicture(/** @type {Camera} */ camera, /** @type {Point} */ a, /** @type {Point} */ b) {
   const low = [-0.5, -0.5];
   const high = [camera.width - 0.5, camera.height - 0.5];
   let [enter, leave] = [0, 1];
@@ -137,12 +97,7 @@ function cutToPicture(camera, a, b) {
   return [enter === 0 ? a : between(a, b, enter), leave === 1 ? b : between(a, b, leave)];
 }
 
-/**
- * @param {Camera} camera
- * @param {number} x
- * @param {number} y
- */
-function distorted(camera, x, y) {
+function distorted(/** @type {Camera} */ camera, /** @type {number} */ x, /** @type {number} */ y) {
   if (!isBent(camera)) return [x, y];
   const k = [...camera.distortion, ...Array(14).fill(0)].slice(0, 14);
   const [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty] = k;
@@ -156,11 +111,7 @@ function distorted(camera, x, y) {
   return tx || ty ? tilted(bent, tx, ty) : bent;
 }
 
-/**
- * @param {number[]} options
- * @param {number} q
- */
-const radialFactor = ([a, b, c], q) => 1 + q * (a + q * (b + q * c));
+const radialFactor = (/** @type {number[]} */ [a, b, c], /** @type {number} */ q) => 1 + q * (a + q * (b + q * c));
 
 /** @type {WeakMap<Camera, number>} */
 const reaches = new WeakMap();
@@ -168,17 +119,14 @@ const reaches = new WeakMap();
 /**
  * The squared radius up to which the radial model increases. Points beyond it, far outside the picture, would be
  * projected into it.
- *
- * @param {Camera} camera
  */
-function reach(camera) {
+function reach(/** @type {Camera} */ camera) {
   const known = reaches.get(camera) ?? findReach(camera);
   reaches.set(camera, known);
   return known;
 }
 
-/** @param {Camera} camera */
-function findReach({ distortion }) {
+function findReach(/** @type {Camera} */ { distortion }) {
   const [k1, k2, , , k3 = 0, k4 = 0, k5 = 0, k6 = 0] = distortion;
   // no picture extends more than about 84 degrees from its axis
   const [most, steps] = [10, 4000];
@@ -195,12 +143,8 @@ function findReach({ distortion }) {
 
 /**
  * The tilted sensor of OpenCV's model: turned about x by tx, then about y by ty, and projected through the lens again.
- *
- * @param {Point} point
- * @param {number} tx
- * @param {number} ty
  */
-function tilted([x, y], tx, ty) {
+function tilted(/** @type {Point} */ [x, y], /** @type {number} */ tx, /** @type {number} */ ty) {
   const [cx, sx, cy, sy] = [Math.cos(tx), Math.sin(tx), Math.cos(ty), Math.sin(ty)];
   // the rows of the rotation in the documentation of OpenCV's calibration module
   const r = [

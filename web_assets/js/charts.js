@@ -1,5 +1,6 @@
 /** Charts, drawn by plotly. Its script comes from the server and is loaded when the first chart is drawn. */
 
+import { h } from "./dom.js";
 import { messageOf } from "./errors.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
@@ -22,19 +23,15 @@ function loadPlotly() {
   return loading;
 }
 
-/**
- * A name as a chart shows it: plotly takes some HTML.
- *
- * @param {string} name
- */
-export const plain = (name) => name.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
+/** A name as a chart shows it: plotly takes some HTML. */
+export const plain = (/** @type {string} */ name) =>
+  name.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
 
 /** The theme's current colours: the computed colour of a probe element is the resolved CSS variable. */
 function themeColors() {
   const probe = document.createElement("i");
   document.body.append(probe);
-  /** @param {string} name */
-  const read = (name) => {
+  const read = (/** @type {string} */ name) => {
     probe.style.color = `var(--${name})`;
     return getComputedStyle(probe).color;
   };
@@ -56,11 +53,10 @@ function themeColors() {
   return colors;
 }
 
-/** @param {{ x?: unknown, y?: unknown }} trace */
-const hasValues = ({ x, y }) => [x, y].every((list) => Array.isArray(list) && list.some((value) => value !== null));
+const hasValues = (/** @type {{ x?: unknown, y?: unknown }} */ { x, y }) =>
+  [x, y].every((list) => Array.isArray(list) && list.some((value) => value !== null));
 
-/** @param {string} color */
-const nothingYet = (color) => ({
+const nothingYet = (/** @type {string} */ color) => ({
   text: "nothing measured yet",
   font: { color },
   showarrow: false,
@@ -117,4 +113,50 @@ export function createChart(host, make) {
       plotly?.purge(host);
     },
   };
+}
+
+// -- numbers and tables
+
+export const number = (/** @type {number | null | undefined} */ value, /** @type {number} */ digits = 1) =>
+  value === null || value === undefined
+    ? "–"
+    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+/** A time: hours, or minutes below one hour. */
+export function duration(/** @type {number | null | undefined} */ hours) {
+  if (hours === null || hours === undefined) return "–";
+  const minutes = Math.round(60 * hours);
+  if (minutes >= 60) return `${number(hours)} h`;
+  return minutes === 0 && hours > 0 ? "under 1 min" : `${minutes} min`;
+}
+export const percent = (/** @type {number | null | undefined} */ value) =>
+  value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`;
+export function section(/** @type {string} */ title, /** @type {HTMLElement} */ table) {
+  return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), h("div", { class: "scroll-x" }, table));
+}
+
+export function table(/** @type {string[]} */ heads, /** @type {string[][]} */ rows, /** @type {string} */ testid) {
+  return h(
+    "table",
+    { class: "dense", "data-testid": testid },
+    h(
+      "thead",
+      {},
+      h(
+        "tr",
+        {},
+        heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)),
+      ),
+    ),
+    h(
+      "tbody",
+      {},
+      rows.map((cells) =>
+        h(
+          "tr",
+          {},
+          cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell))),
+        ),
+      ),
+    ),
+  );
 }

@@ -4,32 +4,23 @@ const PALETTE = ["#ff9f1c", "#2ec4f0", "#b5e61d", "#ff5d8f", "#9d8df1", "#ffe14d
 
 /**
  * The colour of a class: the one that was set, else by its position in the project's list; grey if it is not listed.
- *
- * @param {Pick<Api.ProjectInfo, "classes" | "class_styles">} project
- * @param {string} label
  */
-export function classColor({ classes, class_styles }, label) {
+export function classColor(
+  /** @type {Pick<Api.ProjectInfo, "classes" | "class_styles">} */ { classes, class_styles },
+  /** @type {string} */ label,
+) {
   const { colour } = /** @type {{ colour?: string }} */ (class_styles[label] ?? {});
   return colour ?? colorIn(classes, label);
 }
 
-/**
- * The colour of a name by its position in a list.
- *
- * @param {string[]} names
- * @param {string} name
- */
-export function colorIn(names, name) {
+/** The colour of a name by its position in a list. */
+export function colorIn(/** @type {string[]} */ names, /** @type {string} */ name) {
   const index = names.indexOf(name);
   return index < 0 ? "#c3c9d4" : PALETTE[index % PALETTE.length];
 }
 
-/**
- * The colour of a track by its id; consecutive ids get different colours. Grey for a box without a track.
- *
- * @param {number | null} id
- */
-export function trackColor(id) {
+/** The colour of a track by its id; consecutive ids get different colours. Grey for a box without a track. */
+export function trackColor(/** @type {number | null} */ id) {
   return id === null ? "#c3c9d4" : PALETTE[Math.abs(id) % PALETTE.length];
 }
 

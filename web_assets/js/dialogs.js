@@ -1,7 +1,7 @@
 /** Modal dialogs: a form in a <dialog>, which keeps the focus inside and closes with Escape. */
 
-import { h, iconButton } from "./dom.js";
-import { messageOf } from "./errors.js";
+import { elementById, h, iconButton } from "./dom.js";
+import { isAborted, messageOf } from "./errors.js";
 
 /**
  * Shows a dialog until one of its actions is done.
@@ -80,15 +80,13 @@ export function openDialog({ title, content, actions, submit, required = false, 
   });
 }
 
-/**
- * A question with two answers; true if it is confirmed.
- *
- * @param {string} title
- * @param {string} text
- * @param {string} action
- * @param {string} [kind]
- */
-export async function confirm(title, text, action, kind = "primary") {
+/** A question with two answers; true if it is confirmed. */
+export async function confirm(
+  /** @type {string} */ title,
+  /** @type {string} */ text,
+  /** @type {string} */ action,
+  /** @type {string} */ kind = "primary",
+) {
   const actions = [
     { label: "Cancel", value: "no" },
     { label: action, value: "yes", kind },
@@ -124,12 +122,8 @@ export async function askUnsaved(unsaved, look) {
   return choice === "discard" || choice === "retry";
 }
 
-/**
- * The key table.
- *
- * @param {Keys} keys
- */
-export function keyTableDialog(keys) {
+/** The key table. */
+export function keyTableDialog(/** @type {Keys} */ keys) {
   /** @type {Map<string, import("./keys.js").KeyRow[]>} */
   const groups = new Map();
   for (const row of keys.table) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
@@ -154,11 +148,43 @@ export function keyTableDialog(keys) {
   });
 }
 
-/** @param {import("./keys.js").KeyRow} row */
-function keyCaps(row) {
+function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
   const names = row.shown ?? row.keys;
   return names.flatMap((name, index) => [
     index > 0 && !row.shown ? " or " : " ",
     ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part)),
   ]);
+}
+
+// -- short messages in the corner; an error stays for twelve seconds, or until it is closed
+
+const SHOWN_MS = { info: 4000, good: 4000, warn: 8000, error: 12000 };
+
+/**
+ * toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn and error.
+ *
+ * @param {unknown} message an error, or a text.
+ * @param {keyof typeof SHOWN_MS} [kind]
+ */
+export function toast(message, kind) {
+  if (isAborted(message)) return;
+  const isError = message instanceof Error;
+  const shown = kind ?? (isError ? "error" : "info");
+  const text = messageOf(message);
+  const host = elementById("toasts");
+  for (const old of host.children) if (old.getAttribute("data-text") === text) old.remove();
+  const note = h(
+    "div",
+    {
+      class: `toast ${shown}`,
+      "data-testid": `toast-${shown}`,
+      "data-text": text,
+      role: shown === "error" ? "alert" : null,
+    },
+    h("span", {}, text),
+  );
+  note.append(iconButton("close", "Close this message", () => note.remove()));
+  host.append(note);
+  while (host.children.length > 5) host.firstElementChild?.remove();
+  setTimeout(() => note.remove(), SHOWN_MS[shown]);
 }

@@ -43,12 +43,11 @@ function fill(element, attributes = {}, children = []) {
   return element;
 }
 
-/**
- * @param {Element} element
- * @param {string} name
- * @param {AttributeValue} value
- */
-function setAttribute(element, name, value) {
+function setAttribute(
+  /** @type {Element} */ element,
+  /** @type {string} */ name,
+  /** @type {AttributeValue} */ value,
+) {
   if (value === null || value === undefined || value === false) return;
   if (typeof value === "function")
     element.addEventListener(name.replace(/^on/, ""), /** @type {EventListener} */ (value));
@@ -77,59 +76,50 @@ const GLYPHS = {
   lock: "M4 7.5h8V14H4ZM5.5 7.5V5a2.5 2.5 0 0 1 5 0v2.5",
 };
 
-/**
- * A decorative line icon of 16 x 16. The control around it needs its own label.
- *
- * @param {keyof typeof GLYPHS} name
- */
-export function glyph(name) {
+/** A decorative line icon of 16 x 16. The control around it needs its own label. */
+export function glyph(/** @type {keyof typeof GLYPHS} */ name) {
   return s("svg", { class: "glyph", viewBox: "0 0 16 16", "aria-hidden": "true" }, s("path", { d: GLYPHS[name] }));
 }
 
 /**
- * A button that shows only an icon; the label is its tooltip and its accessible name.
+ * A button: button("Save", save, { class: "primary" }).
  *
- * @param {keyof typeof GLYPHS} icon
- * @param {string} label
- * @param {() => unknown} onclick
+ * @param {Child | Child[]} content
+ * @param {((event: MouseEvent) => unknown) | null} onclick
  * @param {Attributes} [more]
  */
-export function iconButton(icon, label, onclick, more = {}) {
-  return h(
-    "button",
-    { type: "button", class: "icon quiet", title: label, "aria-label": label, onclick, ...more },
-    glyph(icon),
-  );
+export function button(content, onclick, more = {}) {
+  return h("button", { type: "button", onclick: onclick ?? undefined, ...more }, content);
 }
 
-/**
- * 1 -> "1 frame", 2 -> "2 frames".
- *
- * @param {number} number
- * @param {string} word
- * @param {string} [plural]
- */
-export function count(number, word, plural = `${word}s`) {
+/** A button that shows only an icon; the label is its tooltip and its accessible name. */
+export function iconButton(
+  /** @type {keyof typeof GLYPHS} */ icon,
+  /** @type {string} */ label,
+  /** @type {() => unknown} */ onclick,
+  /** @type {Attributes} */ more = {},
+) {
+  return button(glyph(icon), onclick, { class: "icon quiet", title: label, "aria-label": label, ...more });
+}
+
+/** 1 -> "1 frame", 2 -> "2 frames". */
+export function count(
+  /** @type {number} */ number,
+  /** @type {string} */ word,
+  /** @type {string} */ plural = `${word}s`,
+) {
   return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
 }
 
-/**
- * Leaves the text or number field within `host` that has the focus, which stores what was typed in it.
- *
- * @param {Element} [host]
- */
-export function leaveField(host = document.body) {
+/** Leaves the text or number field within `host` that has the focus, which stores what was typed in it. */
+export function leaveField(/** @type {Element} */ host = document.body) {
   const field = document.activeElement;
   const isTyped = field instanceof HTMLInputElement || field instanceof HTMLTextAreaElement;
   if (isTyped && host.contains(field)) field.blur();
 }
 
-/**
- * An element of index.html.
- *
- * @param {string} id
- */
-export function elementById(id) {
+/** An element of index.html. */
+export function elementById(/** @type {string} */ id) {
   const element = document.getElementById(id);
   if (element === null) throw new Error(`the page has no element #${id}`);
   return element;

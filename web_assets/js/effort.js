@@ -31,12 +31,8 @@ export function createEffort(now = () => performance.now() / 1000) {
     /** Counts the time since the last input event. */
     alive,
 
-    /**
-     * Listens to the input events of a window.
-     *
-     * @param {Window} target
-     */
-    watch(target) {
+    /** Listens to the input events of a window. */
+    watch(/** @type {Window} */ target) {
       for (const name of SIGNS) target.addEventListener(name, alive, { capture: true, passive: true });
     },
 
@@ -46,12 +42,8 @@ export function createEffort(now = () => performance.now() / 1000) {
       return { actions, seconds: Math.round(seconds * 1000) / 1000 };
     },
 
-    /**
-     * Subtracts what the server has acknowledged.
-     *
-     * @param {Api.Effort} sent
-     */
-    acknowledge(sent) {
+    /** Subtracts what the server has acknowledged. */
+    acknowledge(/** @type {Api.Effort} */ sent) {
       actions = Math.max(0, actions - sent.actions);
       seconds = Math.max(0, seconds - sent.seconds);
     },

@@ -16,27 +16,19 @@ export class ApiError extends Error {
   }
 }
 
-/**
- * The text of anything that was thrown.
- *
- * @param {unknown} error
- */
-export const messageOf = (error) => (error instanceof Error ? error.message : String(error));
+/** The text of anything that was thrown. */
+export const messageOf = (/** @type {unknown} */ error) => (error instanceof Error ? error.message : String(error));
 
-/**
- * True for a request that the page itself has cancelled.
- *
- * @param {unknown} error
- */
-export const isAborted = (error) => error instanceof DOMException && error.name === "AbortError";
+/** True for a request that the page itself has cancelled. */
+export const isAborted = (/** @type {unknown} */ error) =>
+  error instanceof DOMException && error.name === "AbortError";
 
 /**
  * True if others have changed the frame in the meantime; `body.state` is their version.
  *
- * @param {unknown} error
  * @returns {error is StaleError}
  */
-export function isStale(error) {
+export function isStale(/** @type {unknown} */ error) {
   return (
     error instanceof ApiError &&
     error.status === 409 &&
@@ -48,7 +40,7 @@ export function isStale(error) {
 /**
  * True if a track would get a second box in a frame; `body.track` is its id.
  *
- * @param {unknown} error
  * @returns {error is TrackTakenError}
  */
-export const isTrackTaken = (error) => error instanceof ApiError && error.kind === "TrackTakenError";
+export const isTrackTaken = (/** @type {unknown} */ error) =>
+  error instanceof ApiError && error.kind === "TrackTakenError";

@@ -31,8 +31,7 @@ export function createEvents() {
     for (const fn of [...(listeners.get(type) ?? [])]) fn(/** @type {never} */ (message));
   }
 
-  /** @param {string} name */
-  function connect(name) {
+  function connect(/** @type {string} */ name) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const mine = new WebSocket(`${scheme}://${location.host}/api/events?project=${encodeURIComponent(name)}`);
     socket = mine;
@@ -58,8 +57,7 @@ export function createEvents() {
     };
   }
 
-  /** @param {string} name */
-  async function begin(name) {
+  async function begin(/** @type {string} */ name) {
     /** @type {Promise<void>} */
     const first = new Promise((resolve) => {
       onFirst = resolve;
@@ -69,8 +67,7 @@ export function createEvents() {
     if (project === name) hasRead = true;
   }
 
-  /** @param {object} message */
-  function send(message) {
+  function send(/** @type {object} */ message) {
     if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
   }
 
@@ -91,10 +88,8 @@ export function createEvents() {
     /**
      * Receives the messages of a project; null: receives no messages. What is read after this call has resolved
      * is followed by every later message, or by "reconnected".
-     *
-     * @param {string | null} name
      */
-    follow(name) {
+    follow(/** @type {string | null} */ name) {
       if (name === project) return ready;
       project = name;
       shownFrame = null;
@@ -110,12 +105,8 @@ export function createEvents() {
       return ready;
     },
 
-    /**
-     * Reports to the other pages which frame is open on this page; null: no frame is open.
-     *
-     * @param {number | null} frame
-     */
-    openFrame(frame) {
+    /** Reports to the other pages which frame is open on this page; null: no frame is open. */
+    openFrame(/** @type {number | null} */ frame) {
       shownFrame = frame;
       send(frame === null ? { type: "close" } : { type: "open", project, frame });
     },

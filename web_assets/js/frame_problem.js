@@ -1,6 +1,6 @@
 /** Shown in place of the picture of a frame that cannot be read: the server's message, and what to do. */
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 import { messageOf } from "./errors.js";
 
 /** Number of frames that one request for the list returns. */
@@ -12,12 +12,6 @@ const PAGE = 1000;
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
   const text = h("p", { class: "error-box" });
-  /**
-   * @param {string} label
-   * @param {() => unknown} onclick
-   * @param {string} testid
-   */
-  const button = (label, onclick, testid) => h("button", { type: "button", onclick, "data-testid": testid }, label);
   const root = h(
     "div",
     { class: "frame-problem", role: "alert", hidden: true, "data-testid": "frame-problem" },
@@ -31,15 +25,14 @@ export function createFrameProblem(host, { onRetry, onStep }) {
     h(
       "div",
       { class: "row" },
-      button("Try again", onRetry, "frame-retry"),
-      button("Previous frame", () => onStep("previous"), "frame-previous"),
-      button("Next frame", () => onStep("next"), "frame-next"),
+      button("Try again", onRetry, { "data-testid": "frame-retry" }),
+      button("Previous frame", () => onStep("previous"), { "data-testid": "frame-previous" }),
+      button("Next frame", () => onStep("next"), { "data-testid": "frame-next" }),
     ),
   );
   host.append(root);
   return {
-    /** @param {unknown} error */
-    show(error) {
+    show(/** @type {unknown} */ error) {
       text.textContent = messageOf(error);
       root.hidden = false;
     },
@@ -47,14 +40,8 @@ export function createFrameProblem(host, { onRetry, onStep }) {
   };
 }
 
-/**
- * The frame before or after one that cannot be read, in the same recording; null if there is none.
- *
- * @param {App} app
- * @param {number} id
- * @param {Direction} which
- */
-export async function frameBeside(app, id, which) {
+/** The frame before or after one that cannot be read, in the same recording; null if there is none. */
+export async function frameBeside(/** @type {App} */ app, /** @type {number} */ id, /** @type {Direction} */ which) {
   let before = null;
   for (let offset = 0, total = 1; offset < total; offset += PAGE) {
     const page = await app.api.get(`${app.path("frames")}?offset=${offset}&limit=${PAGE}`);

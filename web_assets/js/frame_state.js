@@ -9,8 +9,7 @@
 /** Maximum number of times that a frame is read if others keep changing it meanwhile. */
 const MOST_READS = 4;
 
-/** @param {App} app */
-export function createFrameState(app) {
+export function createFrameState(/** @type {App} */ app) {
   const { state } = app;
   /**
    * Frame id -> the newest revision that an event has reported.
@@ -19,17 +18,18 @@ export function createFrameState(app) {
    */
   const heard = new Map();
   let hasMissed = false;
+  /**
+   * Frames that were changed while a frame was being read: it may show old outlines of their objects.
+   *
+   * @type {Set<number>}
+   */
+  const changed = new Set();
 
   // each project counts its frames from 1; the address of the picture, apart from a time offset, names the project
-  /** @param {FrameState} frame */
-  const pictureOf = (frame) => frame.image.url.split("&")[0];
-  /**
-   * @param {FrameState | null} a
-   * @param {FrameState | null} b
-   */
-  const isSame = (a, b) => a !== null && b !== null && a.frame.id === b.frame.id && pictureOf(a) === pictureOf(b);
-  /** @param {FrameState} frame */
-  const isOutdated = (frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
+  const pictureOf = (/** @type {FrameState} */ frame) => frame.image.url.split("&")[0];
+  const isSame = (/** @type {FrameState | null} */ a, /** @type {FrameState | null} */ b) =>
+    a !== null && b !== null && a.frame.id === b.frame.id && pictureOf(a) === pictureOf(b);
+  const isOutdated = (/** @type {FrameState} */ frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
 
   const frames = {
     /** True if others have saved, or may have saved, a newer state. */
@@ -37,30 +37,26 @@ export function createFrameState(app) {
       return state.frame !== null && (hasMissed || isOutdated(state.frame));
     },
 
-    /**
-     * Takes a state of the open frame. Returns false, and ignores the state, if it is older or of another frame.
-     *
-     * @param {FrameState} frame
-     */
-    take(frame) {
+    /** Takes a state of the open frame. Returns false, and ignores the state, if it is older or of another frame. */
+    take(/** @type {FrameState} */ frame) {
       const open = state.frame;
       if (open === null || !isSame(frame, open) || frame.frame.revision < open.frame.revision) return false;
       state.set({ frame });
       return true;
     },
 
-    /**
-     * Reads a frame and opens it.
-     *
-     * @param {number} id
-     * @param {RequestOptions} options
-     */
-    async open(id, options) {
+    /** Reads a frame and opens it. */
+    async open(/** @type {number} */ id, /** @type {RequestOptions} */ options) {
       /** @returns {Promise<FrameState>} */
       const read = () => app.api.get(app.path("frames", id), options);
+      changed.clear();
       let frame = await read();
-      for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
-      hasMissed = false;
+      const hasOldOutlines = () => frame.siblings.some((other) => changed.has(other));
+      for (let reads = 1; reads < MOST_READS && (isOutdated(frame) || hasOldOutlines()); reads += 1) {
+        changed.clear();
+        frame = await read();
+      }
+      hasMissed = hasOldOutlines();
       // the open frame may be newer than the answer
       if (!isSame(frame, state.frame)) state.set({ frame });
       else if (!frames.take(frame)) state.set({ frame: state.frame });
@@ -83,12 +79,9 @@ export function createFrameState(app) {
       }
     },
 
-    /**
-     * Handles an event: a frame has a new revision, perhaps saved by this page.
-     *
-     * @param {Messages["frame"]} options
-     */
-    hear({ frame, revision }) {
+    /** Handles an event: a frame has a new revision, perhaps saved by this page. */
+    hear(/** @type {Messages["frame"]} */ { frame, revision }) {
+      changed.add(frame);
       heard.set(frame, Math.max(heard.get(frame) ?? -1, revision));
       // objects of the rig's other cameras are outlines in this one
       if (state.frame?.siblings.includes(frame)) hasMissed = true;
@@ -118,4 +111,31 @@ export function createFrameState(app) {
 export function currentFrame({ state }) {
   if (state.frame === null) throw new Error("no frame is open");
   return state.frame;
+}
+
+// -- the state shared by the whole page
+
+/** @returns {State} */
+export function createState(/** @type {StateValues} */ initial) {
+  /** @type {Map<string, Set<(value: never) => unknown>>} */
+  const listeners = new Map();
+  /** @type {State} */
+  const state = {
+    ...initial,
+
+    // listeners are called even if a value is the same object as before
+    set(changes) {
+      Object.assign(state, changes);
+      for (const [name, value] of Object.entries(changes)) {
+        for (const fn of [...(listeners.get(name) ?? [])]) fn(/** @type {never} */ (value));
+      }
+    },
+
+    on(name, fn) {
+      const known = listeners.get(name) ?? new Set();
+      listeners.set(name, known.add(fn));
+      return () => known.delete(fn);
+    },
+  };
+  return state;
 }

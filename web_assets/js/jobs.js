@@ -1,48 +1,32 @@
 /** Background jobs of the server: start, follow, stop. Several modes show them. */
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 
-/** @param {Api.Job} job */
-export const isActive = (job) => job.state === "queued" || job.state === "running";
+export const isActive = (/** @type {Api.Job} */ job) => job.state === "queued" || job.state === "running";
 
-/**
- * The newest job of a kind in the open project, or null.
- *
- * @param {App} app
- * @param {Api.Job["kind"]} kind
- */
-export function latestJob(app, kind) {
+/** The newest job of a kind in the open project, or null. */
+export function latestJob(/** @type {App} */ app, /** @type {Api.Job["kind"]} */ kind) {
   const mine = app.state.jobs.filter((job) => job.kind === kind && job.project === app.state.route.project);
   return mine.toSorted((a, b) => b.created_ns - a.created_ns)[0] ?? null;
 }
 
-/**
- * Starts a job and shows it at once.
- *
- * @param {App} app
- * @param {Api.TrainRequest | Api.ProposeRequest | Api.LiftRequest | Api.ExportRequest} request
- */
-export async function startJob(app, request) {
+/** Starts a job and shows it at once. */
+export async function startJob(
+  /** @type {App} */ app,
+  /** @type {Api.TrainRequest | Api.ProposeRequest | Api.LiftRequest | Api.ExportRequest} */ request,
+) {
   /** @type {Api.Job} */
   const job = await app.api.post(app.path("jobs"), request);
   takeJob(app, job);
   return job;
 }
 
-/**
- * @param {App} app
- * @param {Api.Job} job
- */
-export function takeJob(app, job) {
+export function takeJob(/** @type {App} */ app, /** @type {Api.Job} */ job) {
   app.state.set({ jobs: [job, ...app.state.jobs.filter(({ id }) => id !== job.id)] });
 }
 
-/**
- * 75 -> "1 min 15 s".
- *
- * @param {number} seconds
- */
-function duration(seconds) {
+/** 75 -> "1 min 15 s". */
+function duration(/** @type {number} */ seconds) {
   const whole = Math.max(0, Math.round(seconds));
   if (whole < 60) return `${whole} s`;
   const minutes = Math.floor(whole / 60);
@@ -61,11 +45,7 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const left = h("span", { class: "muted number" });
-  const stop = h(
-    "button",
-    { type: "button", class: "danger", "data-testid": `stop-${kind}`, onclick: () => cancel() },
-    "Stop",
-  );
+  const stop = button("Stop", () => cancel(), { class: "danger", "data-testid": `stop-${kind}` });
   const root = h("div", { class: "job-line", "data-testid": `job-${kind}`, role: "status" }, text, bar, left, stop);
 
   async function cancel() {
@@ -99,11 +79,65 @@ export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   };
 }
 
-/** @param {Api.Job} job */
-function describe(job) {
+function describe(/** @type {Api.Job} */ job) {
   if (job.state === "queued") return "Waiting for another job to end";
   if (job.state === "running") return job.stage || "Running";
   if (job.state === "failed") return `Failed: ${job.message ?? "see the server's log"}`;
   if (job.state === "cancelled") return job.message ?? "Stopped";
   return job.message ?? "Done";
+}
+
+// -- jobs of the start page, which has no open project and receives no events of them
+
+/** @type {Api.Job["kind"][]} */
+const KINDS = ["import", "boxes", "copy"];
+/** Such a job takes between a moment and minutes, so the interval between requests grows. */
+const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
+
+export const isOfImport = (/** @type {Api.Job} */ { kind }) => KINDS.includes(kind);
+
+/**
+ * Requests the jobs once, and then repeatedly while one of them runs.
+ *
+ * @param {App} app
+ * @param {() => void} onDone called when a job has ended.
+ * @returns {() => void} ends the requests.
+ */
+export function followImports(app, onDone) {
+  let isOver = false;
+  let timer = 0;
+  let waitMs = WAIT_MS.first;
+  const isImport = (/** @type {Api.Job} */ job) => isOfImport(job) && isActive(job);
+  const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
+
+  function plan() {
+    clearTimeout(timer);
+    const isRunning = running().length > 0 && !isOver;
+    timer = isRunning ? setTimeout(look, waitMs) : 0;
+    waitMs = isRunning ? Math.min(waitMs * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
+  }
+
+  async function look() {
+    const before = running();
+    try {
+      /** @type {Api.JobList} */
+      const { jobs } = await app.api.get("/api/jobs");
+      if (isOver) return;
+      // the answer lacks jobs that were started after the request
+      const begun = app.state.jobs.filter((job) => isImport(job) && !jobs.some(({ id }) => id === job.id));
+      app.state.set({ jobs: [...begun, ...jobs] });
+    } catch {
+      // another part of the page shows that the server does not answer
+    }
+    plan();
+    if (!isOver && before.some((id) => !running().includes(id))) onDone();
+  }
+
+  const stop = app.state.on("jobs", () => timer || plan());
+  void look();
+  return () => {
+    isOver = true;
+    plan();
+    stop();
+  };
 }

@@ -22,262 +22,112 @@ import { leaveField } from "./dom.js";
  * @property {string} group
  */
 
-const EDITING = ["label", "review"];
+const LABEL = ["label"];
+const REVIEW = ["review"];
+const EDITING = [...LABEL, ...REVIEW];
 const EVERYWHERE = null;
 
 /** @type {KeyRow[]} */
 export const KEYS = [
-  { id: "undo", keys: ["Ctrl+Z"], label: "Undo", modes: EVERYWHERE, group: "Everywhere" },
-  { id: "redo", keys: ["Ctrl+Shift+Z", "Ctrl+Y"], label: "Redo", modes: EVERYWHERE, group: "Everywhere" },
-  { id: "help", keys: ["?"], label: "Show this table", modes: EVERYWHERE, group: "Everywhere" },
-  {
-    id: "regions",
-    keys: ["F6"],
-    label: "Move the focus to the top bar and back",
-    modes: EVERYWHERE,
-    group: "Everywhere",
-  },
-  { id: "next-frame", keys: ["N", "PageDown"], label: "Next frame", modes: EDITING, group: "Frames and boxes" },
-  { id: "previous-frame", keys: ["P", "PageUp"], label: "Previous frame", modes: EDITING, group: "Frames and boxes" },
-  { id: "next-box", keys: ["Tab"], label: "Next box", modes: EDITING, group: "Frames and boxes" },
-  { id: "previous-box", keys: ["Shift+Tab"], label: "Previous box", modes: EDITING, group: "Frames and boxes" },
-  {
-    id: "class",
-    keys: ["1", "2", "3", "4", "5", "6", "7", "8", "9"],
-    shown: ["1", "…", "9"],
-    label: "Class",
-    modes: EDITING,
-    group: "Frames and boxes",
-  },
-  {
-    id: "attribute",
-    keys: alt("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"),
-    shown: ["Alt", "its key"],
-    label: "Next value of the attribute with this key, or the class with it (set the keys in the class editor)",
-    modes: EDITING,
-    group: "Frames and boxes",
-  },
-  {
-    id: "delete",
-    keys: ["Delete", "Backspace"],
-    shown: ["Del"],
-    label: "Delete",
-    modes: EDITING,
-    group: "Frames and boxes",
-  },
-  {
-    id: "cancel",
-    keys: ["Escape"],
-    label: "Cancel the drag, then deselect",
-    modes: EDITING,
-    group: "Frames and boxes",
-  },
-  { id: "finalise", keys: ["Ctrl+Enter"], label: "Finalise the frame", modes: EDITING, group: "Frames and boxes" },
-  {
-    id: "accept-suggestion",
-    keys: ["Enter"],
-    label: "Accept the suggested (dashed) boxes, or the whole box, of the object",
-    modes: ["label"],
-    group: "Label",
-  },
-  {
-    id: "box-kind",
-    keys: ["B"],
-    label: "Boxes enclose the visible part / the whole object",
-    modes: ["label"],
-    group: "Label",
-  },
-  {
-    id: "next-whole-box",
-    keys: ["W"],
-    label: "Show another whole box (dashed) for a finished object",
-    modes: ["label"],
-    group: "Label",
-  },
-  {
-    id: "accept",
-    keys: ["Space"],
-    label: "Accept, then go to the next: of the queue, or else of this frame",
-    modes: ["review"],
-    group: "Review",
-  },
-  {
-    id: "accept-all",
-    keys: ["Shift+Space"],
-    shown: ["Shift", "Space"],
-    label: "Accept all open boxes of the frame; in the queue, go to its next frame",
-    modes: ["review"],
-    group: "Review",
-  },
-  { id: "reject", keys: ["X"], label: "Reject", modes: ["review"], group: "Review" },
-  { id: "refit", keys: ["G"], label: "Fit again from this box", modes: ["review"], group: "Review" },
-  { id: "flip", keys: ["F"], label: "Turn the heading by 90°", modes: ["review"], group: "Review" },
-  { id: "gizmo-translate", keys: ["T"], label: "Move with the gizmo", modes: ["review"], group: "Review" },
-  { id: "gizmo-rotate", keys: ["R"], label: "Turn with the gizmo", modes: ["review"], group: "Review" },
-  { id: "gizmo-off", keys: ["Y"], label: "Hide the gizmo", modes: ["review"], group: "Review" },
-  {
-    id: "draw-box",
-    keys: ["B", "Insert"],
-    shown: ["B"],
-    label: "New box: drag on the image (also without this key)",
-    modes: ["review"],
-    group: "Review",
-  },
-  {
-    id: "copy-previous",
-    keys: ["C"],
-    label: "Copy boxes from the previous frame",
-    modes: ["review"],
-    group: "Review",
-  },
-  {
-    id: "follow",
-    keys: ["V"],
-    label: "Follow this reviewed or new box through the recording",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "follow-back",
-    keys: ["Shift+V"],
-    shown: ["Shift", "V"],
-    label: "Follow it backward",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "follow-all",
-    keys: ["L"],
-    label: "Follow all reviewed boxes of this frame",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "follow-all-back",
-    keys: ["Shift+L"],
-    shown: ["Shift", "L"],
-    label: "Follow them backward",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "sheet",
-    keys: ["S"],
-    label: "Contact sheet of this object's track",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "copy-next",
-    keys: ["Shift+C"],
-    shown: ["Shift", "C"],
-    label: "Copy this box to the next frame",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "carry",
-    keys: ["A"],
-    label: "Correct the later proposals of the track like this box",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "interpolate",
-    keys: ["I"],
-    label: "Fill the frames back to the track's previous reviewed box",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "interpolate-refit",
-    keys: ["Shift+I"],
-    shown: ["Shift", "I"],
-    label: "The same, with each box fitted to its points",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "next-of-track",
-    keys: ["Shift+N"],
-    shown: ["Shift", "N"],
-    label: "Next frame of this object",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  {
-    id: "previous-of-track",
-    keys: ["Shift+P"],
-    shown: ["Shift", "P"],
-    label: "Previous frame of this object",
-    modes: ["review"],
-    group: "Tracks",
-  },
-  { id: "points-larger", keys: ["+", "="], shown: ["+"], label: "Larger points", modes: EDITING, group: "View" },
-  { id: "points-smaller", keys: ["-"], label: "Smaller points", modes: EDITING, group: "View" },
-  { id: "fit", keys: ["0", "Home"], label: "Fit the pictures to their panels", modes: EDITING, group: "View" },
-  {
-    id: "nudge",
-    keys: arrows(["", "Shift+"]),
-    shown: ["← ↑ → ↓"],
-    label: "Move the box by 1 px, with Shift by 10",
-    modes: EDITING,
-    group: "2D boxes",
-  },
-  {
-    id: "nudge-size",
-    keys: arrows(["Alt+", "Alt+Shift+"]),
-    shown: ["Alt", "← ↑ → ↓"],
-    label: "Move its right or lower edge",
-    modes: EDITING,
-    group: "2D boxes",
-  },
-  { id: "new-box", keys: ["Insert"], label: "New box in the middle", modes: ["label"], group: "2D boxes" },
-  // the 2D editor handles these itself
-  {
-    id: "editor-zoom",
-    keys: [],
-    shown: ["Wheel"],
-    label: "Zoom about the pointer",
-    modes: EDITING,
-    group: "2D boxes",
-  },
-  {
-    id: "editor-pan",
-    keys: [],
-    shown: ["Space", "drag"],
-    label: "Pan (or the middle button, or two fingers)",
-    modes: ["label"],
-    group: "2D boxes",
-  },
-  {
-    id: "editor-force",
-    keys: [],
-    shown: ["Shift", "drag"],
-    label: "Draw a new box over a selected one",
-    modes: EDITING,
-    group: "2D boxes",
-  },
+  ...rows("Everywhere", EVERYWHERE, [
+    ["undo", ["Ctrl+Z"], "Undo"],
+    ["redo", ["Ctrl+Shift+Z", "Ctrl+Y"], "Redo"],
+    ["help", ["?"], "Show this table"],
+    ["regions", ["F6"], "Move the focus to the top bar and back"],
+  ]),
+  ...rows("Frames and boxes", EDITING, [
+    ["next-frame", ["N", "PageDown"], "Next frame"],
+    ["previous-frame", ["P", "PageUp"], "Previous frame"],
+    ["next-box", ["Tab"], "Next box"],
+    ["previous-box", ["Shift+Tab"], "Previous box"],
+    ["class", ["1", "2", "3", "4", "5", "6", "7", "8", "9"], "Class", ["1", "…", "9"]],
+    [
+      "attribute",
+      alt("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"),
+      "Next value of the attribute with this key, or the class with it (set the keys in the class editor)",
+      ["Alt", "its key"],
+    ],
+    ["delete", ["Delete", "Backspace"], "Delete", ["Del"]],
+    ["cancel", ["Escape"], "Cancel the drag, then deselect"],
+    ["finalise", ["Ctrl+Enter"], "Finalise the frame"],
+  ]),
+  ...rows("Label", LABEL, [
+    ["accept-suggestion", ["Enter"], "Accept the suggested (dashed) boxes, or the whole box, of the object"],
+    ["box-kind", ["B"], "Boxes enclose the visible part / the whole object"],
+    ["next-whole-box", ["W"], "Show another whole box (dashed) for a finished object"],
+  ]),
+  ...rows("Review", REVIEW, [
+    ["accept", ["Space"], "Accept, then go to the next: of the queue, or else of this frame"],
+    [
+      "accept-all",
+      ["Shift+Space"],
+      "Accept all open boxes of the frame; in the queue, go to its next frame",
+      ["Shift", "Space"],
+    ],
+    ["reject", ["X"], "Reject"],
+    ["refit", ["G"], "Fit again from this box"],
+    ["flip", ["F"], "Turn the heading by 90°"],
+    ["gizmo-translate", ["T"], "Move with the gizmo"],
+    ["gizmo-rotate", ["R"], "Turn with the gizmo"],
+    ["gizmo-off", ["Y"], "Hide the gizmo"],
+    ["draw-box", ["B", "Insert"], "New box: drag on the image (also without this key)", ["B"]],
+    ["copy-previous", ["C"], "Copy boxes from the previous frame"],
+  ]),
+  ...rows("Tracks", REVIEW, [
+    ["follow", ["V"], "Follow this reviewed or new box through the recording"],
+    ["follow-back", ["Shift+V"], "Follow it backward", ["Shift", "V"]],
+    ["follow-all", ["L"], "Follow all reviewed boxes of this frame"],
+    ["follow-all-back", ["Shift+L"], "Follow them backward", ["Shift", "L"]],
+    ["sheet", ["S"], "Contact sheet of this object's track"],
+    ["copy-next", ["Shift+C"], "Copy this box to the next frame", ["Shift", "C"]],
+    ["carry", ["A"], "Correct the later proposals of the track like this box"],
+    ["interpolate", ["I"], "Fill the frames back to the track's previous reviewed box"],
+    ["interpolate-refit", ["Shift+I"], "The same, with each box fitted to its points", ["Shift", "I"]],
+    ["next-of-track", ["Shift+N"], "Next frame of this object", ["Shift", "N"]],
+    ["previous-of-track", ["Shift+P"], "Previous frame of this object", ["Shift", "P"]],
+  ]),
+  ...rows("View", EDITING, [
+    ["points-larger", ["+", "="], "Larger points", ["+"]],
+    ["points-smaller", ["-"], "Smaller points"],
+    ["fit", ["0", "Home"], "Fit the pictures to their panels"],
+  ]),
+  ...rows("2D boxes", EDITING, [
+    ["nudge", arrows(["", "Shift+"]), "Move the box by 1 px, with Shift by 10", ["← ↑ → ↓"]],
+    ["nudge-size", arrows(["Alt+", "Alt+Shift+"]), "Move its right or lower edge", ["Alt", "← ↑ → ↓"]],
+    // the 2D editor handles these itself, and those of Label without a key
+    ["editor-zoom", [], "Zoom about the pointer", ["Wheel"]],
+    ["editor-force", [], "Draw a new box over a selected one", ["Shift", "drag"]],
+  ]),
+  ...rows("2D boxes", LABEL, [
+    ["new-box", ["Insert"], "New box in the middle"],
+    ["editor-pan", [], "Pan (or the middle button, or two fingers)", ["Space", "drag"]],
+  ]),
 ];
 
-/** @param {string} keys */
-function alt(keys) {
+/**
+ * Rows of one group: id, keys, label, and what the table shows in place of the keys.
+ *
+ * @param {string} group
+ * @param {string[] | null} modes
+ * @param {[string, string[], string, string[]?][]} list
+ * @returns {KeyRow[]}
+ */
+function rows(group, modes, list) {
+  return list.map(([id, keys, label, shown]) => ({ id, keys, shown, label, modes, group }));
+}
+
+function alt(/** @type {string} */ keys) {
   return [...keys].map((key) => `Alt+${key}`);
 }
 
-/** @param {string[]} prefixes */
-function arrows(prefixes) {
+function arrows(/** @type {string[]} */ prefixes) {
   return prefixes.flatMap((prefix) =>
     ["ArrowLeft", "ArrowUp", "ArrowRight", "ArrowDown"].map((name) => prefix + name),
   );
 }
 
-/**
- * The name of a keyboard event's key, as in the table.
- *
- * @param {KeyboardEvent} event
- */
-function keyName(event) {
+/** The name of a keyboard event's key, as in the table. */
+function keyName(/** @type {KeyboardEvent} */ event) {
   let name = event.key === " " ? "Space" : event.key;
   // a Mac types other characters with Alt
   const plain = event.altKey && !/^[a-z0-9]$/i.test(name) && /^(?:Key|Digit)(.)$/.exec(event.code);
@@ -290,13 +140,8 @@ function keyName(event) {
 
 const TYPED = new Set(["text", "search", "email", "url", "password", "tel", "date", "time"]);
 
-/**
- * True if a key belongs to the focused field.
- *
- * @param {KeyboardEvent} event
- * @param {string} name
- */
-function isForField(event, name) {
+/** True if a key belongs to the focused field. */
+function isForField(/** @type {KeyboardEvent} */ event, /** @type {string} */ name) {
   if (/^Alt\+[0-9A-Z]$/.test(name)) return false;
   // an element of this page or of the 3D view's, or a window
   const {
@@ -321,8 +166,7 @@ export function createKeys() {
   /** @type {string | null} */
   let mode = null;
 
-  /** @param {KeyboardEvent} event */
-  function onKey(event) {
+  function onKey(/** @type {KeyboardEvent} */ event) {
     if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
     const name = keyName(event);
     const digit = /^Digit([1-9])$/.exec(event.code)?.[1];
@@ -338,8 +182,7 @@ export function createKeys() {
     event.stopImmediatePropagation();
   }
 
-  /** @param {string} name */
-  function findRow(name) {
+  function findRow(/** @type {string} */ name) {
     return KEYS.find(
       ({ id, keys, modes }) =>
         keys.includes(name) && (!modes || (mode && modes.includes(mode))) && handlers.get(id)?.length,
@@ -349,22 +192,16 @@ export function createKeys() {
   return {
     table: KEYS,
 
-    /**
-     * Which mode's rows are active.
-     *
-     * @param {string | null} name
-     */
-    setMode(name) {
+    /** Which mode's rows are active. */
+    setMode(/** @type {string | null} */ name) {
       mode = name;
     },
 
     /**
      * Registers handlers: {"next-frame": (event, key) => ...}. One that returns false leaves the key to the browser.
      * The newest handler of an id is used. Returns a function that removes these handlers.
-     *
-     * @param {Record<string, KeyHandler>} map
      */
-    register(map) {
+    register(/** @type {Record<string, KeyHandler>} */ map) {
       const added = Object.entries(map);
       for (const [id, fn] of added) {
         if (!KEYS.some((row) => row.id === id)) throw new Error(`no row '${id}' in the key table`);
@@ -378,12 +215,8 @@ export function createKeys() {
       };
     },
 
-    /**
-     * Listens to the keys of a window: the page's own, or the 3D view's.
-     *
-     * @param {Window} target
-     */
-    listen(target) {
+    /** Listens to the keys of a window: the page's own, or the 3D view's. */
+    listen(/** @type {Window} */ target) {
       target.addEventListener("keydown", onKey, { capture: true });
     },
   };

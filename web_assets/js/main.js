@@ -6,19 +6,16 @@
  */
 
 import { createApi, projectPath } from "./api.js";
-import { askUnsaved, confirm, keyTableDialog } from "./dialogs.js";
-import { elementById, h } from "./dom.js";
+import { askUnsaved, confirm, keyTableDialog, toast } from "./dialogs.js";
+import { button, elementById, h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
-import { createFrameState } from "./frame_state.js";
+import { createFrameState, createState } from "./frame_state.js";
 import { createKeys } from "./keys.js";
 import { makeHash, parseHash } from "./router.js";
 import { signIn } from "./session.js";
-import { createState } from "./state.js";
-import { applyTheme } from "./theme.js";
-import { toast } from "./toasts.js";
-import { mountTopbar } from "./topbar.js";
+import { applyTheme, mountTopbar } from "./topbar.js";
 import { createViewport } from "./viewport.js";
 
 /** @type {Record<string, string>} */
@@ -93,12 +90,8 @@ async function refreshProject() {
   if (app.state.route.project === name) app.state.set({ project });
 }
 
-/**
- * Loads and opens a frame. A newer call cancels older ones.
- *
- * @param {number} id
- */
-async function loadFrame(id) {
+/** Loads and opens a frame. A newer call cancels older ones. */
+async function loadFrame(/** @type {number} */ id) {
   frameRequest?.abort();
   frameRequest = new AbortController();
   try {
@@ -122,21 +115,15 @@ async function mayLeave() {
   return unsaved === null || askUnsaved(unsaved, () => mounted?.unsaved?.() ?? null);
 }
 
-/** @param {Omit<Route, "query">} options */
-function comeBack({ project, mode, frame }) {
+function comeBack(/** @type {Omit<Route, "query">} */ { project, mode, frame }) {
   // `given` was for a mode that is not opened
   app.given = null;
   history.replaceState(null, "", project === null ? "#/" : makeHash(project, mode, frame));
   app.state.set({ route: parseHash(location.hash) });
 }
 
-/**
- * Undo or redo. If others have changed the same box since, the operator may skip that step.
- *
- * @param {"undo" | "redo"} direction
- * @param {boolean} [skip]
- */
-async function travel(direction, skip = false) {
+/** Undo or redo. If others have changed the same box since, the operator may skip that step. */
+async function travel(/** @type {"undo" | "redo"} */ direction, /** @type {boolean} */ skip = false) {
   const { mode, project } = app.state.route;
   if (project === null) return;
   try {
@@ -157,33 +144,23 @@ async function travel(direction, skip = false) {
 
 /**
  * Opens the frame anew if the up direction or the calibration of its recording has changed: its cloud lies elsewhere.
- *
- * @param {Messages["adjusted"]} message
  */
-async function readjust({ recording, operator }) {
+async function readjust(/** @type {Messages["adjusted"]} */ { recording, operator }) {
   const { route, frame } = app.state;
   if (!["label", "review"].includes(route.mode) || frame?.frame.recording !== recording) return;
   toast(`${operator} has changed this recording's calibration or which way is up.`);
   await follow(true);
 }
 
-/**
- * Reads the project again; modes then show its classes, and read the frame again.
- *
- * @param {Messages["classes"]} message
- */
-function takeClasses({ operator }) {
+/** Reads the project again; modes then show its classes, and read the frame again. */
+function takeClasses(/** @type {Messages["classes"]} */ { operator }) {
   app.frames.miss();
   if (operator !== app.state.operator) toast(`${operator} has changed the classes or attributes.`);
   refreshProject().catch(toast);
 }
 
-/**
- * Shows the same under the project's new name. What is not saved yet is saved there.
- *
- * @param {Messages["renamed"]} message
- */
-async function rename({ name, operator }) {
+/** Shows the same under the project's new name. What is not saved yet is saved there. */
+async function rename(/** @type {Messages["renamed"]} */ { name, operator }) {
   const { mode, frame, query } = app.state.route;
   history.replaceState(null, "", makeHash(name, mode, frame, Object.fromEntries(query)));
   app.state.set({ route: parseHash(location.hash) });
@@ -192,12 +169,8 @@ async function rename({ name, operator }) {
   await follow(true);
 }
 
-/**
- * Leaves the frame if its recording was removed.
- *
- * @param {Messages["recordings"]} message
- */
-async function reread({ recording, operator }) {
+/** Leaves the frame if its recording was removed. */
+async function reread(/** @type {Messages["recordings"]} */ { recording, operator }) {
   await refreshProject();
   const { route, frame, project } = app.state;
   const isThere = project?.recordings.some(({ id }) => id === recording);
@@ -275,11 +248,8 @@ async function follow(isAnew = false) {
   }
 }
 
-/**
- * @param {string} mode
- * @returns {Promise<Mode>}
- */
-async function loadMode(mode) {
+/** @returns {Promise<Mode>} */
+async function loadMode(/** @type {string} */ mode) {
   try {
     return await import(MODULES[mode]);
   } catch (error) {
@@ -299,14 +269,10 @@ function leave() {
   work.replaceChildren();
 }
 
-/**
- * @param {unknown} error
- * @param {Route} route
- */
-function showProblem(error, route) {
+function showProblem(/** @type {unknown} */ error, /** @type {Route} */ route) {
   if (!(error instanceof ApiError)) console.error(error);
   isBroken = true;
-  const retry = h("button", { type: "button", class: "primary", onclick: () => follow() }, "Try again");
+  const retry = button("Try again", () => follow(), { class: "primary" });
   const back = h("a", { class: "button", href: "#/" }, "All projects");
   const isMissing = error instanceof ApiError && error.status === 404;
   // the server refuses a connection for a project that does not exist, which is no lost connection
@@ -325,10 +291,8 @@ function showProblem(error, route) {
 
 /**
  * Removes the focus from a button that was pressed with the mouse, so that Space, Tab and Enter stay keys of the mode.
- *
- * @param {MouseEvent} event
  */
-function releaseMouseFocus(event) {
+function releaseMouseFocus(/** @type {MouseEvent} */ event) {
   if (event.detail === 0 || !(event.target instanceof Element) || event.target.closest("dialog")) return;
   event.target.closest("button")?.blur();
 }

@@ -9,82 +9,40 @@ export const IDENTITY = [
   [0, 0, 1],
 ];
 
-/**
- * @param {Vector} a
- * @param {Vector} b
- */
-export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
-/**
- * @param {Vector} a
- * @param {Vector} b
- */
-export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-/**
- * @param {Vector} a
- * @param {number} factor
- */
-export const scale = (a, factor) => [a[0] * factor, a[1] * factor, a[2] * factor];
-/**
- * @param {Vector} a
- * @param {Vector} b
- */
-export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-/** @param {Vector} a */
-export const length = (a) => Math.hypot(a[0], a[1], a[2]);
+export const add = (/** @type {Vector} */ a, /** @type {Vector} */ b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+export const subtract = (/** @type {Vector} */ a, /** @type {Vector} */ b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+export const scale = (/** @type {Vector} */ a, /** @type {number} */ factor) => [
+  a[0] * factor,
+  a[1] * factor,
+  a[2] * factor,
+];
+export const dot = (/** @type {Vector} */ a, /** @type {Vector} */ b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const length = (/** @type {Vector} */ a) => Math.hypot(a[0], a[1], a[2]);
 
-/**
- * @param {Vector} a
- * @param {Vector} b
- */
-export function cross(a, b) {
+export function cross(/** @type {Vector} */ a, /** @type {Vector} */ b) {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
-/**
- * The vector with length 1.
- *
- * @param {Vector} a
- */
-export const unit = (a) => scale(a, 1 / length(a));
+/** The vector with length 1. */
+export const unit = (/** @type {Vector} */ a) => scale(a, 1 / length(a));
 
-/** @param {Matrix} m */
-export const transpose = (m) => [0, 1, 2].map((i) => [m[0][i], m[1][i], m[2][i]]);
+export const transpose = (/** @type {Matrix} */ m) => [0, 1, 2].map((i) => [m[0][i], m[1][i], m[2][i]]);
 
-/**
- * Column `i` of a matrix: a box axis in the camera frame.
- *
- * @param {Matrix} m
- * @param {number} i
- */
-export const column = (m, i) => [m[0][i], m[1][i], m[2][i]];
+/** Column `i` of a matrix: a box axis in the camera frame. */
+export const column = (/** @type {Matrix} */ m, /** @type {number} */ i) => [m[0][i], m[1][i], m[2][i]];
 
-/**
- * The matrix with these columns.
- *
- * @param {Vector} x
- * @param {Vector} y
- * @param {Vector} z
- */
-export const fromColumns = (x, y, z) => transpose([x, y, z]);
+/** The matrix with these columns. */
+export const fromColumns = (/** @type {Vector} */ x, /** @type {Vector} */ y, /** @type {Vector} */ z) =>
+  transpose([x, y, z]);
 
-/**
- * a . b
- *
- * @param {Matrix} a
- * @param {Matrix} b
- */
-export function multiply(a, b) {
+/** a . b */
+export function multiply(/** @type {Matrix} */ a, /** @type {Matrix} */ b) {
   const columns = transpose(b);
   return a.map((row) => columns.map((other) => dot(row, other)));
 }
 
-/**
- * The rotation by `angleRad` about a unit vector, right-handed (Rodrigues' formula).
- *
- * @param {Vector} axis
- * @param {number} angleRad
- */
-export function aboutAxis(axis, angleRad) {
+/** The rotation by `angleRad` about a unit vector, right-handed (Rodrigues' formula). */
+export function aboutAxis(/** @type {Vector} */ axis, /** @type {number} */ angleRad) {
   const [x, y, z] = axis;
   const c = Math.cos(angleRad);
   const s = Math.sin(angleRad);
@@ -96,25 +54,16 @@ export function aboutAxis(axis, angleRad) {
   ];
 }
 
-/**
- * Gram-Schmidt on the columns, z last: removes the rounding errors of many products.
- *
- * @param {Matrix} m
- */
-export function orthonormal(m) {
+/** Gram-Schmidt on the columns, z last: removes the rounding errors of many products. */
+export function orthonormal(/** @type {Matrix} */ m) {
   const x = unit(column(m, 0));
   const y0 = column(m, 1);
   const y = unit(subtract(y0, scale(x, dot(x, y0))));
   return fromColumns(x, y, cross(x, y));
 }
 
-/**
- * The angle between two rotations, radians.
- *
- * @param {Matrix} a
- * @param {Matrix} b
- */
-export function angleBetween(a, b) {
+/** The angle between two rotations, radians. */
+export function angleBetween(/** @type {Matrix} */ a, /** @type {Matrix} */ b) {
   const relative = multiply(transpose(a), b);
   const cosine = (relative[0][0] + relative[1][1] + relative[2][2] - 1) / 2;
   const [x, y, z] = [
@@ -134,8 +83,7 @@ export function angleBetween(a, b) {
  */
 function sceneAxes(up) {
   const z = unit(up ?? [0, -1, 0]);
-  /** @param {Vector} direction */
-  const level = (direction) => subtract(direction, scale(z, dot(z, direction)));
+  const level = (/** @type {Vector} */ direction) => subtract(direction, scale(z, dot(z, direction)));
   const ahead = level([0, 0, 1]);
   const x = unit(length(ahead) > 1e-3 ? ahead : level([0, -1, 0]));
   return fromColumns(x, cross(z, x), z);
@@ -144,11 +92,8 @@ function sceneAxes(up) {
 /**
  * Yaw, pitch and roll of a rotation, radians: R = scene . Rz(yaw) . Ry(pitch) . Rx(roll). Yaw turns about the scene's
  * up and is 0 where the x axis points away from the camera; a positive pitch lowers the x axis; roll turns about x.
- *
- * @param {Matrix} rotation
- * @param {Vector | null} up
  */
-export function toAngles(rotation, up) {
+export function toAngles(/** @type {Matrix} */ rotation, /** @type {Vector | null} */ up) {
   const m = multiply(transpose(sceneAxes(up)), rotation);
   const pitch = Math.asin(Math.max(-1, Math.min(1, -m[2][0])));
   if (Math.abs(m[2][0]) > 1 - 1e-9) {
@@ -158,17 +103,8 @@ export function toAngles(rotation, up) {
   return { yaw: Math.atan2(m[1][0], m[0][0]), pitch, roll: Math.atan2(m[2][1], m[2][2]) };
 }
 
-/**
- * The rotation of `toAngles`.
- *
- * @param {Angles} angles
- * @param {Vector | null} up
- */
-export function fromAngles({ yaw, pitch, roll }, up) {
-  /**
-   * @param {number} axis
-   * @param {number} angle
-   */
-  const turn = (axis, angle) => aboutAxis(IDENTITY[axis], angle);
+/** The rotation of `toAngles`. */
+export function fromAngles(/** @type {Angles} */ { yaw, pitch, roll }, /** @type {Vector | null} */ up) {
+  const turn = (/** @type {number} */ axis, /** @type {number} */ angle) => aboutAxis(IDENTITY[axis], angle);
   return orthonormal(multiply(sceneAxes(up), multiply(turn(2, yaw), multiply(turn(1, pitch), turn(0, roll)))));
 }

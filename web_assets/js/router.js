@@ -5,10 +5,9 @@ const MODES = ["label", "review", "train", "export", "statistics", "checks", "al
 /**
  * "#/hands/label/3?uid=ab" -> {project: "hands", mode: "label", frame: 3, query: URLSearchParams}.
  *
- * @param {string} hash
  * @returns {Route}
  */
-export function parseHash(hash) {
+export function parseHash(/** @type {string} */ hash) {
   const [path, search = ""] = hash.replace(/^#\/?/, "").split("?");
   const [project = "", mode = "", frame = ""] = path.split("/").map(decode);
   const query = new URLSearchParams(search);
@@ -21,8 +20,7 @@ export function parseHash(hash) {
   };
 }
 
-/** @param {string} part */
-function decode(part) {
+function decode(/** @type {string} */ part) {
   try {
     return decodeURIComponent(part);
   } catch {
@@ -30,15 +28,13 @@ function decode(part) {
   }
 }
 
-/**
- * The address of a mode: makeHash("hands", "review", 3, {uid: "ab"}).
- *
- * @param {string} project
- * @param {string} mode
- * @param {number | null} [frame]
- * @param {Record<string, string | null | undefined>} [query]
- */
-export function makeHash(project, mode, frame = null, query = {}) {
+/** The address of a mode: makeHash("hands", "review", 3, {uid: "ab"}). */
+export function makeHash(
+  /** @type {string} */ project,
+  /** @type {string} */ mode,
+  /** @type {number | null} */ frame = null,
+  /** @type {Record<string, string | null | undefined>} */ query = {},
+) {
   const parts = [project, mode, ...(frame === null ? [] : [frame])].map((part) => encodeURIComponent(part));
   const search = new URLSearchParams(Object.entries(query).flatMap(([name, value]) => (value ? [[name, value]] : [])));
   return `#/${parts.join("/")}${search.size ? `?${search}` : ""}`;

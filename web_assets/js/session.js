@@ -6,20 +6,15 @@ import { h } from "./dom.js";
 /** @type {Promise<void> | null} */
 let asking = null;
 
-/**
- * Asks for a name until the server accepts one. Concurrent calls share one dialog.
- *
- * @param {App} app
- */
-export function signIn(app) {
+/** Asks for a name until the server accepts one. Concurrent calls share one dialog. */
+export function signIn(/** @type {App} */ app) {
   asking ??= ask(app).finally(() => {
     asking = null;
   });
   return asking;
 }
 
-/** @param {App} app */
-async function ask(app) {
+async function ask(/** @type {App} */ app) {
   const field = h("input", {
     name: "operator",
     required: true,
@@ -54,12 +49,8 @@ async function ask(app) {
   app.state.set({ operator: session.operator });
 }
 
-/**
- * Forgets the name and asks again.
- *
- * @param {App} app
- */
-export async function signOut(app) {
+/** Forgets the name and asks again. */
+export async function signOut(/** @type {App} */ app) {
   await app.api.del("/api/session");
   app.state.set({ operator: null });
   await signIn(app);

@@ -61,13 +61,8 @@ export function askVersion({ theirs, mine }) {
   });
 }
 
-/**
- * A small image of a frame with its boxes; `mine`, if given, is drawn over it.
- *
- * @param {FrameState} state
- * @param {Mine | null} mine
- */
-function picture(state, mine) {
+/** A small image of a frame with its boxes; `mine`, if given, is drawn over it. */
+function picture(/** @type {FrameState} */ state, /** @type {Mine | null} */ mine) {
   const { url, width, height } = state.image;
   const unit = width / 400;
   const svg = s(
@@ -87,12 +82,7 @@ function picture(state, mine) {
   return svg;
 }
 
-/**
- * @param {Rect} box
- * @param {string} stroke
- * @param {number} width
- */
-function rect(box, stroke, width) {
+function rect(/** @type {Rect} */ box, /** @type {string} */ stroke, /** @type {number} */ width) {
   return s("rect", {
     x: box.x_min,
     y: box.y_min,
@@ -104,12 +94,7 @@ function rect(box, stroke, width) {
   });
 }
 
-/**
- * @param {Line[]} outline
- * @param {string} stroke
- * @param {number} width
- */
-function lines(outline, stroke, width) {
+function lines(/** @type {Line[]} */ outline, /** @type {string} */ stroke, /** @type {number} */ width) {
   const d = (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join("");
   return s("path", { d, fill: "none", stroke, "stroke-width": width });
 }

@@ -7,7 +7,6 @@ import { confirm, keyTableDialog } from "./dialogs.js";
 import { glyph, h, iconButton } from "./dom.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
-import { currentTheme, switchTheme } from "./theme.js";
 
 const TABS = [
   ["label", "Label"],
@@ -20,11 +19,7 @@ const TABS = [
 ];
 const WITH_FRAME = new Set(["label", "review", "alignment"]);
 
-/**
- * @param {HTMLElement} root
- * @param {App} app
- */
-export function mountTopbar(root, app) {
+export function mountTopbar(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const parts = [
     brand(),
     tabs(app),
@@ -47,8 +42,7 @@ function brand() {
   );
 }
 
-/** @param {App} app */
-function tabs(app) {
+function tabs(/** @type {App} */ app) {
   const project = h("span", { class: "project ellipsis" });
   const nav = h("nav", { "aria-label": "Modes" });
   const box = h("div", { class: "row where" }, h("span", { class: "divider" }), project, nav);
@@ -76,17 +70,12 @@ function tabs(app) {
   return box;
 }
 
-/**
- * Recording, position and neighbours of the open frame, and the other operators who have it open.
- *
- * @param {App} app
- */
-function where(app) {
+/** Recording, position and neighbours of the open frame, and the other operators who have it open. */
+function where(/** @type {App} */ app) {
   const name = h("span", { class: "name ellipsis muted", "data-testid": "recording-name" });
   const position = h("span", { class: "number", "data-testid": "frame-position" });
   const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
-  /** @param {Direction} which */
-  const step = (which) => () => {
+  const step = (/** @type {Direction} */ which) => () => {
     const { frame, route } = app.state;
     const target = frame?.frame[which] ?? null;
     if (route.project !== null && target !== null) app.go(makeHash(route.project, route.mode, target));
@@ -133,8 +122,7 @@ function where(app) {
   return box;
 }
 
-/** @param {App} app */
-function history(app) {
+function history(/** @type {App} */ app) {
   const undo = iconButton("undo", "Undo (Ctrl+Z)", () => app.undo(), { "data-testid": "undo" });
   const redo = iconButton("redo", "Redo (Ctrl+Shift+Z)", () => app.redo(), { "data-testid": "redo" });
   const box = h("div", { class: "row", role: "group", "aria-label": "History" }, undo, redo);
@@ -152,31 +140,25 @@ function history(app) {
   return box;
 }
 
-/**
- * @param {HTMLElement} button
- * @param {string} verb
- * @param {string} key
- * @param {string | null | undefined} what
- */
-function describe(button, verb, key, what) {
+function describe(
+  /** @type {HTMLElement} */ button,
+  /** @type {string} */ verb,
+  /** @type {string} */ key,
+  /** @type {string | null | undefined} */ what,
+) {
   const text = what ? `${verb}: ${what} (${key})` : `${verb} (${key})`;
   button.title = text;
   button.setAttribute("aria-label", text);
 }
 
-/** @param {App} app */
-function connection(app) {
+function connection(/** @type {App} */ app) {
   const note = h("span", { class: "offline", role: "status" });
   app.state.on("connected", (connected) => (note.textContent = connected ? "" : "no connection, trying again …"));
   return note;
 }
 
-/**
- * The running job, or the first one that waits.
- *
- * @param {App} app
- */
-function jobs(app) {
+/** The running job, or the first one that waits. */
+function jobs(/** @type {App} */ app) {
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const text = h("span", {});
   const link = h("a", { class: "jobs", "data-testid": "job-indicator" }, text, bar);
@@ -198,11 +180,9 @@ function jobs(app) {
   return link;
 }
 
-/** @param {App} app */
-function tools(app) {
+function tools(/** @type {App} */ app) {
   const theme = iconButton("theme", "", () => showTheme(switchTheme()), { "data-testid": "theme" });
-  /** @param {string} name */
-  const showTheme = (name) => {
+  const showTheme = (/** @type {string} */ name) => {
     theme.title = `Theme: ${name}`;
     theme.setAttribute("aria-label", theme.title);
   };
@@ -223,8 +203,29 @@ function tools(app) {
   return h("div", { class: "row" }, theme, help, operator);
 }
 
-/** @param {App} app */
-async function leave(app) {
+async function leave(/** @type {App} */ app) {
   if (await confirm("Sign out", `You are signed in as ${app.state.operator}. Everything is saved.`, "Sign out"))
     await signOut(app);
+}
+
+// -- dark, light, or the system's choice; kept in this browser
+
+const ORDER = ["system", "dark", "light"];
+
+export function currentTheme() {
+  const kept = localStorage.getItem("theme");
+  return kept !== null && ORDER.includes(kept) ? kept : "system";
+}
+
+export function applyTheme(theme = currentTheme()) {
+  if (theme === "system") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = theme;
+}
+
+/** Switches to the next of the three; returns its name. */
+export function switchTheme() {
+  const next = ORDER[(ORDER.indexOf(currentTheme()) + 1) % ORDER.length];
+  localStorage.setItem("theme", next);
+  applyTheme(next);
+  return next;
 }

@@ -26,8 +26,7 @@ const STYLE =
   ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } " +
   "canvas { cursor: default !important; outline: none; }";
 
-/** @param {Pick<App, "api" | "effort" | "events" | "keys" | "state">} app */
-export function createViewport(app) {
+export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" | "keys" | "state">} */ app) {
   /** @type {Map<string, Set<(value: never) => unknown>>} */
   const listeners = new Map();
   const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
@@ -81,13 +80,8 @@ export function createViewport(app) {
     for (const fn of [...(listeners.get(event) ?? [])]) fn(/** @type {never} */ (value));
   }
 
-  /**
-   * Changes the state; `text` is shown while there is no picture.
-   *
-   * @param {ViewportState} next
-   * @param {string} [text]
-   */
-  function say(next, text = "") {
+  /** Changes the state; `text` is shown while there is no picture. */
+  function say(/** @type {ViewportState} */ next, /** @type {string} */ text = "") {
     const changed = state !== next;
     state = next;
     note.textContent = text;
@@ -113,12 +107,8 @@ export function createViewport(app) {
     Object.assign(layer.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
   }
 
-  /**
-   * Shows a scene, in place of older ones that are not shown yet. Must be called again when labels have changed.
-   *
-   * @param {Scene3D} scene
-   */
-  function show(scene) {
+  /** Shows a scene, in place of older ones that are not shown yet. Must be called again when labels have changed. */
+  function show(/** @type {Scene3D} */ scene) {
     const { project } = app.state.route;
     if (state === "unsupported" || project === null) return;
     wanted = { project, scene };
@@ -147,8 +137,7 @@ export function createViewport(app) {
     }
   }
 
-  /** @param {Wanted} newest */
-  async function step(newest) {
+  async function step(/** @type {Wanted} */ newest) {
     const { project, scene } = newest;
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
@@ -185,26 +174,20 @@ export function createViewport(app) {
     void work();
   }
 
-  /** @param {boolean} yes */
-  function connected(yes) {
+  function connected(/** @type {boolean} */ yes) {
     if (yes) say("ready");
     else if (state === "ready") say("opening", "Reconnecting the 3D view …");
   }
 
-  /** @param {ViewportMessage} message */
-  function receive(message) {
+  function receive(/** @type {ViewportMessage} */ message) {
     if (message.workbench !== bench?.id) return;
     if (message.event === "connected") connected(message.connected);
     else if (message.event === "box") emit("box", message);
     else emit("select", message);
   }
 
-  /**
-   * Makes a new iframe for a new viewport.
-   *
-   * @param {string} url
-   */
-  function start(url) {
+  /** Makes a new iframe for a new viewport. */
+  function start(/** @type {string} */ url) {
     frame?.remove();
     const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
     Object.assign(fresh.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
@@ -215,8 +198,7 @@ export function createViewport(app) {
     follow();
   }
 
-  /** @param {HTMLIFrameElement} loaded */
-  function prepare(loaded) {
+  function prepare(/** @type {HTMLIFrameElement} */ loaded) {
     const view = loaded.contentWindow;
     // without a server, the browser shows a page of its own, which is out of reach
     if (view === null || loaded.contentDocument === null || view.location.href === "about:blank") return;
@@ -231,8 +213,7 @@ export function createViewport(app) {
     view.addEventListener("keypress", keep, { capture: true });
   }
 
-  /** @param {KeyboardEvent} event */
-  function keep(event) {
+  function keep(/** @type {KeyboardEvent} */ event) {
     event.stopImmediatePropagation();
     // keys that scroll the page or leave the iframe
     if (/^( |Arrow.*|Page.*|Home|End)$/.test(event.key)) event.preventDefault();

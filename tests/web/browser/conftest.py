@@ -1,20 +1,21 @@
 """Fixtures for tests in a real browser: headless Chromium with software WebGL against the live server.
 
-`open_page()` opens pages in separate browser contexts (with their own operator and cookies); `page` is one of them.
 A failed test leaves a screenshot and the console output of each page in `out/screenshots` (ignored by git). An
 uncaught error in a page fails the test.
 
-Most tests share a server and a page: `shop` is the server of a test file, in which each test creates a project, and
-`shared_page` is its page without the 3D view (`shared_page_3d`: with it).
+All tests of a process share a browser, a server (`shop`) and its pages (`shared_page`; `shared_page_3d` with the 3D
+view); each test has its own project, a copy of one that was made once. On the pages, Grace works; Ada is the signed-in
+client of the server, another operator. `open_page()` opens further pages in contexts of their own.
 """
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -22,14 +23,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from browser_page import sign_in
 from drawing import Scene
+from job_threads import WorkerThread
 from label_bench import FRAME, Bench
 from live_server import Live, running
-from review_desk import Desk, begin
+from review_desk import Desk, begin, propose
+from room_api import rig_settings
 
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind
-from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
@@ -55,6 +57,7 @@ NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 IS_CLEAN = """!document.querySelector("dialog[open]")
   && dispatchEvent(new Event("beforeunload", { cancelable: true }))"""
 
+OPERATOR = "Grace"
 outcome_key = pytest.StashKey[bool]()
 
 
@@ -73,13 +76,9 @@ def find_chromium() -> str | None:
     return named or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One headless Chromium for the tests of a file.
-
-    It is not session-scoped, because Playwright keeps an event loop running in this thread, and other tests start
-    their own.
-    """
+@pytest.fixture(scope="session")
+def _running_browser() -> Iterator[tuple[Browser, asyncio.AbstractEventLoop]]:
+    """One headless Chromium for all tests of a process, and the event loop that Playwright keeps running."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="playwright is not installed; run scripts/setup test"
     )
@@ -87,21 +86,28 @@ def browser() -> Iterator[Browser]:
     if chromium is None:
         pytest.skip(f"none of {', '.join(CHROMIUM_NAMES)} on the path; install chromium, or set ANNOTATOR_CHROMIUM")
     playwright.expect.set_options(timeout=TIMEOUT_MS)
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
-        yield browser
-        browser.close()
+    driver = playwright.sync_playwright().start()
+    browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
+    loop = asyncio.get_running_loop()
+    asyncio._set_running_loop(None)
+    yield browser, loop
+    asyncio._set_running_loop(loop)
+    browser.close()
+    driver.stop()
+
+
+@pytest.fixture(scope="module")
+def browser(_running_browser: tuple[Browser, asyncio.AbstractEventLoop]) -> Iterator[Browser]:
+    """The browser. Its event loop counts as running only in the files of these tests: others start their own."""
+    browser, loop = _running_browser
+    asyncio._set_running_loop(loop)
+    yield browser
+    asyncio._set_running_loop(None)
 
 
 @pytest.fixture
-def live(own_live: Live) -> Live:
-    """A server for one test: some tests stop it, and some give it other projects."""
-    return own_live
-
-
-@pytest.fixture
-def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
-    """`open_page()`: a new page in its own context; `page.goto("/")` opens the live server's start page.
+def open_page(browser: Browser, live: Live, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
+    """`open_page()`: a new page in its own context; `page.goto("/")` opens the start page of `live`.
 
     Keyword arguments are passed to `Browser.new_context`. Errors raised in a page are in `page.errors`; clear the list
     in a test that expects one.
@@ -119,57 +125,84 @@ def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterato
     assert not errors, f"a page raised {errors}; screenshots are in {SCREENSHOTS}"
 
 
-@pytest.fixture
-def page(open_page: Callable[..., Page]) -> Page:
-    """One page, 1366 x 768."""
-    return open_page()
-
-
-@pytest.fixture
-def start(open_page: Callable[..., Page]) -> Page:
-    """The start page without the 3D view; Grace has signed in through its dialog."""
-    page = open_page()
-    page.add_init_script(NO_WEBGL)
-    page.goto("/")
-    page.get_by_test_id("operator-name").fill("Grace")
-    page.keyboard.press("Enter")
-    page.get_by_test_id("operator").get_by_text("Grace", exact=True).wait_for()
-    return page
-
-
 @dataclass(eq=False)
 class Shop:
-    """The server of a test file, and its pages, keyed by whether they have the 3D view."""
+    """The server shared by all tests of a process.
+
+    Attributes:
+        recording: of people, 5 frames.
+        folder: its folder of recordings that tests may add to.
+        templates: projects that are copied: `plain` has the recording, `proposed` proposals on it, too.
+        projects: those of the present test.
+        pages: keyed by whether they have the 3D view.
+    """
 
     live: Live
     recording: Path
-    projects: int = 0
+    folder: Path
+    templates: Path
+    projects: list[str] = field(default_factory=list)
     pages: dict[bool, Page] = field(default_factory=dict)
+    number: int = 0
 
-    def new_project(self, recording: Path | None = None) -> Project:
-        """Creates a project with 5 unlabelled frames of people, from the shared or the given recording."""
-        self.projects += 1
-        name = f"room{self.projects}"
-        with create_project(self.live.settings.projects_root, name, ("person",)) as project:
-            register_recording(project, open_recording(recording or self.recording))
+    def new_project(self, template: str = "plain", name: str = "") -> Project:
+        """A new project of the server with 5 frames of people."""
+        self.number += 1
+        name = name or f"room{self.number}"
+        root = self.live.settings.projects_root
+        shutil.copytree(self.templates / template, root / f".{name}")
+        config = root / f".{name}" / "project.json"
+        config.write_text(config.read_text().replace(f'"name": "{template}"', f'"name": "{name}"'))
+        (root / f".{name}").rename(root / name)
+        self.projects.append(name)
         return self.live.context.project(name)
 
+    def clear(self) -> None:
+        """Removes the projects of a test."""
+        for name in self.projects:
+            if (self.live.settings.projects_root / name).exists():
+                self.live.client.delete(f"/api/projects/{name}")
+        self.projects.clear()
 
-@pytest.fixture(scope="module")
-def shop(browser: Browser, generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """The server shared by the tests of a file."""
-    settings = ServerSettings(tmp_path_factory.mktemp("shop") / "projects", (generated,), port=0)
-    settings.projects_root.mkdir()
-    with running(settings) as live:
-        shop = Shop(live, generated / "people")
-        yield shop
-        for page in shop.pages.values():
-            page.context.close()
+
+@pytest.fixture(scope="session")
+def _server(
+    generated: Path,
+    made_once: Callable[[str, Callable[[Path], object]], Path],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Shop]:
+    recording = generated / "people"
+
+    def fill(folder: Path) -> None:
+        for name in ("plain", "proposed"):
+            with create_project(folder, name, ("person",)) as project:
+                register_recording(project, open_recording(recording))
+                if name == "proposed":
+                    propose(project, recording)
+
+    settings = rig_settings(tmp_path_factory.mktemp("shop"))
+    (folder,) = settings.folders
+    with running(replace(settings, folders=(generated, folder))) as live:
+        yield Shop(live, recording, folder, made_once("browser_projects", fill))
+
+
+@pytest.fixture
+def shop(_server: Shop, browser: Browser, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shop]:
+    """The shared server, with jobs in threads; the test's projects are removed after it."""
+    monkeypatch.setattr("annotator.web.jobs.runner.WorkerProcess", WorkerThread)
+    yield _server
+    _server.clear()
+
+
+@pytest.fixture
+def live(shop: Shop) -> Live:
+    """The shared server."""
+    return shop.live
 
 
 @pytest.fixture
 def shared_page(shop: Shop, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
-    """The page shared by the tests of a file, without the 3D view, reset after each test."""
+    """The shared page without the 3D view, reset after each test."""
     yield from _shared(shop, browser, request, with_3d=False)
 
 
@@ -180,10 +213,12 @@ def shared_page_3d(shop: Shop, browser: Browser, request: pytest.FixtureRequest)
 
 
 @pytest.fixture
-def signed_in(shared_page_3d: Page, shop: Shop) -> Page:
-    """The shared page with the 3D view, signed in as Ada."""
-    sign_in(shared_page_3d, shop.live.url)
-    return shared_page_3d
+def start(shared_page: Page) -> Page:
+    """The start page, which lists the projects that the test has made before."""
+    shared_page.goto("/#/")
+    shared_page.reload()
+    shared_page.get_by_test_id("new-project").first.wait_for()
+    return shared_page
 
 
 @pytest.fixture
@@ -207,14 +242,13 @@ def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
 
 
 @pytest.fixture
-def bench(shared_page: Page, shop: Shop, generated: Path) -> Bench:
-    """Label mode on a frame without labels, without the 3D view; `live.client` is another operator."""
+def bench(shared_page: Page, shop: Shop) -> Bench:
+    """Label mode on a frame without labels, without the 3D view."""
     project = shop.new_project()
-    sign_in(shared_page, shop.live.url, "Bob")
     shared_page.goto(f"/#/{project.path.name}/label/{FRAME}")
     shown = f"img.picture[src*='/{project.path.name}/frames/{FRAME}/']"
     shared_page.get_by_test_id("image-editor").locator(shown).wait_for()
-    return Bench(shared_page, shop.live, project, Scene.of(generated / "people", 0, ("person",)))
+    return Bench(shared_page, shop.live, project, Scene.of(shop.recording, 0, ("person",)))
 
 
 @pytest.fixture
@@ -241,13 +275,15 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:
     if with_3d not in shop.pages:
-        shop.pages[with_3d] = _new_page(browser, shop.live.url)
+        page = shop.pages[with_3d] = _new_page(browser, shop.live.url)
         if not with_3d:
-            shop.pages[with_3d].add_init_script(NO_WEBGL)
+            page.add_init_script(NO_WEBGL)
+        sign_in(page, shop.live.url, OPERATOR)
     page = shop.pages[with_3d]
     yield page
     errors = _collect_errors([page], request.node)
-    if errors or request.node.stash.get(outcome_key, False):
+    # the 3D view would go on drawing
+    if errors or with_3d or request.node.stash.get(outcome_key, False):
         shop.pages.pop(with_3d).context.close()
     else:
         _reset(page)

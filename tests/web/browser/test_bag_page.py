@@ -1,4 +1,4 @@
-"""Adding a bag whose topics must be chosen, in a real browser; and the route behind it."""
+"""Adding bags whose topics must be chosen, in a real browser."""
 
 from __future__ import annotations
 
@@ -17,32 +17,30 @@ from benchmarks.bag_writer import BagWriter
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from live_server import Live
+    from conftest import Shop
     from playwright.sync_api import Page
 
 
-@pytest.fixture
-def bag_path(live: Live, tmp_path: Path) -> Iterator[str]:
-    """A bag with two cameras and a LiDAR, in one of the server's folders."""
-    root = live.settings.folders[0]
-    with BagWriter(tmp_path, "ros1") as bag:
+def test_topics_and_calibrations_are_chosen_with_a_preview(start: Page, shop: Shop, tmp_path: Path) -> None:
+    live, root = shop.live, shop.folder
+    (tmp_path / "left and right").mkdir()
+    with BagWriter(tmp_path / "left and right", "ros1") as bag:
         write_mount(bag)
         write_scan(bag, START_NS)
         for name in ("left", "right"):
             write_camera(bag, name, START_NS)
-    placed = root / "two_cameras.bag"
-    shutil.copy(bag.path, placed)
-    yield f"{root.name}/{placed.name}"
-    placed.unlink()
-
-
-def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str) -> None:
+    shutil.copy(bag.path, root / "two_cameras.bag")
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_camera(bag, "camera/color", START_NS)
+        bag.image("/camera/depth/image_raw", START_NS, np.full(SIZE[::-1], 2000, np.uint16), "16UC1")
+        for name in ("camera_info", "other_info"):
+            bag.info(f"/camera/depth/{name}", START_NS, SIZE, K)
+    shutil.copy(bag.path, root / "depth.bag")
     live.client.post("/api/projects", json={"name": "drive", "classes": ["car"]})
+    shop.projects.append("drive")
     start.reload()
     start.get_by_test_id("add-recording-drive").click()
-    start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
+    start.get_by_test_id(f"folder-{root.name}").click()
     start.get_by_test_id("add-two_cameras.bag").click()
     dialog = start.get_by_test_id("topics-dialog")
     expect(dialog.get_by_test_id("topics-problem")).to_contain_text("choose one of its topics with Images")
@@ -61,38 +59,12 @@ def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str
     assert stored.options == '{"image":"/right/image_raw"}'
     assert len(open_recording(stored.path, stored_options(stored.options))) == 1
 
-
-def test_the_calibration_of_depth_can_be_chosen(start: Page, live: Live, tmp_path: Path) -> None:
-    root = live.settings.folders[0]
-    with BagWriter(tmp_path, "ros1") as bag:
-        write_camera(bag, "camera/color", START_NS)
-        bag.image("/camera/depth/image_raw", START_NS, np.full(SIZE[::-1], 2000, np.uint16), "16UC1")
-        for name in ("camera_info", "other_info"):
-            bag.info(f"/camera/depth/{name}", START_NS, SIZE, K)
-    shutil.copy(bag.path, root / "depth.bag")
-    live.client.post("/api/projects", json={"name": "depth", "classes": ["car"]})
-    start.reload()
-    start.get_by_test_id("add-recording-depth").click()
-    start.get_by_test_id(f"folder-{root.name}").click()
     start.get_by_test_id("add-depth.bag").click()
-    dialog = start.get_by_test_id("topics-dialog")
     expect(dialog.get_by_test_id("topics-problem")).to_contain_text("topics with Depth calibration: /camera/depth/c")
     dialog.get_by_test_id("topic-depth_info").select_option("/camera/depth/other_info")
     expect(dialog.get_by_test_id("topics-preview")).to_be_visible()
     expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/camera/color/camera_info (chosen")
     expect(dialog.get_by_test_id("topic-camera_info")).to_have_value("")
-    (root / "depth.bag").unlink()
-
-
-def test_the_route_describes_a_bag(live: Live, bag_path: str) -> None:
-    answer = live.client.get("/api/bags", params={"path": bag_path}).json()
-    assert "--image: /left/image_raw (1 message), /right/image_raw" in answer["problem"]
-    assert str(live.settings.folders[0]) not in answer["problem"]
-    assert (answer["frames"], answer["picture"]) == (0, "")
-    params = {"path": bag_path, "image": "/left/image_raw", "camera_info": "/right/camera_info"}
-    answer = live.client.get("/api/bags", params=params).json()
-    assert (answer["frames"], answer["problem"]) == (1, "")
-    assert answer["picture"].startswith("data:image/jpeg;base64,")
-    assert {topic["name"]: topic["use"] for topic in answer["topics"]}["/right/camera_info"] == "camera"
-    missing = live.client.get("/api/bags", params={"path": f"{bag_path}x"})
-    assert missing.status_code == 404
+    dialog.get_by_role("button", name="Close").click()
+    for name in ("two_cameras.bag", "depth.bag"):
+        (root / name).unlink()

@@ -12,7 +12,7 @@ from room_api import coco
 
 from annotator.detection import pretrained
 from annotator.detection.pretrained import TITLE
-from annotator.project import WriteContext
+from annotator.project import Project, WriteContext
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, ReviewState
@@ -22,23 +22,23 @@ from annotator.workflows.add_recordings import register_recording
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
-    from live_server import Live
-    from playwright.sync_api import Page
+    from playwright.sync_api import Page, Route
 
 
 @pytest.mark.usefixtures("jobs_on_path")
 def test_a_coco_file_becomes_proposals(
-    start: Page, live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    room: Project, start: Page, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(WORK, "boxes", "knowing_jobs:boxes")
+    name = room.path.name
     (tmp_path / "base").mkdir()
     (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
     with monkeypatch.context() as patch:
         patch.setattr(pretrained, "FOLDER", tmp_path / "base")
-        project, content = live.context.project("room"), coco(generated)
+        project, content = room, coco(generated)
         people = len(content["annotations"]) - 1
         (tmp_path / "boxes.json").write_text(json.dumps(content))
-        start.get_by_test_id("import-boxes-room").click()
+        start.get_by_test_id(f"import-boxes-{name}").click()
         dialog = start.get_by_test_id("boxes-dialog")
         expect(dialog).to_contain_text(f"measured by: {TITLE}")
         start.get_by_test_id("dialog-import").click()
@@ -53,7 +53,7 @@ def test_a_coco_file_becomes_proposals(
         start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
         start.get_by_test_id("boxes-class-dog").select_option(label="leave out")
         start.get_by_test_id("dialog-import").click()
-        card = start.get_by_test_id("project-room")
+        card = start.get_by_test_id(f"project-{name}")
         expect(card.get_by_test_id("job-import-text")).to_contain_text(f"{people} proposals in 2 frames")
         expect(card.get_by_test_id("job-import-text")).to_contain_text("skipped: 1 box of class dog")
         expect(card).to_contain_text(f"{people} proposed")
@@ -62,7 +62,7 @@ def test_a_coco_file_becomes_proposals(
     drawn = project.boxes.on_images()
     assert {boxes.author for boxes in drawn} == {"Grace"} and len(drawn) == 2
     # undone on the page, as one action
-    start.goto(f"/#/room/label/{drawn[0].frame_id}")
+    start.goto(f"/#/{name}/label/{drawn[0].frame_id}")
     objects = start.get_by_test_id("object")
     expect(objects).to_have_count(len(drawn[0].boxes))
     start.keyboard.press("Control+z")
@@ -70,9 +70,11 @@ def test_a_coco_file_becomes_proposals(
     assert project.boxes.on_images() == ()
 
 
-def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, generated: Path, tmp_path: Path) -> None:
-    project, content = live.context.project("room"), coco(generated)
-    start.goto("/#/room/train")
+def test_bad_files_say_why_a_class_can_be_added_and_a_file_is_awaited(
+    room: Project, start: Page, generated: Path, tmp_path: Path
+) -> None:
+    project, content = room, coco(generated)
+    start.goto(f"/#/{room.path.name}/train")
     start.get_by_test_id("import-boxes").click()
     about, file = start.get_by_test_id("boxes-about"), start.get_by_test_id("boxes-file")
     expect(start.get_by_test_id("boxes-lift")).to_be_disabled()
@@ -94,27 +96,27 @@ def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, gen
     expect(start.get_by_test_id("boxes-dialog")).to_contain_text("All classes are left out")
     start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
     # a class that an earlier try has added is not added again
-    refuse(start, "projects/room/jobs")
+    refuse(start, f"projects/{room.path.name}/jobs")
     start.get_by_test_id("dialog-import").click()
     expect(start.get_by_test_id("boxes-dialog").get_by_role("alert")).not_to_be_empty()
     until(start, lambda: project.config.classes == ("person", "dog"))
-    start.unroute("**/projects/room/jobs")
+    start.unroute(f"**/projects/{room.path.name}/jobs")
     start.get_by_test_id("dialog-import").click()
     expect(start.get_by_test_id("job-boxes-text")).to_contain_text("imported as 2D boxes: 1 dog on 2 camera images")
     assert project.config.classes == ("person", "dog")
     assert sum(len(boxes.boxes) for boxes in project.boxes.on_images()) == 1
     expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")
 
-
-def test_a_file_that_is_still_read(start: Page, live: Live, generated: Path, tmp_path: Path) -> None:
-    project, waiting = live.context.project("room"), []
+    # while a file is still read, another recording is chosen
+    waiting: list[Route] = []
     register_recording(project, open_recording(generated / "hands"))
     first = project.recordings.all()[0]
     frame = project.frames.of([first.id])[0]
     drawn = ImageBoxesSet(boxes=(Box2D("person", 1.0, 2.0, 30.0, 40.0),), box_kind=BoxKind.SILHOUETTE)
     project.log.append(frame.id, [drawn], WriteContext(frame.revision, "Bob"))
+    before = project.boxes.on_images()
     (tmp_path / "boxes.json").write_text(json.dumps(coco(generated, "person")))
-    start.goto("/#/room/train")
+    start.reload()
     start.get_by_test_id("import-boxes").click()
     dialog, found = start.get_by_test_id("boxes-dialog"), start.get_by_test_id("boxes-found")
     start.route("**/boxes-files?name=*", lambda route: waiting.append(route))
@@ -137,31 +139,31 @@ def test_a_file_that_is_still_read(start: Page, live: Live, generated: Path, tmp
     expect(start.get_by_test_id("boxes-about").get_by_role("alert")).not_to_be_empty()
     start.get_by_test_id("dialog-import").click()
     expect(dialog).to_contain_text("Choose a file with boxes first")
-    assert len(project.boxes.on_images()) == 1
+    assert project.boxes.on_images() == before
 
 
 def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
-    start: Page, live: Live, tmp_path: Path
+    room: Project, start: Page, tmp_path: Path
 ) -> None:
-    project = live.context.project("room")
+    project, name = room, room.path.name
     first, second = (frame.key for frame in project.frames.of()[:2])
     entry = {"label": "Person", "size": [0.5, 0.4, 1.8], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
     entry["attributes"] = {"age": 7}
 
-    def propose(name: str, *boxes: tuple[float, float], lowest: str = "") -> None:
+    def propose(source: str, *boxes: tuple[float, float], lowest: str = "") -> None:
         given = [entry | {"center": [x, 0.0, 3.0], "score": score} for x, score in boxes]
-        (tmp_path / f"{name}.json").write_text(json.dumps({first: given, second: [], "elsewhere": []}))
-        start.get_by_test_id("import-boxes-room").click()
+        (tmp_path / f"{source}.json").write_text(json.dumps({first: given, second: [], "elsewhere": []}))
+        start.get_by_test_id(f"import-boxes-{name}").click()
         dialog = start.get_by_test_id("boxes-dialog")
         expect(start.get_by_test_id("boxes-become")).to_be_hidden()
-        start.get_by_test_id("boxes-file").set_input_files(tmp_path / f"{name}.json")
+        start.get_by_test_id("boxes-file").set_input_files(tmp_path / f"{source}.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{len(boxes)} 3D boxes in 2 frames")
         expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
         if project.labels.select():
             says = "1 of these frames has labels or proposals, and can only take proposals."
             expect(dialog).to_contain_text(says)
         expect(start.get_by_test_id("boxes-kind")).to_be_hidden()
-        expect(start.get_by_test_id("boxes-source")).to_have_value(name)
+        expect(start.get_by_test_id("boxes-source")).to_have_value(source)
         expect(dialog).to_contain_text("The scores are 0.2 to 0.8")
         start.get_by_test_id("boxes-become").select_option("labels")
         expect(start.get_by_test_id("boxes-source")).to_be_hidden()
@@ -169,18 +171,18 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
         start.get_by_test_id("boxes-add-attributes").check()
         start.get_by_test_id("boxes-min-score").fill(lowest)
         start.get_by_test_id("dialog-import").click()
-        expect(start.get_by_test_id("project-room")).to_contain_text(f"proposed by {name}: ")
+        expect(start.get_by_test_id(f"project-{name}")).to_contain_text(f"proposed by {source}: ")
 
     propose("mine", (0.0, 0.8), (0.6, 0.2))
     assert [each.name for each in project.config.attributes] == ["age"]
     propose("theirs", (0.02, 0.6), (-0.6, 0.8), (1.5, 0.2), lowest="0.3")
-    start.goto("/#/room/review")
+    start.goto(f"/#/{name}/review")
     items = start.get_by_test_id("queue-item")
     expect(items).to_have_count(3)
     expect(start.get_by_test_id("queue-said")).to_have_text(["mine", "mine +1", "theirs"])
-    source = start.get_by_test_id("queue-source")
-    expect(source.locator("option")).to_have_text(["All sources", "mine (2)", "theirs (2)"])
-    source.select_option("theirs")
+    sources = start.get_by_test_id("queue-source")
+    expect(sources.locator("option")).to_have_text(["All sources", "mine (2)", "theirs (2)"])
+    sources.select_option("theirs")
     expect(start.get_by_test_id("queue-said")).to_have_text(["mine +1", "theirs"])
     expect(start.get_by_test_id("queue-remaining")).to_have_text("2 proposals")
     items.first.click()
@@ -189,5 +191,5 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
     # undone as one step
     start.keyboard.press("Control+z")
     expect(items).to_have_count(0)
-    source.select_option("")
+    sources.select_option("")
     expect(start.get_by_test_id("queue-said")).to_have_text(["mine", "mine"])

@@ -1,11 +1,10 @@
-"""The dialog of classes and attributes, and the fields of attributes in Label."""
+"""The dialog of classes and attributes, and what open pages show after a change of them."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_page import sign_in
 from label_bench import FRAME, Bench
 from review_desk import Desk
 
@@ -14,24 +13,17 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle
 
 if TYPE_CHECKING:
-    from conftest import Shop
     from playwright.sync_api import Locator, Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
-
-
-def put(project: Project, **fields: object) -> None:
-    project.change_classes(lambda config: edit.put_attribute(config, Attribute.model_validate(fields)), "Cleo")
 
 
 def row(page: Page, name: str) -> Locator:
     return page.locator(f'[data-testid="class-row"][data-name="{name}"]')
 
 
-def test_classes_are_changed_in_a_dialog_of_the_start_page(shared_page: Page, shop: Shop, room: Project) -> None:
-    page, name = shared_page, room.path.name
-    sign_in(page, shop.live.url)
-    page.goto("/#/")
+def test_classes_are_changed_in_a_dialog_of_the_start_page(room: Project, start: Page) -> None:
+    page, name = start, room.path.name
     page.get_by_test_id(f"edit-classes-{name}").click()
     page.get_by_test_id("new-class").fill("dog")
     page.keyboard.press("Enter")
@@ -120,25 +112,14 @@ def test_attributes_are_defined_in_label_and_set_there_with_one_key(bench: Bench
     assert dict(bench.labels[0].attributes) == {}
 
 
-def test_a_value_in_label_is_set_beside_another_operators_change(bench: Bench, wait_for) -> None:
-    put(bench.project, name="rain", kind="boolean", of="frame", key="r")
-    expect(bench.page.get_by_test_id("attribute-rain")).to_be_visible()
-    bench.page.route("**/api/events*", lambda route: route.abort())
-    bench.other_saves(bench.scene.image_box(1))
-    bench.page.keyboard.press("Alt+r")
-    wait_for(lambda: bench.project.frames.attributes() == {FRAME: {"rain": True}})
-    bench.saved()
-    assert len(bench.image_boxes) == 1
-    expect(bench.page.get_by_test_id("object")).to_have_count(1)
-
-
 def test_open_pages_show_changed_classes_and_keep_unsaved_work(desk: Desk, wait_for) -> None:
     page, project, uid = desk.page, desk.project, desk.uid
     # typed, but not saved yet
     page.get_by_test_id("field-yaw").fill("12")
     expect(page.get_by_test_id("label-state")).to_have_text("not saved")
     project.change_classes(lambda config: edit.rename_class(config, "person", "human"), "Cleo")
-    put(project, name="pose", kind="choice", choices=["sitting", "standing"], key="o")
+    pose = Attribute.model_validate({"name": "pose", "kind": "choice", "choices": ["sitting", "standing"], "key": "o"})
+    project.change_classes(lambda config: edit.put_attribute(config, pose), "Cleo")
     expect(page.get_by_test_id("field-class").locator("option")).to_have_text(["human"])
     expect(page.get_by_test_id("queue-attribute")).to_be_visible()
     expect(page.get_by_test_id("queue-item").first).to_contain_text("human")
@@ -151,19 +132,3 @@ def test_open_pages_show_changed_classes_and_keep_unsaved_work(desk: Desk, wait_
     page.get_by_test_id("field-yaw").blur()
     desk.press("Escape")
     expect(page.get_by_test_id("attribute-pose")).to_have_count(0)
-
-
-def test_label_draws_on_after_a_class_was_renamed(bench: Bench, wait_for) -> None:
-    first = bench.draw_on_image(0)
-    bench.project.change_classes(lambda config: edit.rename_class(config, "person", "human"), "Cleo")
-    bench.project.change_classes(lambda config: edit.style_class(config, "human", ClassStyle(colour="#123456")), "Cleo")
-    expect(bench.page.get_by_test_id("class-human")).to_have_attribute("aria-checked", "true")
-    swatch = bench.page.get_by_test_id("class-human").locator(".swatch")
-    wait_for(lambda: swatch.evaluate("one => getComputedStyle(one).backgroundColor") == "rgb(18, 52, 86)")
-    expect(bench.page.get_by_test_id("object")).to_contain_text("human")
-    # the object that was being drawn is still open
-    bench.wait_for_view(0, first["steps"][0]["views"][0])
-    bench.page.keyboard.press("Escape")
-    bench.drag_on_image(1)
-    bench.saved()
-    wait_for(lambda: [box["label"] for box in bench.image_boxes] == ["human", "human"])

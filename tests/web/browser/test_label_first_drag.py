@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +75,7 @@ def test_one_drag_and_enter_make_a_label(
     bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE).view
-    teach(view=perfect)
+    teach(name=pretrained.NAME, view=perfect)
     page = bench.page
     posts: list[str] = []
 
@@ -92,39 +92,42 @@ def test_one_drag_and_enter_make_a_label(
     hint = page.get_by_test_id("hint")
     expect(hint).to_contain_text("Enter accepts")
     assert hint.evaluate("e => e.scrollHeight <= e.clientHeight + 1 && e.scrollWidth <= e.clientWidth"), "it is not cut"
-    expect(page.get_by_test_id("views-source")).to_contain_text("this project's view detector")
+    expect(page.get_by_test_id("views-source")).to_contain_text(pretrained.TITLE)
     page.remove_listener("request", record)
     assert posts == ["object"], "one request a drag"
     assert bench.labels == []
     page.keyboard.press("Enter")
-    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    row = page.get_by_test_id("object")
+    expect(row).to_have_attribute("data-boxes", "5")
     expect(dashed).to_have_count(0)
     bench.saved()
     (label,) = bench.labels
-    assert label.suggestion == Suggestion("this project's view detector", perfect.fingerprint)
+    assert label.suggestion == Suggestion(pretrained.TITLE, perfect.fingerprint)
     np.testing.assert_allclose(label.box.center_m, drawn["box"]["center"], atol=1e-9)
     assert iou_3d(label.box, bench.scene.objects[0].box) > 0.5
     assert bench.live.client.get(f"{bench.api}/statistics").json()["effort"]["actions_a_box"] == 2
+    # a box that is deleted on a view is suggested again
+    page.get_by_test_id("view-side-2").get_by_test_id("editor2d").focus()
+    page.keyboard.press("Delete")
+    expect(dashed).to_have_count(1)
+    expect(row).to_have_attribute("data-boxes", "4")
+    bench.saved()
+    page.keyboard.press("Control+z")
+    expect(row).to_have_attribute("data-boxes", "5")
     # undo returns to the dashed boxes, then to the empty image
     page.keyboard.press("Control+z")
     expect(dashed).to_have_count(4)
-    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    expect(row).to_have_attribute("data-boxes", "1")
     assert bench.labels == []
     page.keyboard.press("Control+z")
-    expect(page.get_by_test_id("object")).to_have_count(0)
+    expect(row).to_have_count(0)
     page.keyboard.press("Control+Shift+z")
     page.keyboard.press("Control+Shift+z")
-    expect(page.get_by_test_id("object")).to_have_attribute("data-uid", label.uid)
-
-
-def test_the_dashed_boxes_follow_a_corrected_one(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    perfect = knowing("people", kind=BoxKind.SILHOUETTE).view
-    teach(name=pretrained.NAME, view=perfect)
-    page = bench.page
-    drawn = bench.draw_on_image(0)
-    dashed = page.locator(".views .box.suggested")
+    expect(row).to_have_attribute("data-uid", label.uid)
+    bench.saved()
+    # the dashed boxes follow a corrected one
+    page.keyboard.press("Escape")
+    drawn = bench.draw_on_image(1)
     expect(dashed).to_have_count(4)
     (front, *_), (suggested, *_) = drawn["steps"][0]["views"], drawn["steps"][0]["suggested"]
     bench.wait_for_view(0, front)
@@ -140,34 +143,20 @@ def test_the_dashed_boxes_follow_a_corrected_one(
         bench.pull(3, (1.0, 0.3), (0.9, 0.3))
     expect(dashed).to_have_count(1)
     page.get_by_test_id("accept-all").click()
-    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    expect(row.last).to_have_attribute("data-boxes", "5")
     bench.saved()
-    (label,) = bench.labels
+    label = bench.labels[1]
     assert label.suggestion == Suggestion(pretrained.TITLE, perfect.fingerprint, corrected=True)
-    stored = [box for _, box in bench.state["objects"][0]["views"]]
+    stored = [box for _, box in bench.state["objects"][1]["views"]]
     assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
-    # after a reload, the box that is left is on its view again
+    # undone, the box that is left is on its view again
     page.keyboard.press("Control+z")
-    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "4")
+    expect(row.last).to_have_attribute("data-boxes", "4")
     expect(dashed).to_have_count(1)
 
 
-def test_detected_image_boxes_are_accepted_with_enter(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    perfect = knowing("people", kind=BoxKind.SILHOUETTE)
-    teach(image=perfect.image, view=perfect.view)
-    expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
-    bench.page.keyboard.press("Enter")
-    expect(bench.page.locator(".views .box.suggested")).to_have_count(4)
-    bench.page.keyboard.press("Enter")
-    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
-    bench.saved()
-    assert len(bench.labels) == 1
-
-
 class BlockedDetector:
-    """A detector that blocks until `may_answer` is set."""
+    """A detector that blocks while `may_answer` is not set."""
 
     labels = ("person",)
     fingerprint = "blocked"
@@ -181,49 +170,37 @@ class BlockedDetector:
         return self.detector.detect(images)
 
 
-@pytest.fixture
-def blocked(bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]) -> Iterator[BlockedDetector]:
-    """A view detector of the project that is still blocked."""
-    detector = BlockedDetector(knowing("people", kind=BoxKind.SILHOUETTE).view)
-    teach(view=detector)
-    yield detector
-    detector.may_answer.set()
-
-
-def test_a_box_drawn_while_the_detector_runs_is_kept(bench: Bench, blocked: BlockedDetector) -> None:
+def test_detected_image_boxes_are_accepted_and_a_box_drawn_while_the_detector_runs_is_kept(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
+) -> None:
+    page, perfect = bench.page, knowing("people", kind=BoxKind.SILHOUETTE)
+    blocked = BlockedDetector(perfect.view)
     blocked.may_answer.set()
-    drawn = bench.draw_on_image(0)
-    views = drawn["steps"][0]["views"]
-    dashed = bench.page.locator(".views .box.suggested")
+    teach(image=perfect.image, view=blocked)
+    expect(page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
+    with page.expect_response(answers_drag(0)) as answer:
+        page.keyboard.press("Enter")
+    drawn = answer.value.json()["drawn"]
+    dashed = page.locator(".views .box.suggested")
     expect(dashed).to_have_count(4)
     blocked.may_answer.clear()
-    # two drags before the first is answered
-    before = [(views[place], box) for place, box in enumerate(drawn["steps"][0]["suggested"])]
-    for place, (view, _) in enumerate(before):
-        bench.wait_for_view(place, view)
-        bench.pull(place, (0.5, 0.3), (0.4, 0.3))
-    expect(bench.page.get_by_test_id("hint")).to_contain_text("Looking for")
-    blocked.may_answer.set()
+    try:
+        # two drags before the first is answered
+        before = list(zip(drawn["steps"][0]["views"], drawn["steps"][0]["suggested"], strict=True))
+        for place, (view, _) in enumerate(before):
+            bench.wait_for_view(place, view)
+            bench.pull(place, (0.5, 0.3), (0.4, 0.3))
+        expect(page.get_by_test_id("hint")).to_contain_text("Looking for")
+    finally:
+        blocked.may_answer.set()
     expect(dashed).to_have_count(2)
     bench.saved()
     for (_, kept), (_, box) in zip(bench.state["objects"][0]["views"], before, strict=True):
         assert kept["x_min"] < box["x_min"] - 1 and abs(kept["y_min"] - box["y_min"]) < 2
-
-
-def test_a_deleted_view_box_is_suggested_again(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    teach(view=knowing("people", kind=BoxKind.SILHOUETTE).view)
-    bench.draw_on_image(0)
-    dashed = bench.page.locator(".views .box.suggested")
-    expect(dashed).to_have_count(4)
-    bench.page.keyboard.press("Enter")
-    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
-    bench.page.get_by_test_id("view-side-2").get_by_test_id("editor2d").focus()
-    bench.page.keyboard.press("Delete")
-    expect(dashed).to_have_count(1)
-    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "4")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
     bench.saved()
+    assert len(bench.labels) == 1
 
 
 def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench) -> None:

@@ -73,6 +73,7 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     expect(page.get_by_test_id("follow-stop")).to_be_hidden()
     # all of it is one action
     desk.press("Control+z")
+    expect(page.get_by_text("Undone:")).to_be_visible()
     expect(page.get_by_test_id("follow")).to_be_hidden()
     for frame in project.frames.of()[1:]:
         assert [label for label in project.labels.of_frame(frame.id) if label.track_id == truth.track_id] == []
@@ -136,7 +137,9 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
 
 
 @pytest.mark.usefixtures("following_view")
-def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, following_gate: threading.Semaphore) -> None:
+def test_boxes_are_followed_backward_stopped_or_lost_and_a_run_is_forgotten_with_the_server(
+    desk: Desk, following_gate: threading.Semaphore, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = desk.page
     uid, *_ = accept_truth(desk, 4, 3)
     show(desk, 4, uid)
@@ -155,58 +158,32 @@ def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, follow
     page.reload()
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
 
-
-@pytest.mark.usefixtures("following_view")
-def test_the_operator_goes_to_the_frame_where_an_object_was_lost(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    page, step, frames = desk.page, Follower.step, desk.project.frames.of()
+    # a lost object is shown where it was lost
+    step, frames = Follower.step, desk.project.frames.of()
 
     def lose(follower: Follower, moment: Any) -> Any:
         return step(follower, moment) if moment.index < 3 else Followed(None, FollowStop.POINTS)
 
     monkeypatch.setattr(Follower, "step", lose)
     (uid,) = accept_truth(desk, 0)
-    show(desk, 0, uid)
-    page.get_by_test_id("act-follow").click()
-    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
-    go = page.get_by_test_id("follow-go")
-    expect(go).to_contain_text(f"{frames[3].key} →")
-    expect(go).to_contain_text("too few points are left")
-    go.click()
-    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
-
-
-@pytest.mark.parametrize(
-    ("next_key", "far"),
-    [(None, "4 boxes, to the recording's last frame"), (3, "2 boxes, to its next reviewed box")],
-)
-def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk, next_key: int | None, far: str) -> None:
-    (uid,) = accept_truth(desk, 0)
-    if next_key is not None:
-        accept_truth(desk, next_key)
-    show(desk, 0, uid)
-    desk.press("v")
-    expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward by points")
-    expect(desk.page.get_by_test_id("followed")).to_contain_text(far)
-    # also if the run is faster than the answer that names it
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
-
-
-@pytest.mark.usefixtures("following_view")
-def test_a_run_that_a_restarted_server_does_not_know_is_no_longer_shown(desk: Desk) -> None:
-    (uid,) = accept_truth(desk, 0)
-    frame = desk.project.frames.of()[0]
     other = Proposal(
         "person", 0.8, truths(desk, 0)[1].box, Box2D("person", 1.0, 2.0, 30.0, 40.0), (), Quality(0.1, 0.9, 0.1)
     )
+    frame = desk.project.frames.get(frames[0].id)
     desk.project.proposals.replace(frame.id, [other], WriteContext(frame.revision, "rcv", Source.AUTO))
     show(desk, 0, uid)
-    desk.press("v")
-    panel = desk.page.get_by_test_id("follow")
-    expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward with the project's detector")
+    page.get_by_test_id("act-follow").click()
+    following_gate.release(4)
+    go = page.get_by_test_id("follow-go").first
+    expect(go).to_contain_text(f"{frames[3].key} →")
+    expect(go).to_contain_text("too few points are left")
     # what is open in this frame comes before the first new box
-    desk.page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
+    expect(page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    go.click()
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+    # a restarted server does not know the run
     desk.live.context.follow_runs._runs.clear()
     # ends all connections; the page connects again
     desk.live.context.hub.close()
-    expect(panel).to_be_hidden()
+    expect(page.get_by_test_id("follow")).to_be_hidden()

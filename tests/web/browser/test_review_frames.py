@@ -1,4 +1,4 @@
-"""Review in a real browser: navigation, finalising, changes of other operators, and unreadable frames."""
+"""Review in a real browser: going through frames, unreadable ones; stale and failed edits are not lost."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from browser_page import refuse
 from review_desk import Desk
 
-from annotator.project import Project
+from annotator.project import Project, WriteContext
+from annotator.types import ReviewState
 from annotator.types.errors import FrameError
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-def test_keys_change_the_frame_and_finalise_it(desk: Desk, wait_for) -> None:
+def test_frames_are_changed_finalised_and_shown_with_their_problem(
+    desk: Desk, wait_for, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
     desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
@@ -33,12 +38,7 @@ def test_keys_change_the_frame_and_finalise_it(desk: Desk, wait_for) -> None:
     expect(desk.page.get_by_test_id("act-copy")).to_be_enabled()
     desk.press("p")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
-
-
-def test_of_two_requested_frames_the_last_one_is_opened(desk: Desk) -> None:
-    frames = [stored.id for stored in desk.project.frames.of()]
-    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    # of two requested frames, the last one is opened
     later = desk.project.labels.of_frame(frames[2])[0]
     desk.page.route(f"**/frames/{frames[2]}", lambda route: None)
     with desk.page.expect_request(f"**/frames/{frames[2]}"):
@@ -47,31 +47,28 @@ def test_of_two_requested_frames_the_last_one_is_opened(desk: Desk) -> None:
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     desk.settled()
     assert desk.frame == frames[1]
-
-
-def test_another_operators_change_appears_at_once(desk: Desk) -> None:
-    frame, uid = desk.frame, desk.uid
-    revision = desk.project.frames.get(frame).revision
-    body = {"revision": revision, "changes": [{"kind": "reject", "uid": uid}], "effort": None, "subject": None}
-    answer = desk.live.client.post(f"{desk.api}/frames/{frame}/changes", json=body)
+    # another operator's change appears at once
+    uid = desk.uid
+    body = {"revision": desk.project.frames.get(frames[1]).revision, "changes": [{"kind": "reject", "uid": uid}]}
+    answer = desk.live.client.post(
+        f"{desk.api}/frames/{frames[1]}/changes", json=body | {"effort": None, "subject": None}
+    )
     assert answer.status_code == 200
-    row = desk.page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][data-state="rejected"]')
-    row.wait_for()
-
-
-def test_an_unreadable_frame_shows_its_error_instead_of_its_image(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    page, frames = desk.page, desk.live.context.caches.frames
+    desk.page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][data-state="rejected"]').wait_for()
+    # an unreadable frame shows its error instead of its image
+    first, second, third = frames[:3]
+    page, cache = desk.page, desk.live.context.caches.frames
+    page.unroute(f"**/frames/{third}")
     page.evaluate("localStorage.setItem('label-order', 'time')")
-    first, second, third = (stored.id for stored in desk.project.frames.of()[:3])
     truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")
-    read = frames.open
+    read = cache.open
 
     def broken(project: Project, frame_id: int, who: str = "") -> Any:
         if frame_id == second:
             raise truncated
         return read(project, frame_id, who)
 
-    monkeypatch.setattr(frames, "open", broken)
+    monkeypatch.setattr(cache, "open", broken)
     problem = page.get_by_test_id("frame-problem")
     for mode, picture in (("review", "review-image"), ("label", "image-editor")):
         page.goto(f"/#/{desk.name}/{mode}/{first}")
@@ -88,8 +85,65 @@ def test_an_unreadable_frame_shows_its_error_instead_of_its_image(desk: Desk, mo
         expect(problem).to_be_hidden()
         page.get_by_role("button", name="Previous frame in time").click()
         expect(problem).to_be_visible()
-        monkeypatch.setattr(frames, "open", read)
+        monkeypatch.setattr(cache, "open", read)
         page.get_by_test_id("frame-retry").click()
         expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
         expect(problem).to_be_hidden()
-        monkeypatch.setattr(frames, "open", broken)
+        monkeypatch.setattr(cache, "open", broken)
+
+
+def test_stale_and_failed_edits_are_neither_lost_nor_forced(desk: Desk, wait_for) -> None:
+    frame, uid, before = desk.frame, desk.uid, desk.label.box
+    for choice, decide in (("theirs", desk.project.labels.accept), ("mine", desk.project.labels.reject)):
+        # a change that is not announced to the page
+        decide(frame, uid, WriteContext(desk.project.frames.get(frame).revision, "Bob"))
+        desk.press("f")
+        desk.page.get_by_test_id("stale-dialog").wait_for()
+        assert desk.label.state in (ReviewState.ACCEPTED, ReviewState.REJECTED)
+        desk.page.get_by_test_id(f"dialog-{choice}").click()
+        desk.page.get_by_test_id("stale-dialog").wait_for(state="detached")
+        wanted = ReviewState.ACCEPTED if choice == "theirs" else ReviewState.EDITED
+        wait_for(lambda wanted=wanted: desk.label.state is wanted)
+        size = before.size_m if choice == "theirs" else before.size_m[[1, 0, 2]]
+        np.testing.assert_allclose(desk.label.box.size_m, size, atol=1e-9)
+        desk.settled()
+        expect(desk.page.get_by_test_id("label-state")).to_have_text(wanted.value)
+    # a box that could not be saved stays until it is saved or discarded
+    page, first, here = desk.page, desk.uid, desk.page.url
+    size = desk.label.box.size_m
+    refuse(page, "changes")
+    desk.press("f", "Tab")
+    row = page.locator(f'[data-testid="frame-box"][data-uid="{first}"]')
+    expect(row).to_contain_text("not saved")
+    assert desk.uid != first
+    row.click()
+    expect(page.get_by_test_id("not-saved")).to_contain_text("Not saved")
+    assert float(page.get_by_test_id("field-size-length").input_value()) == pytest.approx(size[1], abs=6e-4)
+    assert page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
+
+    # the page asks before it leaves the unsaved box
+    for key in ("n", "Control+z"):
+        desk.press(key)
+        page.get_by_test_id("unsaved-dialog").wait_for()
+        page.get_by_test_id("dialog-retry").click()
+        expect(page.get_by_test_id("unsaved-dialog").get_by_role("alert")).to_contain_text("1 changed box")
+        page.get_by_test_id("dialog-stay").click()
+        expect(page).to_have_url(here)
+        assert desk.uid == first
+    page.get_by_test_id("mode-statistics").click()
+    page.get_by_test_id("dialog-stay").click()
+    expect(page).to_have_url(here)
+    expect(page.get_by_test_id("not-saved")).to_be_visible()
+
+    page.unroute("**/changes")
+    page.get_by_test_id("draft-retry").click()
+    wait_for(lambda: np.allclose(desk.project.labels.get(first).label.box.size_m, size[[1, 0, 2]], atol=1e-9))
+    expect(page.get_by_test_id("not-saved")).to_be_hidden()
+    assert page.evaluate("dispatchEvent(new Event('beforeunload', { cancelable: true }))")
+
+    refuse(page, "changes")
+    desk.press("f")
+    page.get_by_test_id("draft-discard").click()
+    expect(page.get_by_test_id("label-state")).to_have_text("edited")
+    desk.press("n")
+    expect(page).not_to_have_url(here)

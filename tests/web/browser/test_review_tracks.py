@@ -45,19 +45,6 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.settled()
     page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
     desk.settled()
-    # the same for a rejected box
-    desk.press("x")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.REJECTED)
-    desk.settled()
-    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
-    desk.settled()
-    page.get_by_test_id("field-track").fill("71")
-    desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
-    assert desk.project.labels.get(uid).label.track_id == 71
-    desk.settled()
-    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
-    desk.settled()
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
     wait_for(lambda: desk.label.track_id == 7)
@@ -142,18 +129,15 @@ def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wa
     enter_track("dialog-other")
     assert [label.uid for label in of_track(desk, frame)] == [one]
     assert two not in {label.uid for label in project.labels.of_frame(frame)}
-
-
-def test_continuing_without_a_reviewed_box_or_track_gives_a_message(desk: Desk) -> None:
-    frames = [stored.id for stored in desk.project.frames.of()]
-    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    # continuing without a reviewed box, or a track, gives a message
+    other = next(label.uid for label in project.labels.of_frame(frame) if label.track_id is None)
+    page.locator(f'[data-testid="frame-box"][data-uid="{other}"]').click()
     desk.settled()
     desk.press("v")
-    expect(desk.page.get_by_text("Select a reviewed box to follow, or accept this one first")).to_be_visible()
-    expect(desk.page.get_by_test_id("act-fill")).to_be_hidden()
+    expect(page.get_by_text("Select a reviewed box to follow, or accept this one first")).to_be_visible()
+    expect(page.get_by_test_id("act-fill")).to_be_hidden()
     desk.press("Shift+N")
-    expect(desk.page.get_by_text("This box has no track")).to_be_visible()
+    expect(page.get_by_text("This box has no track")).to_be_visible()
 
 
 def test_wrong_boxes_are_clicked_out_on_the_sheet_and_the_others_accepted(desk: Desk, wait_for) -> None:
@@ -203,7 +187,7 @@ def test_wrong_boxes_are_clicked_out_on_the_sheet_and_the_others_accepted(desk: 
     desk.settled()
 
 
-def test_a_frames_boxes_are_seen_in_small_and_accepted_together(desk: Desk, wait_for) -> None:
+def test_a_frames_boxes_are_accepted_together_and_later_ones_corrected_alike(desk: Desk, wait_for) -> None:
     page, project = desk.page, desk.project
     first, second = (frame.id for frame in project.frames.of()[:2])
     uids = [label.uid for label in project.labels.of_frame(first)]
@@ -222,17 +206,15 @@ def test_a_frames_boxes_are_seen_in_small_and_accepted_together(desk: Desk, wait
     wait_for(lambda: all(label.state is ReviewState.PROPOSED for label in project.labels.of_frame(first)))
     desk.settled()
 
-
-def test_later_boxes_are_corrected_alike_with_one_key(desk: Desk, wait_for) -> None:
-    page, project = desk.page, desk.project
+    # a correction is carried to the later boxes of the track with one key
     frames = project.frames.of()[:3]
     for frame in frames:
         uid = project.labels.of_frame(frame.id)[0].uid
         project.log.append(frame.id, [LabelTracked(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
     before = [of_track(desk, frame.id)[0].box.size_m[0] for frame in frames]
     uid = of_track(desk, frames[0].id)[0].uid
+    page.goto("about:blank")
     page.goto(f"/#/{desk.name}/review/{frames[0].id}?uid={uid}")
-    page.reload()
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
     expect(page.get_by_test_id("act-carry")).to_be_disabled()
     desk.settled()
@@ -247,27 +229,3 @@ def test_later_boxes_are_corrected_alike_with_one_key(desk: Desk, wait_for) -> N
     np.testing.assert_allclose([label.box.size_m[0] for label in later], np.add(before[1:], 0.5), atol=1e-4)
     assert all(label.state is ReviewState.PROPOSED for label in later)
     desk.settled()
-
-
-# What is loaded ahead while this is held, and afterwards: the ends of the requested paths.
-HELD = """async () => {
-  const { createPreload } = await import("/assets/js/review/preload.js");
-  const asked = [];
-  const get = async (path) => {
-    asked.push(path);
-    return { frame: { id: 2 }, labels: [], image: { url: "" } };
-  };
-  const app = { state: { frame: { frame: { id: 1 } } }, path: (...parts) => parts.join("/"), api: { get } };
-  const queue = { after: () => ({ frame: 2, uid: "next" }) };
-  const preload = createPreload(app, { uid: "now", stored: () => null }, queue);
-  const release = preload.hold();
-  await preload.start();
-  const held = [...asked];
-  release();
-  await new Promise((resolve) => setTimeout(resolve));
-  return [held, asked];
-}"""
-
-
-def test_nothing_is_loaded_ahead_while_a_sheet_is_open(desk: Desk) -> None:
-    assert desk.page.evaluate(HELD) == [[], ["frames/2"]]

@@ -8,15 +8,16 @@ measures it.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from browser_page import answers_drag, drag_box, draw_on_views
 from drawing import Scene
-from live_server import ended
+from label_bench import Bench
+from live_server import ended, running
 
 from annotator.formats.rcv import read_rcv
 from annotator.geometry.iou import iou_3d
@@ -39,9 +40,10 @@ RIGHT = 0.5
 
 
 @pytest.fixture
-def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """Settings of a server without projects that may access the generated recordings."""
-    return ServerSettings(tmp_path / "projects", (generated,), port=0)
+def live(tmp_path: Path, generated: Path) -> Iterator[Live]:
+    """A server without projects that may access the generated recordings."""
+    with running(ServerSettings(tmp_path / "projects", (generated,), port=0)) as server:
+        yield server
 
 
 def begins_job(answer: Response) -> bool:
@@ -81,17 +83,6 @@ class Operator:
         self.page.keyboard.press("Escape")
         self.click("open-crowd")
 
-    def draw_object(self, scene: Scene, number: int) -> None:
-        """Draws the five boxes of an object."""
-        camera = scene.frame.camera
-        with self.page.expect_response(answers_drag(0)) as answer:
-            drag_box(self.page, "image-editor", scene.image_box(number), camera.width_px, camera.height_px)
-        first = answer.value.json()["drawn"]["steps"][0]["views"]
-        with self.page.expect_response(answers_drag(2)) as answer:
-            draw_on_views(self.page, scene, number, first)
-        draw_on_views(self.page, scene, number, answer.value.json()["drawn"]["steps"][1]["views"], step=1)
-        self.page.wait_for_selector(".label-mode:not([data-saving])")
-
     def label_frames(self) -> int:
         """Draws all visible objects of the frames to label; returns their number."""
         self.page.get_by_test_id("order").select_option("time")
@@ -99,7 +90,7 @@ class Operator:
         for index in LABELLED:
             self.go_to_frame(index)
             for number in range(len(self.scenes[index].objects)):
-                self.draw_object(self.scenes[index], number)
+                Bench(self.page, self.live, self.project, self.scenes[index]).draw_object(number)
                 drawn += 1
             expect(self.page.get_by_test_id("object")).to_have_count(len(self.scenes[index].objects))
         return drawn
@@ -238,10 +229,10 @@ class Operator:
 @pytest.mark.timeout(1500)
 @pytest.mark.usefixtures("jobs_on_path")
 def test_from_an_empty_folder_to_a_downloaded_dataset(
-    page: Page, live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    open_page: Callable[[], Page], live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenes = [Scene.of(generated / "people", index, ("person",)) for index in range(5)]
-    operator = Operator(page, live, scenes)
+    operator = Operator(open_page(), live, scenes)
     operator.sign_in("Ada")
     operator.make_project(generated.name)
     drawn = operator.label_frames()

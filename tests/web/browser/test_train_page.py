@@ -1,4 +1,4 @@
-"""Train in a real browser: training data, errors, and stopping a training; `test_scenario` completes one."""
+"""Train in a real browser: settings, detectors, and stopping a training; `test_scenario` completes one."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from annotator.detection import pretrained
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.jobs.records import JobState, LiftRequest
+from annotator.web.jobs.runner import WorkerProcess
 from annotator.workflows.training.held_out import Decision, Rival
 
 if TYPE_CHECKING:
@@ -22,89 +23,59 @@ if TYPE_CHECKING:
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
-
-def test_without_boxes_the_page_says_what_to_do_next(signed_in: Page, room: Project) -> None:
-    signed_in.goto(f"/#/{room.path.name}/train")
-    expect(signed_in.get_by_text("There are no boxes to train on yet")).to_be_visible()
-    expect(signed_in.get_by_test_id("train-start")).to_be_hidden()
-    expect(signed_in.get_by_test_id("propose-start")).to_be_disabled()
+# a training gives way to all other programs
+BEGINS_MS = 500_000.0
 
 
-def test_invalid_settings_are_shown_as_an_error(signed_in: Page, room: Project, generated: Path) -> None:
-    label_truth(room, generated / "people", 1)
-    signed_in.goto(f"/#/{room.path.name}/train")
-    signed_in.get_by_test_id("train-role-image").uncheck()
-    signed_in.get_by_test_id("train-role-view").uncheck()
-    signed_in.get_by_test_id("train-start").click()
-    expect(signed_in.get_by_role("alert")).to_have_text("Choose at least one detector to train.")
-
-
-@pytest.mark.slow
-def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
-    signed_in: Page, room: Project, generated: Path
+def test_training_is_set_up_and_a_detector_is_chosen(
+    shared_page: Page,
+    shop: Shop,
+    room: Project,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    wait_for: Callable[[Callable[[], object]], None],
 ) -> None:
-    page = signed_in
-    count = label_truth(room, generated / "people", 2)
+    page, jobs = shared_page, shop.live.context.jobs
     page.goto(f"/#/{room.path.name}/train")
-    expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} reviewed 3D boxes")
-    page.get_by_text("Settings").click()
-    page.get_by_test_id("train-role-view").uncheck()
-    page.get_by_test_id("train-pictures-image").fill("5000")
-    page.get_by_test_id("train-size-image").fill("64")
-    page.get_by_test_id("train-start").click()
-    expect(page.get_by_test_id("stop-train")).to_be_visible()
-    expect(page.get_by_test_id("job-indicator")).to_be_visible()
-    page.reload()  # the training continues, and the page shows it again
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector")
-    page.get_by_test_id("stop-train").click()
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped")
-    expect(page.get_by_test_id("train-start")).to_be_enabled()
+    expect(page.get_by_text("There are no boxes to train on yet")).to_be_visible()
+    expect(page.get_by_test_id("train-start")).to_be_hidden()
     expect(page.get_by_test_id("propose-start")).to_be_disabled()
 
+    label_truth(room, shop.recording, 1)
+    page.reload()
+    page.get_by_test_id("train-role-image").uncheck()
+    page.get_by_test_id("train-role-view").uncheck()
+    page.get_by_test_id("train-start").click()
+    expect(page.get_by_role("alert")).to_have_text("Choose at least one detector to train.")
 
-def test_learning_while_labelling_is_switched_on_for_the_project(
-    signed_in: Page, room: Project, generated: Path
-) -> None:
-    label_truth(room, generated / "people", 1)
-    signed_in.goto(f"/#/{room.path.name}/train")
-    every = signed_in.get_by_test_id("learn-every")
-    expect(signed_in.get_by_test_id("learn-switch")).not_to_be_checked()
+    # learning while labelling is switched on for the project
+    every, switch = page.get_by_test_id("learn-every"), page.get_by_test_id("learn-switch")
+    expect(switch).not_to_be_checked()
     every.fill("1000")
-    with signed_in.expect_response("**/models/learning"):
-        signed_in.get_by_test_id("learn-switch").check()
+    with page.expect_response("**/models/learning"):
+        switch.check()
     assert room.config.settings.learn_every == 1000
-    signed_in.reload()
-    expect(signed_in.get_by_test_id("learn-switch")).to_be_checked()
+    page.reload()
+    expect(switch).to_be_checked()
     expect(every).to_have_value("1000")
-    with signed_in.expect_response("**/models/learning"):
-        signed_in.get_by_test_id("learn-switch").uncheck()
+    with page.expect_response("**/models/learning"):
+        switch.uncheck()
     assert room.config.settings.learn_every is None
 
-
-def test_the_switch_stays_on_when_a_running_job_reports_its_progress(
-    signed_in: Page, shop: Shop, room: Project, generated: Path, wait_for: Callable[[Callable[[], object]], None]
-) -> None:
-    label_truth(room, generated / "people", 1)
-    jobs = shop.live.context.jobs
+    # the switch stays on when a running job reports its progress
     job = jobs.add(room.path.name, room.path, LiftRequest(kind="lift"), "Ada")
     wait_for(lambda: jobs.get(job.id).state not in (JobState.QUEUED, JobState.RUNNING))
-    signed_in.goto(f"/#/{room.path.name}/train")
-    expect(signed_in.get_by_test_id("material-view")).to_be_visible()
     jobs._update(job.id, state=JobState.RUNNING)
-    indicator = signed_in.get_by_test_id("job-indicator")
+    indicator = page.get_by_test_id("job-indicator")
     expect(indicator).to_be_visible()
-    signed_in.wait_for_load_state("networkidle")
-    with signed_in.expect_response("**/models/learning"):
-        signed_in.get_by_test_id("learn-switch").check()
+    with page.expect_response("**/models/learning"):
+        switch.check()
     jobs._update(job.id, stage="half of it", done=1, total=2)
     expect(indicator).to_have_attribute("title", re.compile("half of it"))
-    expect(signed_in.get_by_test_id("learn-switch")).to_be_checked()
+    expect(switch).to_be_checked()
     jobs._update(job.id, state=JobState.DONE)
 
-
-def test_what_held_out_frames_decided_is_shown_and_the_base_detector_can_be_chosen(
-    signed_in: Page, room: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    # what held-out frames decided is shown, and the base detector can be chosen
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     folder = room.models_folder / "view" / "run"
     folder.mkdir(parents=True)
@@ -118,11 +89,35 @@ def test_what_held_out_frames_decided_is_shown_and_the_base_detector_can_be_chos
     Decision(
         objects=7, frames=2, mean_iou=0.625, compared=rivals, started_from="", outcome="the best one, in use now"
     ).write(folder)
-    signed_in.goto(f"/#/{room.path.name}/train")
-    expect(signed_in.get_by_test_id("held-out")).to_have_text("0.63 (7 objects)")
-    expect(signed_in.get_by_test_id("decision")).to_contain_text("newest detector 0.63, base detector 0.50")
-    signed_in.get_by_test_id("use-base").click()
-    expect(signed_in.get_by_test_id("base-row")).to_have_attribute("data-active", "true")
+    page.reload()
+    expect(page.get_by_test_id("held-out")).to_have_text("0.63 (7 objects)")
+    expect(page.get_by_test_id("decision")).to_contain_text("newest detector 0.63, base detector 0.50")
+    page.get_by_test_id("use-base").click()
+    expect(page.get_by_test_id("base-row")).to_have_attribute("data-active", "true")
     assert room.models.active(DetectorKind.VIEW) is None
-    signed_in.get_by_test_id("use-model").click()
-    expect(signed_in.get_by_test_id("base-row")).to_have_attribute("data-active", "false")
+    page.get_by_test_id("use-model").click()
+    expect(page.get_by_test_id("base-row")).to_have_attribute("data-active", "false")
+
+
+@pytest.mark.slow
+def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
+    shared_page: Page, room: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("annotator.web.jobs.runner.WorkerProcess", WorkerProcess)
+    page = shared_page
+    count = label_truth(room, generated / "people", 2)
+    page.goto(f"/#/{room.path.name}/train")
+    expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} reviewed 3D boxes")
+    page.get_by_text("Settings").click()
+    page.get_by_test_id("train-role-view").uncheck()
+    page.get_by_test_id("train-pictures-image").fill("5000")
+    page.get_by_test_id("train-size-image").fill("64")
+    page.get_by_test_id("train-start").click()
+    expect(page.get_by_test_id("stop-train")).to_be_visible()
+    expect(page.get_by_test_id("job-indicator")).to_be_visible()
+    page.reload()  # the training continues, and the page shows it again
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector", timeout=BEGINS_MS)
+    page.get_by_test_id("stop-train").click()
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped", timeout=BEGINS_MS)
+    expect(page.get_by_test_id("train-start")).to_be_enabled()
+    expect(page.get_by_test_id("propose-start")).to_be_disabled()

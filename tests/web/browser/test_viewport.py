@@ -1,18 +1,15 @@
-"""The 3D view in a real browser: drawing, keys that are forwarded to the page, clicks and the gizmo."""
+"""The 3D view in a real browser: drawing, keys that are forwarded to the page, and clicks."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pytest
-from browser_page import label_truth, seen_by_viewer, sign_in, until
+from browser_page import label_truth, seen_by_viewer, until
 from PIL import Image
 
 from annotator.project import Project
-from annotator.types import Label
 
 if TYPE_CHECKING:
     from conftest import Shop
@@ -26,7 +23,7 @@ LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
 PAGE = """async ([project, left, top, width, height]) => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const [viewport, keys, api, events, effort, state] = await Promise.all(
-    ["viewport", "keys", "api", "events", "effort", "state"].map(load));
+    ["viewport", "keys", "api", "events", "effort", "frame_state"].map(load));
   const app = { effort: effort.createEffort(), events: events.createEvents(), keys: keys.createKeys(),
     state: state.createState({ route: { project } }) };
   app.api = api.createApi(app.effort, () => {});
@@ -47,42 +44,8 @@ PAGE = """async ([project, left, top, width, height]) => {
 }"""
 
 
-@pytest.fixture
-def live(shop: Shop) -> Live:
-    """The server shared by the tests of a file."""
-    return shop.live
-
-
-@pytest.fixture(scope="module")
-def room(shop: Shop) -> Project:
-    """A project with true boxes on its first frame."""
-    project = shop.new_project()
-    label_truth(project, shop.recording, 1)
-    return project
-
-
-@pytest.fixture
-def labels(room: Project) -> list[Label]:
-    """The boxes on the first frame."""
-    return list(room.labels.of_frame(room.frames.of()[0].id))
-
-
-@pytest.fixture
-def view(shared_page_3d: Page, shop: Shop, room: Project) -> Iterator[Page]:
-    """The shared page with the view of the first frame, connected and drawn."""
-    page = shared_page_3d
-    if not page.evaluate("'view' in window"):
-        begin(page, shop.live, room)
-    show(page, frame=1, reset_view=True)
-    until(page, "view.state === 'ready'", STARTS_S)
-    until(page, lambda: drawn(page) > 0.1)
-    page.evaluate("() => { for (const list of [pressed, ...Object.values(told)]) list.length = 0; }")
-    yield page
-
-
-def begin(page: Page, live: Live, room: Project) -> None:
+def begin(page: Page, room: Project) -> None:
     """Opens the page's modules without a mode."""
-    sign_in(page, live.url)
     page.goto("/")
     page.evaluate(PAGE, [room.path.name, LEFT, TOP, WIDTH, HEIGHT])
 
@@ -104,7 +67,7 @@ def drawn(page: Page) -> float:
 
 
 def bench(live: Live, page: Page) -> Any:
-    return live.server.app.state.viewports.get(page.evaluate("view.id"), "Ada")
+    return live.server.app.state.viewports.get(page.evaluate("view.id"), "Grace")
 
 
 def camera(live: Live, page: Page) -> np.ndarray:
@@ -118,10 +81,27 @@ def on_screen(live: Live, page: Page, point: np.ndarray) -> tuple[float, float]:
     return seen_by_viewer(bench(live, page), {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}, point)
 
 
-def test_the_cloud_is_drawn_in_its_colours_and_only_the_last_of_many_scenes(
-    view: Page, live: Live, room: Project
+def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
+    shared_page_3d: Page, live: Live, shop: Shop, room: Project
 ) -> None:
-    assert drawn(view) > 0.3
+    """Its gizmo is in test_review_box.py."""
+    view, frames = shared_page_3d, shared_page_3d.get_by_test_id("viewport-frame")
+    label_truth(room, shop.recording, 1)
+    labels = list(room.labels.of_frame(room.frames.of()[0].id))
+    begin(view, room)
+    # a held view starts when it is let go
+    view.evaluate("() => { view.show({ frame: 1, reset_view: true }); window.release = view.hold(); }")
+    until(view, "view.id !== null", STARTS_S)
+    assert frames.count() == 0
+    view.evaluate("release()")
+    until(view, "view.state === 'ready'", STARTS_S)
+    until(view, lambda: drawn(view) > 0.3)
+    # one that is shown stays
+    view.evaluate("() => { window.release = view.hold(); }")
+    assert frames.is_visible()
+    view.evaluate("release()")
+
+    # the cloud has its colours
     mean = picture(view).reshape(-1, 3)
     mean = mean[np.abs(mean - mean[0]).max(axis=1) > 24].mean(axis=0)
     cloud = live.context.frame(room, 1).cloud
@@ -130,18 +110,13 @@ def test_the_cloud_is_drawn_in_its_colours_and_only_the_last_of_many_scenes(
     assert frame.locator(".mantine-Paper-root:visible, .mantine-Notifications-root:visible").count() == 0
     assert frame.locator("canvas:visible").count() >= 1
 
-    before = view.evaluate("told.shown.length")
-    view.evaluate("() => { for (let n = 0; n < 40; n += 1) view.show({ frame: 1 + (n % 5) }); }")
-    until(view, lambda: bench(live, view)._scene.content.frame.index == 4)
-    view.wait_for_timeout(500)
-    assert bench(live, view)._scene.content.frame.index == 4
-    assert view.evaluate("told.shown.length") - before <= 3
+    # a click selects a box
+    nearest = min(labels, key=lambda label: label.box.center_m[2])
+    view.mouse.click(*on_screen(live, view, nearest.box.center_m))
+    until(view, "told.select.length > 0")
+    assert view.evaluate("told.select[0].uid") == nearest.uid
 
-    show(view, frame=None)
-    until(view, lambda: drawn(view) < 0.01)
-
-
-def test_keys_in_the_view_are_forwarded_to_the_page_and_do_not_move_the_camera(view: Page, live: Live) -> None:
+    # keys are forwarded to the page, and do not move the camera
     view.mouse.click(LEFT + 10, TOP + 10)
     assert view.evaluate("document.activeElement.dataset.testid") == "viewport-frame"
     view.wait_for_timeout(500)
@@ -165,39 +140,19 @@ def test_keys_in_the_view_are_forwarded_to_the_page_and_do_not_move_the_camera(v
     view.mouse.up()
     until(view, lambda: np.abs(camera(live, view) - before).max() > 0.01)
 
+    # only the last of many scenes is drawn
+    shown = view.evaluate("told.shown.length")
+    view.evaluate("() => { for (let n = 0; n < 40; n += 1) view.show({ frame: 1 + (n % 5) }); }")
+    until(view, lambda: bench(live, view)._scene.content.frame.index == 4)
+    view.wait_for_timeout(500)
+    assert bench(live, view)._scene.content.frame.index == 4
+    assert view.evaluate("told.shown.length") - shown <= 3
+    show(view, frame=None)
+    until(view, lambda: drawn(view) < 0.01)
+    show(view, frame=1)
+    until(view, lambda: drawn(view) > 0.1)
 
-def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Live, labels: list[Label]) -> None:
-    nearest = min(labels, key=lambda label: label.box.center_m[2])
-    view.mouse.click(*on_screen(live, view, nearest.box.center_m))
-    until(view, "told.select.length > 0")
-    assert view.evaluate("told.select[0].uid") == nearest.uid
-
-    label = labels[0]
-    show(view, frame=1, selected=label.uid, gizmo="translate")
-    until(view, lambda: bench(live, view)._scene.content.selected == label.uid)
-    view.wait_for_timeout(1000)
-    node = bench(live, view)._server.scene.get_handle_by_name("/selected")
-    axis = label.box.rotation[:, 0]
-    # drags the arrow along the box's x axis, from its middle outwards
-    start, end = (on_screen(live, view, label.box.center_m + share * node.scale * axis) for share in (0.6, 1.0))
-    view.mouse.move(*start)
-    view.wait_for_timeout(300)
-    view.mouse.down()
-    view.mouse.move(*end, steps=8)
-    view.mouse.up()
-    until(view, "told.box.some((event) => event.final)")
-    events = view.evaluate("told.box")
-    assert [event["final"] for event in events].count(True) == 1
-    assert events[-1]["final"]
-    assert {event["uid"] for event in events} == {label.uid}
-    moved = np.array(events[-1]["box"]["center"]) - label.box.center_m
-    assert np.linalg.norm(moved) > 0.05
-    np.testing.assert_allclose(moved / np.linalg.norm(moved), axis, atol=1e-3)
-    np.testing.assert_allclose(events[-1]["box"]["size"], label.box.size_m)
-    np.testing.assert_allclose(events[-1]["box"]["rotation"], label.box.rotation, atol=1e-6)
-
-
-def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(view: Page, live: Live) -> None:
+    # the view survives moving and a server's restart, and closes with the page
     known = view.evaluate("view.id")
     view.evaluate("view.detach()")
     until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
@@ -207,7 +162,7 @@ def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(
     until(view, lambda: drawn(view) > 0.1)
 
     # the server has closed the view, or was restarted
-    live.client.delete(f"/api/workbench/{known}")
+    assert view.request.delete(f"{live.url}/api/workbench/{known}", headers={"Origin": live.url}).ok
     show(view, frame=2)
     until(view, f"view.id !== null && view.id !== '{known}' && view.state === 'ready'")
     assert bench(live, view)._scene.content.frame.index == 1
@@ -216,27 +171,3 @@ def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(
     assert len(benches._open) == 1
     view.goto("about:blank")
     until(view, lambda: len(benches._open) == 0)
-
-
-def test_a_held_view_starts_when_it_is_let_go(shared_page_3d: Page, live: Live, room: Project) -> None:
-    page, frames = shared_page_3d, shared_page_3d.get_by_test_id("viewport-frame")
-    begin(page, live, room)
-    page.evaluate("() => { view.show({ frame: 1, reset_view: true }); window.release = view.hold(); }")
-    until(page, "view.id !== null", STARTS_S)
-    assert frames.count() == 0
-    page.evaluate("release()")
-    until(page, "view.state === 'ready'", STARTS_S)
-    until(page, lambda: drawn(page) > 0.1)
-    # one that is shown stays
-    page.evaluate("() => { window.release = view.hold(); }")
-    assert frames.is_visible()
-    page.evaluate("release()")
-
-
-def test_without_webgl_the_page_shows_a_note(shared_page: Page, live: Live, room: Project) -> None:
-    known = list(live.server.app.state.viewports._open)
-    begin(shared_page, live, room)
-    show(shared_page, frame=1)
-    assert shared_page.evaluate("view.state") == "unsupported"
-    assert "no WebGL" in shared_page.get_by_test_id("viewport-note").inner_text()
-    assert list(live.server.app.state.viewports._open) == known

@@ -22,13 +22,17 @@ from zipfile import ZipFile
 import httpx
 import pytest
 from browser_page import sign_in
+from live_server import PATIENCE_S
 
 from annotator import __version__
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/"),
+]
 
 ROOT = Path(__file__).resolve().parents[3]
 STEM = f"rcv_annotator-{__version__}"
@@ -122,7 +126,7 @@ def live(installed: Installed, project: str) -> Iterator[SimpleNamespace]:
         yield SimpleNamespace(url=found.group(1), link=found.group())
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(PATIENCE_S) == 0
         process.stdout.close()
         process.stderr.close()
 

@@ -10,16 +10,11 @@ import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { createCorrectionPanel } from "./correction_panel.js";
 import { createLevelPanel } from "./level_panel.js";
-import { moved } from "./picture.js";
-import { createPicturePanel } from "./picture_panel.js";
+import { createPicturePanel, moved } from "./picture.js";
 
 const NOT_KEPT = "The correction or the level is not kept yet.";
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
   /** @type {Vector[]} */
@@ -89,12 +84,8 @@ export function mount(root, app) {
     if (isOutdated) void load();
   }
 
-  /**
-   * Shows an answer. On another frame with the same adjustment, what was not kept yet stays.
-   *
-   * @param {Api.AlignmentJson} answer
-   */
-  function take(answer) {
+  /** Shows an answer. On another frame with the same adjustment, what was not kept yet stays. */
+  function take(/** @type {Api.AlignmentJson} */ answer) {
     const isSame = known?.recording === answer.recording && known.adjusted === answer.adjusted;
     // what was not changed is as this frame has it: the files may know another up direction for each
     const sliders = correction.isChanged() ? correction.value() : null;
@@ -121,8 +112,7 @@ export function mount(root, app) {
     show();
   }
 
-  /** @param {unknown} error */
-  function fail(error) {
+  function fail(/** @type {unknown} */ error) {
     if (ended || isAborted(error)) return;
     picture.setProblem(messageOf(error));
   }
@@ -148,18 +138,13 @@ export function mount(root, app) {
     }
   }
 
-  /** @param {Direction} which */
-  async function leaveBroken(which) {
+  async function leaveBroken(/** @type {Direction} */ which) {
     const beside = frame === null ? null : await frameBeside(app, frame, which);
     if (beside !== null) app.go(makeHash(app.state.project.name, "alignment", beside));
   }
 
-  /**
-   * Says why an image could not be loaded.
-   *
-   * @param {string} url
-   */
-  async function explain(url) {
+  /** Says why an image could not be loaded. */
+  async function explain(/** @type {string} */ url) {
     try {
       await app.api.get(url);
       fail(new Error("The image of this frame cannot be shown."));
@@ -168,8 +153,7 @@ export function mount(root, app) {
     }
   }
 
-  /** @param {string} [recording] */
-  async function firstFrame(recording = "") {
+  async function firstFrame(/** @type {string} */ recording = "") {
     const of = recording === "" ? "" : `&recording=${recording}`;
     /** @type {Api.FrameListJson} */
     const { frames } = await app.api.get(`${app.path("frames")}?limit=1${of}`);
@@ -187,11 +171,11 @@ export function mount(root, app) {
 
   /**
    * Keeps the level or the correction; the other one stays as it is shown. Throws the reason why it cannot be kept.
-   *
-   * @param {"up" | "correction"} what
-   * @param {{ up?: Vector | null, correction?: Api.CorrectionJson }} content
    */
-  async function save(what, content) {
+  async function save(
+    /** @type {"up" | "correction"} */ what,
+    /** @type {{ up?: Vector | null, correction?: Api.CorrectionJson }} */ content,
+  ) {
     if (known === null || frame === null || isBusy) return;
     const own = frame;
     const sliders = content.correction === undefined ? correction.value() : null;
@@ -222,12 +206,8 @@ export function mount(root, app) {
     if (level.isUnsaved()) await save("up", { up: level.changed() });
   }
 
-  /**
-   * As `save`, but shows the reason.
-   *
-   * @param {Parameters<typeof save>} what
-   */
-  const keep = (...what) => save(...what).catch(fail);
+  /** As `save`, but shows the reason. */
+  const keep = (/** @type {Parameters<typeof save>} */ ...what) => save(...what).catch(fail);
 
   async function estimateUp() {
     if (known === null || isBusy) return;
@@ -249,8 +229,7 @@ export function mount(root, app) {
     }
   }
 
-  /** @param {Messages["adjusted"]} message */
-  function onAdjusted({ recording, adjusted, operator }) {
+  function onAdjusted(/** @type {Messages["adjusted"]} */ { recording, adjusted, operator }) {
     if (known?.recording !== recording || adjusted <= known.adjusted) return;
     isOutdated = true;
     if (isBusy) return;
@@ -275,8 +254,7 @@ export function mount(root, app) {
 
   void load();
   return {
-    /** @param {Route} route */
-    route(route) {
+    route(/** @type {Route} */ route) {
       if (route.frame === frame) return;
       frame = route.frame;
       void load();

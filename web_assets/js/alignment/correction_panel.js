@@ -1,8 +1,7 @@
 /** How the cloud lies on the image: its turn and shift to the camera, and its time offset. */
 
-import { count, h } from "../dom.js";
-import { button, panel, SAME } from "./panel.js";
-import { createSlider } from "./sliders.js";
+import { button, count, h } from "../dom.js";
+import { createSlider, panel, SAME } from "./panel.js";
 
 /** @type {["x" | "y" | "z", string][]} */
 const AXES = [
@@ -11,10 +10,13 @@ const AXES = [
   ["z", "ahead"],
 ];
 
-/**
- * @param {{ onChange: () => void, onKeep: (value: Api.CorrectionJson) => unknown, onDiscard: () => void }} options
- */
-export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
+export function createCorrectionPanel(
+  /** @type {{ onChange: () => void, onKeep: (value: Api.CorrectionJson) => unknown, onDiscard: () => void }} */ {
+    onChange,
+    onKeep,
+    onDiscard,
+  },
+) {
   /** @type {Api.AlignmentJson | null} */
   let known = null;
 
@@ -30,10 +32,12 @@ export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
   const offset = createSlider({ label: "Clouds' clock ahead", testid: "time-offset", ...seconds });
   const noTimes = h("p", { class: "help" }, "The frames have no times, so there is no time offset to correct.");
   const offsetNote = h("p", { class: "bad", hidden: true, "data-testid": "offset-note" });
-  const keep = button("Keep this correction", "keep-correction", () => onKeep(value()));
-  const back = button("Discard changes", "discard-correction", onDiscard);
-  const zero = button("Remove the correction", "clear-correction", () =>
-    onKeep({ turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 }),
+  const keep = button("Keep this correction", () => onKeep(value()), { "data-testid": "keep-correction" });
+  const back = button("Discard changes", onDiscard, { "data-testid": "discard-correction" });
+  const zero = button(
+    "Remove the correction",
+    () => onKeep({ turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 }),
+    { "data-testid": "clear-correction" },
   );
   const effect = h("p", { class: "help", "data-testid": "correction-effect" });
 
@@ -44,8 +48,7 @@ export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
     return { turn_deg: [x, y, z], shift_m: [right, down, ahead], time_offset_s: offset.value };
   }
 
-  /** @param {Api.CorrectionJson} values */
-  function set({ turn_deg, shift_m, time_offset_s }) {
+  function set(/** @type {Api.CorrectionJson} */ { turn_deg, shift_m, time_offset_s }) {
     for (const i of [0, 1, 2]) {
       turns[i].set(turn_deg[i]);
       shifts[i].set(shift_m[i]);
@@ -69,12 +72,8 @@ export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
     value,
     set,
     isChanged,
-    /**
-     * Shows what is stored.
-     *
-     * @param {Api.AlignmentJson} answer
-     */
-    take(answer) {
+    /** Shows what is stored. */
+    take(/** @type {Api.AlignmentJson} */ answer) {
       known = answer;
       set(known.correction);
     },
@@ -109,5 +108,8 @@ export function createCorrectionPanel({ onChange, onKeep, onDiscard }) {
   };
 }
 
-/** @param {Api.CorrectionJson} correction */
-const flat = ({ turn_deg, shift_m, time_offset_s }) => [...turn_deg, ...shift_m, time_offset_s];
+const flat = (/** @type {Api.CorrectionJson} */ { turn_deg, shift_m, time_offset_s }) => [
+  ...turn_deg,
+  ...shift_m,
+  time_offset_s,
+];

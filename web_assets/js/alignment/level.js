@@ -6,29 +6,19 @@ const RAD = Math.PI / 180;
 /** Lines of the grid in each direction, and the points of a line. */
 const [LINES, STEPS] = [9, 40];
 
-/**
- * The up direction of a camera that is rolled clockwise and pitched up by these angles.
- *
- * @param {{ roll: number, pitch: number }} angles
- */
-export function upOf({ roll, pitch }) {
+/** The up direction of a camera that is rolled clockwise and pitched up by these angles. */
+export function upOf(/** @type {{ roll: number, pitch: number }} */ { roll, pitch }) {
   const level = Math.cos(pitch * RAD);
   return [Math.sin(roll * RAD) * level, -Math.cos(roll * RAD) * level, Math.sin(pitch * RAD)];
 }
 
-/** @param {Vector} up */
-export function anglesOf(up) {
+export function anglesOf(/** @type {Vector} */ up) {
   const [x, y, z] = unit(up);
   return { roll: Math.atan2(x, -y) / RAD, pitch: Math.asin(Math.max(-1, Math.min(1, z))) / RAD };
 }
 
-/**
- * A level grid through the lowest points, and plumb lines on some points: lists of points in the camera frame.
- *
- * @param {Vector} up
- * @param {Vector[]} points
- */
-export function levelLines(up, points) {
+/** A level grid through the lowest points, and plumb lines on some points: lists of points in the camera frame. */
+export function levelLines(/** @type {Vector} */ up, /** @type {Vector[]} */ points) {
   if (points.length === 0) return { grid: [], plumb: [] };
   const heights = points.map((point) => dot(point, up)).sort((a, b) => a - b);
   const floor = heights[Math.floor(heights.length * 0.02)];
@@ -40,13 +30,8 @@ export function levelLines(up, points) {
   const ahead = Math.hypot(...axis) > 0.1 ? unit(axis) : unit(cross(up, [1, 0, 0]));
   const aside = cross(ahead, up);
   const centre = add(scale(up, floor), scale(ahead, 0.6 * reach));
-  /** @param {number} i */
-  const at = (i) => reach * ((2 * i) / (LINES - 1) - 1);
-  /**
-   * @param {Vector} offset
-   * @param {Vector} along
-   */
-  const line = (offset, along) =>
+  const at = (/** @type {number} */ i) => reach * ((2 * i) / (LINES - 1) - 1);
+  const line = (/** @type {Vector} */ offset, /** @type {Vector} */ along) =>
     Array.from({ length: STEPS + 1 }, (_, n) => add(offset, scale(along, reach * ((2 * n) / STEPS - 1))));
   const grid = Array.from({ length: LINES }, (_, i) => i).flatMap((i) => [
     line(add(centre, scale(ahead, at(i))), aside),
@@ -57,12 +42,8 @@ export function levelLines(up, points) {
   return { grid, plumb };
 }
 
-/**
- * Points at an equal height as the camera, straight ahead and to both sides: the horizon.
- *
- * @param {Vector} up
- */
-export function horizon(up) {
+/** Points at an equal height as the camera, straight ahead and to both sides: the horizon. */
+export function horizon(/** @type {Vector} */ up) {
   const axis = subtract([0, 0, 1], scale(up, up[2]));
   if (Math.hypot(...axis) < 0.1) return [];
   const ahead = unit(axis);
@@ -73,10 +54,6 @@ export function horizon(up) {
   });
 }
 
-/**
- * @param {number[]} values
- * @param {number} share
- */
-function quantile(values, share) {
+function quantile(/** @type {number[]} */ values, /** @type {number} */ share) {
   return values.toSorted((a, b) => a - b)[Math.floor((values.length - 1) * share)];
 }

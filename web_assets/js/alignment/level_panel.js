@@ -1,11 +1,10 @@
 /** Which way is up: known from the files, proposed, or turned by hand. */
 
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { dot, multiply, transpose } from "../rotation.js";
 import { anglesOf, upOf } from "./level.js";
-import { button, panel, SAME } from "./panel.js";
+import { createSlider, panel, SAME } from "./panel.js";
 import { rotationOf } from "./picture.js";
-import { createSlider } from "./sliders.js";
 
 /** The up direction of a camera that is level, which is shown while none is known. */
 const LEVEL = upOf({ roll: 0, pitch: 0 });
@@ -29,10 +28,10 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   const roll = createSlider({ label: "Roll", testid: "roll", most: 60, step: 0.1, unit: "°", onChange: turn });
   const pitch = createSlider({ label: "Pitch", testid: "pitch", most: 90, step: 0.1, unit: "°", onChange: turn });
   const source = h("p", { role: "status", "data-testid": "up-source" });
-  const propose = button("Propose", "estimate-up", onPropose);
-  const accept = button("Keep this level", "keep-up", () => onKeep(up ?? LEVEL));
-  const refuse = button("Refuse", "refuse-up", onDiscard);
-  const unknown = button("Clear", "clear-up", () => onKeep(null));
+  const propose = button("Propose", onPropose, { "data-testid": "estimate-up" });
+  const accept = button("Keep this level", () => onKeep(up ?? LEVEL), { "data-testid": "keep-up" });
+  const refuse = button("Refuse", onDiscard, { "data-testid": "refuse-up" });
+  const unknown = button("Clear", () => onKeep(null), { "data-testid": "clear-up" });
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
   const follows = h("p", { class: "help", "data-testid": "up-effect" });
 
@@ -42,8 +41,7 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
     onChange();
   }
 
-  /** @param {Vector | null} next */
-  function set(next) {
+  function set(/** @type {Vector | null} */ next) {
     up = next;
     const { roll: rolled, pitch: pitched } = anglesOf(next ?? LEVEL);
     roll.set(rolled);
@@ -89,23 +87,15 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
     get estimate() {
       return estimate;
     },
-    /**
-     * The shown level in the camera frame of a correction.
-     *
-     * @param {Api.CorrectionJson} after
-     */
-    turned(after) {
+    /** The shown level in the camera frame of a correction. */
+    turned(/** @type {Api.CorrectionJson} */ after) {
       if (known === null) return null;
       const change = multiply(rotationOf(after.turn_deg), transpose(rotationOf(known.correction.turn_deg)));
       const shown = up ?? LEVEL;
       return change.map((row) => dot(row, shown));
     },
-    /**
-     * Shows what is stored.
-     *
-     * @param {Api.AlignmentJson} answer
-     */
-    take(answer) {
+    /** Shows what is stored. */
+    take(/** @type {Api.AlignmentJson} */ answer) {
       known = answer;
       estimate = null;
       set(known.up);

@@ -57,8 +57,7 @@ export function createPicture(host, onMissing) {
     if (show.level && shown.up !== null) paintLevel(context, shown, 1.5 / fit);
   }
 
-  /** @param {WheelEvent} event */
-  function onWheel(event) {
+  function onWheel(/** @type {WheelEvent} */ event) {
     event.preventDefault();
     const factor = Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, zoom * Math.exp(-event.deltaY / 400))) / zoom;
     const box = canvas.getBoundingClientRect();
@@ -68,8 +67,7 @@ export function createPicture(host, onMissing) {
     draw();
   }
 
-  /** @param {PointerEvent} event */
-  function onMove(event) {
+  function onMove(/** @type {PointerEvent} */ event) {
     if (event.buttons === 0) return;
     left += event.movementX;
     top += event.movementY;
@@ -88,14 +86,12 @@ export function createPicture(host, onMissing) {
   size.observe(host);
 
   return {
-    /** @param {Shown | null} next */
-    set(next) {
+    set(/** @type {Shown | null} */ next) {
       shown = next;
       if (next !== null && !image.src.endsWith(next.image)) image.src = next.image;
       draw();
     },
-    /** @param {Show} next */
-    setShow(next) {
+    setShow(/** @type {Show} */ next) {
       show = next;
       draw();
     },
@@ -106,13 +102,8 @@ export function createPicture(host, onMissing) {
   };
 }
 
-/**
- * The points after a correction.
- *
- * @param {Vector[]} points
- * @param {Api.CorrectionJson} correction
- */
-export function moved(points, { turn_deg, shift_m }) {
+/** The points after a correction. */
+export function moved(/** @type {Vector[]} */ points, /** @type {Api.CorrectionJson} */ { turn_deg, shift_m }) {
   const turn = rotationOf(turn_deg);
   return points.map((point) =>
     add(
@@ -122,22 +113,17 @@ export function moved(points, { turn_deg, shift_m }) {
   );
 }
 
-/**
- * The matrix of a rotation vector in degrees.
- *
- * @param {Vector} turn
- */
-export function rotationOf(turn) {
+/** The matrix of a rotation vector in degrees. */
+export function rotationOf(/** @type {Vector} */ turn) {
   const angle = length(turn);
   return angle === 0 ? IDENTITY : aboutAxis(scale(turn, 1 / angle), angle * RAD);
 }
 
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {Shown} shown
- * @param {number} size
- */
-function paintPoints(context, { camera, points }, size) {
+function paintPoints(
+  /** @type {CanvasRenderingContext2D} */ context,
+  /** @type {Shown} */ { camera, points },
+  /** @type {number} */ size,
+) {
   const depths = points
     .map((point) => point[2])
     .filter((z) => z > 0)
@@ -155,12 +141,11 @@ function paintPoints(context, { camera, points }, size) {
   }
 }
 
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {Shown} shown
- * @param {number} width
- */
-function paintLevel(context, { camera, points, up, isFirm }, width) {
+function paintLevel(
+  /** @type {CanvasRenderingContext2D} */ context,
+  /** @type {Shown} */ { camera, points, up, isFirm },
+  /** @type {number} */ width,
+) {
   if (up === null) return;
   const { grid, plumb } = levelLines(up, points);
   context.setLineDash(isFirm ? [] : [6 * width, 4 * width]);
@@ -177,12 +162,11 @@ function paintLevel(context, { camera, points, up, isFirm }, width) {
   context.setLineDash([]);
 }
 
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {Camera} camera
- * @param {Vector[]} line
- */
-function paintLine(context, camera, line) {
+function paintLine(
+  /** @type {CanvasRenderingContext2D} */ context,
+  /** @type {Camera} */ camera,
+  /** @type {Vector[]} */ line,
+) {
   context.beginPath();
   let isDown = false;
   for (const point of line) {
@@ -192,4 +176,53 @@ function paintLine(context, camera, line) {
     isDown = px !== null;
   }
   context.stroke();
+}
+
+// -- its panel: which recording it shows, and how
+
+/**
+ * @param {Api.ProjectInfo["recordings"]} recordings
+ * @param {{ onRecording: () => unknown, onMissing: (url: string) => unknown }} options
+ *     `onRecording`: another recording was chosen; `onMissing`: its image could not be loaded.
+ */
+export function createPicturePanel(recordings, { onRecording, onMissing }) {
+  const host = h("div", { class: "picture" });
+  const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
+  const chosen = h(
+    "select",
+    { "data-testid": "alignment-recording", onchange: onRecording },
+    ...recordings.map(({ id, name }) => h("option", { value: String(id) }, name)),
+  );
+  const points = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });
+  const level = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-level" });
+  const size = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: display });
+  const picture = createPicture(host, onMissing);
+
+  function display() {
+    picture.setShow({ points: points.checked, level: level.checked, size: Number(size.value) });
+  }
+
+  const header = h(
+    "header",
+    {},
+    h("h2", { class: "ellipsis" }, "Cloud over image"),
+    chosen,
+    h("span", { class: "grow" }),
+    h("label", { class: "row" }, points, "points"),
+    h("label", { class: "row", title: "Size of the points" }, size),
+    h("label", { class: "row" }, level, "level"),
+  );
+  const help = "Near points are red, far ones blue. The wheel zooms; drag to move the picture.";
+  return {
+    root: h("section", { class: "panel" }, header, problem, host, h("footer", { class: "help" }, help)),
+    host,
+    chosen,
+    set: picture.set,
+    close: picture.close,
+    /** @param {string | null} text null: no problem. */
+    setProblem(text) {
+      problem.textContent = text;
+      problem.hidden = text === null;
+    },
+  };
 }

@@ -1,6 +1,6 @@
 /** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
 
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 
@@ -17,18 +17,10 @@ const KINDS = [
 /** Maximum number of warnings that a group lists; all are counted. */
 const LISTED = 200;
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Checking all boxes …"));
   const note = h("span", { class: "muted", role: "status", "data-testid": "checks-note" });
-  const again = h(
-    "button",
-    { type: "button", "data-testid": "check-again", onclick: () => void load() },
-    "Check again",
-  );
+  const again = button("Check again", () => void load(), { "data-testid": "check-again" });
   root.append(
     h(
       "div",
@@ -57,8 +49,7 @@ export function mount(root, app) {
     }
   }
 
-  /** @param {Api.CheckReport} options */
-  function show({ warnings, labels, unreadable, uncounted }) {
+  function show(/** @type {Api.CheckReport} */ { warnings, labels, unreadable, uncounted }) {
     note.textContent =
       uncounted > 0
         ? `Counting points: ${count(uncounted, "frame")} left …`
@@ -92,13 +83,12 @@ export function mount(root, app) {
     body.replaceChildren(...failed, ...groups);
   }
 
-  /**
-   * @param {string} kind
-   * @param {string} title
-   * @param {string} help
-   * @param {Api.WarningRow[]} matching
-   */
-  function group(kind, title, help, matching) {
+  function group(
+    /** @type {string} */ kind,
+    /** @type {string} */ title,
+    /** @type {string} */ help,
+    /** @type {Api.WarningRow[]} */ matching,
+  ) {
     const rows = matching.slice(0, LISTED).map(row);
     if (matching.length > LISTED)
       rows.push(h("li", { class: "muted pad" }, `and ${count(matching.length - LISTED, "more", "more")}`));
@@ -116,8 +106,7 @@ export function mount(root, app) {
     );
   }
 
-  /** @param {Api.WarningRow} options */
-  function row({ frame, key, recording, uid, message }) {
+  function row(/** @type {Api.WarningRow} */ { frame, key, recording, uid, message }) {
     const mode = uid === null ? "label" : "review";
     const href = makeHash(app.state.route.project, mode, frame, { uid });
     return h(

@@ -7,12 +7,8 @@ const ONLY_BACKUP =
   "Undo does not bring this back. The server makes a backup just before: .backups/PROJECT/TIME-before-classes.zip " +
   "in the folder of projects. `annotator project restore FILE OTHER` makes a second project of it.";
 
-/**
- * The boxes of a class in words.
- *
- * @param {Api.ClassRow} row
- */
-export function boxesOf({ labels, boxes_2d, said }) {
+/** The boxes of a class in words. */
+export function boxesOf(/** @type {Api.ClassRow} */ { labels, boxes_2d, said }) {
   const known = [
     labels && count(labels, "3D label"),
     boxes_2d && count(boxes_2d, "2D box", "2D boxes"),
@@ -45,11 +41,7 @@ function ask({ title, content, action, kind }, done) {
   });
 }
 
-/**
- * @param {string} text
- * @param {string[]} names
- */
-function choice(text, names) {
+function choice(/** @type {string} */ text, /** @type {string[]} */ names) {
   const select = h(
     "select",
     { "data-testid": "ask-into" },
@@ -58,13 +50,11 @@ function choice(text, names) {
   return { select, root: h("label", { class: "field" }, h("span", {}, text), select) };
 }
 
-/**
- * Renames a class, an attribute, or one of its choices.
- *
- * @param {Api.ClassRow | (Attribute & { values: number })} what
- * @param {ChangeClasses} change
- */
-export function askRename(what, change) {
+/** Renames a class, an attribute, or one of its choices. */
+export function askRename(
+  /** @type {Api.ClassRow | (Attribute & { values: number })} */ what,
+  /** @type {ChangeClasses} */ change,
+) {
   const isClass = "labels" in what;
   const { name } = what;
   const choices = isClass ? [] : (what.choices ?? []);
@@ -99,12 +89,11 @@ export function askRename(what, change) {
   );
 }
 
-/**
- * @param {Api.ClassRow} row
- * @param {string[]} names
- * @param {ChangeClasses} change
- */
-export function askMerge(row, names, change) {
+export function askMerge(
+  /** @type {Api.ClassRow} */ row,
+  /** @type {string[]} */ names,
+  /** @type {ChangeClasses} */ change,
+) {
   const into = choice(
     `Give its boxes to`,
     names.filter((name) => name !== row.name),
@@ -123,13 +112,8 @@ export function askMerge(row, names, change) {
   );
 }
 
-/**
- * Removes a class; one with boxes only with these.
- *
- * @param {Api.ClassRow} row
- * @param {ChangeClasses} change
- */
-export function askRemove(row, change) {
+/** Removes a class; one with boxes only with these. */
+export function askRemove(/** @type {Api.ClassRow} */ row, /** @type {ChangeClasses} */ change) {
   const isUsed = row.labels + row.boxes_2d + row.said > 0;
   const text = isUsed
     ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
@@ -145,12 +129,11 @@ export function askRemove(row, change) {
   );
 }
 
-/**
- * @param {Attribute} attribute
- * @param {number} values
- * @param {ChangeClasses} change
- */
-export function askRemoveAttribute({ name }, values, change) {
+export function askRemoveAttribute(
+  /** @type {Attribute} */ { name },
+  /** @type {number} */ values,
+  /** @type {ChangeClasses} */ change,
+) {
   const text = values
     ? `${count(values, "value")} of it will be removed, too.`
     : "No box and no frame has a value of it.";

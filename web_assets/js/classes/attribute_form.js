@@ -19,12 +19,10 @@ const OWNERS = [
   ["frame", "Each frame"],
 ];
 
-/**
- * An attribute in words, such as "whole number 0 to 3, of each track, required, key O".
- *
- * @param {Attribute} attribute
- */
-export function describe({ kind, of, choices, minimum, maximum, classes, required, default: usual, key }) {
+/** An attribute in words, such as "whole number 0 to 3, of each track, required, key O". */
+export function describe(
+  /** @type {Attribute} */ { kind, of, choices, minimum, maximum, classes, required, default: usual, key },
+) {
   const range = [minimum === undefined ? "" : `from ${minimum}`, maximum === undefined ? "" : `to ${maximum}`];
   const values =
     kind === "choice"
@@ -42,16 +40,11 @@ export function describe({ kind, of, choices, minimum, maximum, classes, require
     .join(", ");
 }
 
-/** @param {string | number | boolean | undefined} value */
-const textOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value ?? ""));
+const textOf = (/** @type {string | number | boolean | undefined} */ value) =>
+  value === true ? "yes" : value === false ? "no" : String(value ?? "");
 
-/**
- * A default as typed; what cannot be read is left to the server, whose error says what the attribute takes.
- *
- * @param {string} kind
- * @param {string} text
- */
-function readValue(kind, text) {
+/** A default as typed; what cannot be read is left to the server, whose error says what the attribute takes. */
+function readValue(/** @type {string} */ kind, /** @type {string} */ text) {
   if (text === "") return undefined;
   if (kind === "boolean" && /^(yes|no|true|false)$/i.test(text)) return /^(yes|true)$/i.test(text);
   return (kind === "integer" || kind === "number") && Number.isFinite(Number(text)) ? Number(text) : text;
@@ -68,17 +61,13 @@ function readValue(kind, text) {
  */
 export function attributeForm({ attribute, classes, attributes, change }) {
   const known = attribute;
-  /**
-   * @param {string} testid
-   * @param {Attributes} [more]
-   */
-  const input = (testid, more = {}) => h("input", { "data-testid": testid, autocomplete: "off", ...more });
-  /**
-   * @param {string} testid
-   * @param {[string, string][]} options
-   * @param {string | undefined} value
-   */
-  const select = (testid, options, value) =>
+  const input = (/** @type {string} */ testid, /** @type {Attributes} */ more = {}) =>
+    h("input", { "data-testid": testid, autocomplete: "off", ...more });
+  const select = (
+    /** @type {string} */ testid,
+    /** @type {[string, string][]} */ options,
+    /** @type {string | undefined} */ value,
+  ) =>
     h(
       "select",
       { "data-testid": testid, value: value ?? options[0][0], onchange: show },
@@ -168,17 +157,12 @@ export function attributeForm({ attribute, classes, attributes, change }) {
   });
 }
 
-/** @param {string} text */
-const lines = (text) =>
+const lines = (/** @type {string} */ text) =>
   text
     .split("\n")
     .map((line) => line.trim())
     .filter(Boolean);
 
-/**
- * @param {string} text
- * @param {HTMLElement} control
- */
-function field(text, control) {
+function field(/** @type {string} */ text, /** @type {HTMLElement} */ control) {
   return h("label", { class: "field" }, h("span", {}, text), control);
 }

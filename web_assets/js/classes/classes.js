@@ -3,18 +3,13 @@
 import { projectPath } from "../api.js";
 import { classColor } from "../colors.js";
 import { openDialog } from "../dialogs.js";
-import { count, h, iconButton } from "../dom.js";
+import { button, count, h, iconButton } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { askMerge, askRemove, askRemoveAttribute, askRename, boxesOf } from "./asking.js";
 import { attributeForm, describe } from "./attribute_form.js";
 
-/**
- * Shows the classes and attributes of a project until it is closed.
- *
- * @param {App} app
- * @param {string} project
- */
-export async function editClasses(app, project) {
+/** Shows the classes and attributes of a project until it is closed. */
+export async function editClasses(/** @type {App} */ app, /** @type {string} */ project) {
   const path = projectPath(project, "classes");
   const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "classes-problem" });
   const classes = h("div", { class: "class-rows", "data-testid": "class-rows" });
@@ -46,20 +41,15 @@ export async function editClasses(app, project) {
 
   const schema = () => /** @type {Attribute[]} */ (/** @type {unknown} */ (listed.attributes));
 
-  /** @param {Parameters<ChangeClasses>[0]} body */
-  async function change(body) {
+  async function change(/** @type {Parameters<ChangeClasses>[0]} */ body) {
     await app.api.post(path, { change: body });
     problem.hidden = true;
     await refresh();
     if (app.state.route.project === project) await app.refreshProject();
   }
 
-  /**
-   * Makes a change of this dialog's own fields; a problem is shown, and the fields show what is stored.
-   *
-   * @param {Parameters<ChangeClasses>[0]} body
-   */
-  async function put(body) {
+  /** Makes a change of this dialog's own fields; a problem is shown, and the fields show what is stored. */
+  async function put(/** @type {Parameters<ChangeClasses>[0]} */ body) {
     problem.hidden = true;
     try {
       await change(body);
@@ -84,18 +74,13 @@ export async function editClasses(app, project) {
     if (label) await change({ do: "add", name: label });
   }
 
-  /**
-   * @param {Api.ClassRow} row
-   * @param {number} index
-   * @param {string[]} names
-   */
-  function classRow(row, index, names) {
+  function classRow(/** @type {Api.ClassRow} */ row, /** @type {number} */ index, /** @type {string[]} */ names) {
     const { name: label, colour, key } = row;
     const shown = classColor({ classes: names, class_styles: { [label]: colour ? { colour } : {} } }, label);
-    /** @param {{ colour?: string | null, key?: string | null }} changes */
-    const style = (changes) => put({ do: "style", name: label, style: changes });
-    /** @param {number} to */
-    const move = (to) => put({ do: "order", names: names.toSpliced(index, 1).toSpliced(to, 0, label) });
+    const style = (/** @type {{ colour?: string | null, key?: string | null }} */ changes) =>
+      put({ do: "style", name: label, style: changes });
+    const move = (/** @type {number} */ to) =>
+      put({ do: "order", names: names.toSpliced(index, 1).toSpliced(to, 0, label) });
     /** @type {HTMLInputElement} */
     const picked = h("input", {
       type: "color",
@@ -130,17 +115,13 @@ export async function editClasses(app, project) {
         iconButton("up", `Move ${label} up`, () => move(index - 1), { disabled: index === 0 }),
         iconButton("down", `Move ${label} down`, () => move(index + 1), { disabled: index === names.length - 1 }),
         button("Rename", () => askRename(row, change)),
-        button("Merge", () => askMerge(row, names, change), names.length < 2),
-        button("Remove", () => askRemove(row, change), names.length < 2),
+        button("Merge", () => askMerge(row, names, change), { disabled: names.length < 2 }),
+        button("Remove", () => askRemove(row, change), { disabled: names.length < 2 }),
       ),
     );
   }
 
-  /**
-   * @param {Api.ClassRow} row
-   * @param {string[]} names
-   */
-  function unknownRow(row, names) {
+  function unknownRow(/** @type {Api.ClassRow} */ row, /** @type {string[]} */ names) {
     return h(
       "p",
       { class: "row", "data-testid": "unknown-class" },
@@ -149,15 +130,10 @@ export async function editClasses(app, project) {
     );
   }
 
-  /**
-   * @param {Attribute} attribute
-   * @param {string[]} names
-   */
-  function attributeRow(attribute, names) {
+  function attributeRow(/** @type {Attribute} */ attribute, /** @type {string[]} */ names) {
     const all = schema().map((each) => each.name);
     const index = all.indexOf(attribute.name);
-    /** @param {number} to */
-    const move = (to) =>
+    const move = (/** @type {number} */ to) =>
       put({ do: "order_attributes", names: all.toSpliced(index, 1).toSpliced(to, 0, attribute.name) });
     const values = listed.values[attribute.name] ?? 0;
     return h(
@@ -194,7 +170,7 @@ export async function editClasses(app, project) {
         ),
         problem,
         classes,
-        h("div", { class: "row" }, name, button("Add", add, false, "add-class")),
+        h("div", { class: "row" }, name, button("Add", add, { "data-testid": "add-class" })),
         h("h3", {}, "Attributes"),
         h("p", { class: "help" }, "What is noted of each box, of each object along its track, or of each frame."),
         attributes,
@@ -204,8 +180,7 @@ export async function editClasses(app, project) {
           button(
             "Add attribute",
             () => attributeForm({ classes: listed.classes.map((row) => row.name), attributes: schema(), change }),
-            false,
-            "add-attribute",
+            { "data-testid": "add-attribute" },
           ),
         ),
       ],
@@ -218,22 +193,11 @@ export async function editClasses(app, project) {
 }
 
 /**
- * @param {string} text
- * @param {() => unknown} onclick
- * @param {boolean} [disabled]
- * @param {string} [testid]
- */
-function button(text, onclick, disabled = false, testid = undefined) {
-  return h("button", { type: "button", disabled, onclick, "data-testid": testid }, text);
-}
-
-/**
  * Enter in a field would close the dialog.
  *
- * @param {() => void} fn
  * @returns {(event: KeyboardEvent) => void}
  */
-function onEnter(fn) {
+function onEnter(/** @type {() => void} */ fn) {
   return (event) => {
     if (event.key !== "Enter") return;
     event.preventDefault();

@@ -10,8 +10,7 @@ const ARROW = { least: 14, head: [6, 13] };
 /** Seen within about 15 degrees of its direction, an arrow is a ring of this radius: with a dot if it comes nearer. */
 const END_ON = { sight: Math.cos((15 * Math.PI) / 180), radius: 6 };
 
-/** @param {number} value */
-const round = (value) => Math.round(value * 100) / 100;
+const round = (/** @type {number} */ value) => Math.round(value * 100) / 100;
 
 /**
  * @typedef {object} Scene
@@ -27,11 +26,7 @@ const round = (value) => Math.round(value * 100) / 100;
  * @property {(box: EditorBox) => string} colorOf
  */
 
-/**
- * @param {SVGSVGElement} svg
- * @param {Scene} scene
- */
-export function drawScene(svg, scene) {
+export function drawScene(/** @type {SVGSVGElement} */ svg, /** @type {Scene} */ scene) {
   /** @type {Element[]} */
   const layers = [...scene.overlays.map((overlay) => drawOverlay(overlay, scene.view)), ...drawTags(scene)];
   scene.boxes.forEach((box, index) => {
@@ -42,13 +37,8 @@ export function drawScene(svg, scene) {
   svg.replaceChildren(...layers);
 }
 
-/**
- * The box in the window: {x, y, width, height}.
- *
- * @param {Rect} box
- * @param {View} view
- */
-function windowRect(box, view) {
+/** The box in the window: {x, y, width, height}. */
+function windowRect(/** @type {Rect} */ box, /** @type {View} */ view) {
   const [x, y] = view.toWindow([box.x_min, box.y_min]);
   return {
     x: round(x),
@@ -58,12 +48,7 @@ function windowRect(box, view) {
   };
 }
 
-/**
- * @param {EditorBox} box
- * @param {number} index
- * @param {Scene} scene
- */
-function drawBox(box, index, scene) {
+function drawBox(/** @type {EditorBox} */ box, /** @type {number} */ index, /** @type {Scene} */ scene) {
   const rect = windowRect(box, scene.view);
   const color = scene.colorOf(box);
   const isSelected = index === scene.selected;
@@ -86,12 +71,11 @@ function drawBox(box, index, scene) {
   return group;
 }
 
-/**
- * @param {string} text
- * @param {{ x: number, y: number }} rect
- * @param {string} color
- */
-function drawCaption(text, rect, color) {
+function drawCaption(
+  /** @type {string} */ text,
+  /** @type {{ x: number, y: number }} */ rect,
+  /** @type {string} */ color,
+) {
   const width = 7.1 * text.length + 8;
   const y = rect.y >= 17 ? rect.y - 16 : rect.y;
   const x = Math.max(rect.x, 0);
@@ -101,18 +85,13 @@ function drawCaption(text, rect, color) {
   ];
 }
 
-/**
- * @param {{ x: number, y: number } & Size} options
- * @param {Handles} options2
- */
-function drawHandles({ x, y, width, height }, { edges, corners, rotate }) {
+function drawHandles(
+  /** @type {{ x: number, y: number } & Size} */ { x, y, width, height },
+  /** @type {Handles} */ { edges, corners, rotate },
+) {
   /** @type {Element[]} */
   const marks = [];
-  /**
-   * @param {number} cx
-   * @param {number} cy
-   */
-  const mark = (cx, cy) =>
+  const mark = (/** @type {number} */ cx, /** @type {number} */ cy) =>
     marks.push(s("rect", { class: "handle", x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
   const [midX, midY] = [x + width / 2, y + height / 2];
   if (corners) for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
@@ -127,11 +106,7 @@ function drawHandles({ x, y, width, height }, { edges, corners, rotate }) {
   return marks;
 }
 
-/**
- * @param {Overlay} overlay
- * @param {View} view
- */
-function drawOverlay(overlay, view) {
+function drawOverlay(/** @type {Overlay} */ overlay, /** @type {View} */ view) {
   const lines = overlay.segments;
   const d = lines
     .map((line) => line.map((point, i) => `${i ? "L" : "M"}${view.toWindow(point).map(round).join(" ")}`).join(""))
@@ -150,19 +125,12 @@ function drawOverlay(overlay, view) {
   return group;
 }
 
-/**
- * An arrow that is never too small to be seen. End on, it is a ring with its point (a dot) or its tail (a cross).
- *
- * @param {Arrow} arrow
- * @param {Overlay} overlay
- * @param {View} view
- */
-function drawHeading(arrow, { color, strong }, view) {
+/** An arrow that is never too small to be seen. End on, it is a ring with its point (a dot) or its tail (a cross). */
+function drawHeading(/** @type {Arrow} */ arrow, /** @type {Overlay} */ { color, strong }, /** @type {View} */ view) {
   const [from, end] = [view.toWindow(arrow.from), view.toWindow(arrow.to)];
   const reach = Math.hypot(end[0] - from[0], end[1] - from[1]);
   const group = s("g", { class: "heading", "data-testid": "heading" });
-  /** @param {string} d */
-  const stroke = (d) => {
+  const stroke = (/** @type {string} */ d) => {
     group.append(s("path", { class: "halo", d }), s("path", { d, stroke: color, "stroke-width": strong ? 2.2 : 1.6 }));
   };
   if (reach < 1 || Math.abs(arrow.sight) > END_ON.sight) {
@@ -180,11 +148,7 @@ function drawHeading(arrow, { color, strong }, view) {
   const along = [(end[0] - from[0]) / reach, (end[1] - from[1]) / reach];
   const long = Math.max(reach, ARROW.least);
   const head = Math.min(Math.max(long / 3, ARROW.head[0]), ARROW.head[1]);
-  /**
-   * @param {number} ahead
-   * @param {number} aside
-   */
-  const at = (ahead, aside) =>
+  const at = (/** @type {number} */ ahead, /** @type {number} */ aside) =>
     [from[0] + ahead * along[0] - aside * along[1], from[1] + ahead * along[1] + aside * along[0]]
       .map(round)
       .join(" ");
@@ -201,10 +165,8 @@ const TAG_HEIGHT = 14;
 /**
  * Small texts at the top corners of overlays. A text that would cover another one is moved to the next
  * free place, or left out.
- *
- * @param {Pick<Scene, "overlays" | "view" | "size">} options
  */
-function drawTags({ overlays, view, size }) {
+function drawTags(/** @type {Pick<Scene, "overlays" | "view" | "size">} */ { overlays, view, size }) {
   /** @type {Tag[]} */
   const taken = [];
   const tagged = overlays.flatMap((one) => (one.tag && one.segments.length ? [{ ...one, tag: one.tag }] : []));
@@ -225,23 +187,17 @@ function drawTags({ overlays, view, size }) {
   });
 }
 
-/**
- * Above the top corner, beside it, below the lowest corner; all within the window.
- *
- * @param {Overlay} overlay
- * @param {View} view
- * @param {Size} size
- * @param {number} width
- */
-function tagPlaces({ segments }, view, size, width) {
+/** Above the top corner, beside it, below the lowest corner; all within the window. */
+function tagPlaces(
+  /** @type {Overlay} */ { segments },
+  /** @type {View} */ view,
+  /** @type {Size} */ size,
+  /** @type {number} */ width,
+) {
   const corners = segments.flat().map((point) => view.toWindow(point));
   const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a));
   const low = corners.reduce((a, b) => (b[1] > a[1] ? b : a));
-  /**
-   * @param {number} x
-   * @param {number} y
-   */
-  const inside = (x, y) => ({
+  const inside = (/** @type {number} */ x, /** @type {number} */ y) => ({
     x: round(Math.min(Math.max(x, 0), Math.max(size.width - width, 0))),
     y: round(Math.min(Math.max(y, 0), Math.max(size.height - TAG_HEIGHT, 0))),
     width,
@@ -254,17 +210,10 @@ function tagPlaces({ segments }, view, size, width) {
   ];
 }
 
-/**
- * @param {Tag} a
- * @param {Tag} b
- */
-const areOver = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && Math.abs(a.y - b.y) < TAG_HEIGHT;
+const areOver = (/** @type {Tag} */ a, /** @type {Tag} */ b) =>
+  a.x < b.x + b.width && b.x < a.x + a.width && Math.abs(a.y - b.y) < TAG_HEIGHT;
 
-/**
- * @param {Point} point
- * @param {Size} size2
- */
-function drawCross([x, y], { width, height }) {
+function drawCross(/** @type {Point} */ [x, y], /** @type {Size} */ { width, height }) {
   return s(
     "g",
     { class: "cross" },

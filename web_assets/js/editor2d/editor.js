@@ -6,19 +6,14 @@
 import { colorIn } from "../colors.js";
 import { h, iconButton, s } from "../dom.js";
 import { drawScene } from "./draw.js";
-import { heightOf, moved, pictureLimits, resized, widthOf } from "./geometry.js";
+import { createView, heightOf, moved, pictureLimits, resized, widthOf } from "./geometry.js";
 import { listenToPointers } from "./pointers.js";
-import { createView } from "./view.js";
 
 const NUDGES_END_MS = 500;
 /** @type {Record<string, number[]>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/**
- * @param {HTMLElement} host
- * @param {EditorOptions} [options]
- */
-export function createEditor(host, options = {}) {
+export function createEditor(/** @type {HTMLElement} */ host, /** @type {EditorOptions} */ options = {}) {
   const image = h("img", { class: "picture", alt: "", draggable: "false" });
   const svg = s("svg", { class: "shapes", "aria-hidden": "true" });
   const spoken = h("span", { class: "visually-hidden", "aria-live": "polite" });
@@ -74,17 +69,15 @@ export function createEditor(host, options = {}) {
     zoomText.textContent = `${Math.round(view.scale * 100)} %`;
   }
 
-  /** @param {EditorBox} box */
-  const colorOf = (box) => box.color ?? options.color?.(box) ?? colorIn(options.classes ?? [], box.label);
+  const colorOf = (/** @type {EditorBox} */ box) =>
+    box.color ?? options.color?.(box) ?? colorIn(options.classes ?? [], box.label);
   const clone = () => boxes.map((box) => ({ ...box }));
 
-  /** @param {string} text */
-  function say(text) {
+  function say(/** @type {string} */ text) {
     spoken.textContent = text;
   }
 
-  /** @param {EditorBox} box */
-  function describe(box) {
+  function describe(/** @type {EditorBox} */ box) {
     const [x, y, width, height] = [box.x_min, box.y_min, widthOf(box), heightOf(box)].map((value) => value.toFixed(1));
     return `${box.suggested ? "suggested " : ""}${box.label || "box"}, ${width} by ${height} pixels at ${x}, ${y}`;
   }
@@ -123,56 +116,35 @@ export function createEditor(host, options = {}) {
     limits: () => pictureLimits(picture, options.clip !== false),
     newBox: () => ({ label: options.newLabel?.() ?? options.classes?.[0] ?? "" }),
     select: selectBox,
-    /**
-     * @param {Point | null} point
-     * @param {Point} px
-     */
-    setCross(point, px) {
+    setCross(/** @type {Point | null} */ point, /** @type {Point} */ px) {
       cross = point;
       readout.textContent = px && point ? `${px[0].toFixed(1)}, ${px[1].toFixed(1)}` : "";
       redraw();
     },
-    /** @param {{ boxes: EditorBox[], selected: number }} before */
-    restore(before) {
+    restore(/** @type {{ boxes: EditorBox[], selected: number }} */ before) {
       boxes = before.boxes;
       selected = before.selected;
       redraw();
       options.onDrag?.(clone(), selected);
     },
-    /**
-     * @param {EditorBox[]} list
-     * @param {number} index
-     */
-    replace(list, index) {
+    replace(/** @type {EditorBox[]} */ list, /** @type {number} */ index) {
       boxes = list;
       selected = index;
       redraw();
       options.onDrag?.(clone(), index);
     },
-    /**
-     * @param {number} index
-     * @param {EditorBox} box
-     */
-    put(index, box) {
+    put(/** @type {number} */ index, /** @type {EditorBox} */ box) {
       boxes = boxes.with(index, box);
       redraw();
       options.onDrag?.(clone(), index);
     },
-    /**
-     * @param {EditKind} why
-     * @param {number} index
-     */
-    commit(why, index) {
+    commit(/** @type {EditKind} */ why, /** @type {number} */ index) {
       if (why === "draw") options.onSelect?.(index);
       say(describe(boxes[index]));
       redraw();
       options.onChange?.(clone(), why, index, 1);
     },
-    /**
-     * @param {number} angleRad
-     * @param {boolean} isFinal
-     */
-    turn(angleRad, isFinal) {
+    turn(/** @type {number} */ angleRad, /** @type {boolean} */ isFinal) {
       turnRad = angleRad;
       redraw();
       options.onRotate?.(angleRad, isFinal);
@@ -180,14 +152,12 @@ export function createEditor(host, options = {}) {
     accept,
   };
 
-  /** @param {number} index */
-  function accept(index) {
+  function accept(/** @type {number} */ index) {
     boxes = boxes.with(index, { ...boxes[index], suggested: false });
     inner.commit("accept", index);
   }
 
-  /** @param {number} index */
-  function selectBox(index) {
+  function selectBox(/** @type {number} */ index) {
     if (index !== selected) flush();
     const known = boxes[index] ? index : -1;
     const isNew = known !== selected;
@@ -198,12 +168,8 @@ export function createEditor(host, options = {}) {
     options.onSelect?.(known);
   }
 
-  /**
-   * Handles keys of the focused editor; true if the key was one of them. The mode's key table calls it, too.
-   *
-   * @param {KeyboardEvent} event
-   */
-  function onKey(event) {
+  /** Handles keys of the focused editor; true if the key was one of them. The mode's key table calls it, too. */
+  function onKey(/** @type {KeyboardEvent} */ event) {
     if (event.key === "Escape") return editor.cancel();
     if (event.key === "Insert") return newBoxInTheMiddle();
     if (event.key === "0" && !event.ctrlKey) {
@@ -220,12 +186,7 @@ export function createEditor(host, options = {}) {
     return true;
   }
 
-  /**
-   * @param {number} dx
-   * @param {number} dy
-   * @param {boolean} isSize
-   */
-  function nudge(dx, dy, isSize) {
+  function nudge(/** @type {number} */ dx, /** @type {number} */ dy, /** @type {boolean} */ isSize) {
     const box = boxes[selected];
     const limits = inner.limits();
     const changed = isSize
@@ -319,13 +280,8 @@ export function createEditor(host, options = {}) {
       return true;
     },
 
-    /**
-     * New boxes; a drag in progress is cancelled.
-     *
-     * @param {EditorBox[]} list
-     * @param {number} [index]
-     */
-    setBoxes(list, index = -1) {
+    /** New boxes; a drag in progress is cancelled. */
+    setBoxes(/** @type {EditorBox[]} */ list, /** @type {number} */ index = -1) {
       pointers.cancel();
       clearTimeout(nudged.timer);
       nudged = { index: -1, actions: 0, timer: 0 };
@@ -334,18 +290,15 @@ export function createEditor(host, options = {}) {
       turnRad = 0;
       redraw();
     },
-    /** @param {Overlay[]} list */
-    setOverlays(list) {
+    setOverlays(/** @type {Overlay[]} */ list) {
       overlays = list;
       redraw();
     },
-    /** @param {Partial<Handles>} shown */
-    setHandles(shown) {
+    setHandles(/** @type {Partial<Handles>} */ shown) {
       handles = { ...handles, ...shown };
       redraw();
     },
-    /** @param {boolean} value */
-    setReadonly(value) {
+    setReadonly(/** @type {boolean} */ value) {
       isReadonly = value;
       root.classList.toggle("readonly", value);
       redraw();

@@ -6,39 +6,21 @@
 /** Minimum side of a box, px: a narrower box looks like a line. */
 const MIN_SIDE_PX = 0.5;
 
-/**
- * @param {number} value
- * @param {number} low
- * @param {number} high
- */
-export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+export const clamp = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ high) =>
+  Math.min(Math.max(value, low), high);
 
-/**
- * Limits for the boxes of a picture; infinite if boxes may extend beyond it.
- *
- * @param {Size} size
- * @param {boolean} isClipped
- */
-export function pictureLimits({ width, height }, isClipped) {
+/** Limits for the boxes of a picture; infinite if boxes may extend beyond it. */
+export function pictureLimits(/** @type {Size} */ { width, height }, /** @type {boolean} */ isClipped) {
   if (!isClipped || !width) return { x_min: -Infinity, y_min: -Infinity, x_max: Infinity, y_max: Infinity };
   return { x_min: -0.5, y_min: -0.5, x_max: width - 0.5, y_max: height - 0.5 };
 }
 
-/**
- * @param {Point} point
- * @param {Rect} limits
- */
-export function clampPoint([x, y], limits) {
+export function clampPoint(/** @type {Point} */ [x, y], /** @type {Rect} */ limits) {
   return [clamp(x, limits.x_min, limits.x_max), clamp(y, limits.y_min, limits.y_max)];
 }
 
-/**
- * The edges of the box with these two corners.
- *
- * @param {Point} point
- * @param {Point} point2
- */
-export function edgesBetween([ax, ay], [bx, by]) {
+/** The edges of the box with these two corners. */
+export function edgesBetween(/** @type {Point} */ [ax, ay], /** @type {Point} */ [bx, by]) {
   return { x_min: Math.min(ax, bx), y_min: Math.min(ay, by), x_max: Math.max(ax, bx), y_max: Math.max(ay, by) };
 }
 
@@ -57,16 +39,14 @@ export function moved(box, dx, dy, limits) {
   return { ...box, x_min: box.x_min + x, x_max: box.x_max + x, y_min: box.y_min + y, y_max: box.y_max + y };
 }
 
-/**
- * The permitted part of a shift; a box that already extends beyond a limit may still be moved back.
- *
- * @param {number} shift
- * @param {number} low
- * @param {number} high
- * @param {number} limitLow
- * @param {number} limitHigh
- */
-function clampShift(shift, low, high, limitLow, limitHigh) {
+/** The permitted part of a shift; a box that already extends beyond a limit may still be moved back. */
+function clampShift(
+  /** @type {number} */ shift,
+  /** @type {number} */ low,
+  /** @type {number} */ high,
+  /** @type {number} */ limitLow,
+  /** @type {number} */ limitHigh,
+) {
   return clamp(shift, Math.min(limitLow - low, 0), Math.max(limitHigh - high, 0));
 }
 
@@ -88,15 +68,14 @@ export function resized(box, sideX, sideY, dx, dy, limits) {
   return { ...box, x_min: left, y_min: top, x_max: right, y_max: bottom };
 }
 
-/**
- * @param {number} low
- * @param {number} high
- * @param {number} side
- * @param {number} shift
- * @param {number} limitLow
- * @param {number} limitHigh
- */
-function shiftedEdge(low, high, side, shift, limitLow, limitHigh) {
+function shiftedEdge(
+  /** @type {number} */ low,
+  /** @type {number} */ high,
+  /** @type {number} */ side,
+  /** @type {number} */ shift,
+  /** @type {number} */ limitLow,
+  /** @type {number} */ limitHigh,
+) {
   if (side === 0) return [low, high];
   const [fixed, edge] = side < 0 ? [high, low] : [low, high];
   let pulled = clamp(edge + shift, Math.min(limitLow, edge), Math.max(limitHigh, edge));
@@ -104,16 +83,10 @@ function shiftedEdge(low, high, side, shift, limitLow, limitHigh) {
   return pulled < fixed ? [pulled, fixed] : [fixed, pulled];
 }
 
-/** @param {Rect} box */
-export const widthOf = (box) => box.x_max - box.x_min;
-/** @param {Rect} box */
-export const heightOf = (box) => box.y_max - box.y_min;
+export const widthOf = (/** @type {Rect} */ box) => box.x_max - box.x_min;
+export const heightOf = (/** @type {Rect} */ box) => box.y_max - box.y_min;
 
-/**
- * @param {Rect} box
- * @param {Point} point
- */
-export function isInside(box, [x, y]) {
+export function isInside(/** @type {Rect} */ box, /** @type {Point} */ [x, y]) {
   return x >= box.x_min && x <= box.x_max && y >= box.y_min && y <= box.y_max;
 }
 
@@ -138,28 +111,22 @@ export function edgeNear(box, [x, y], reach, { edges = true, corners = true } = 
   return null;
 }
 
-/**
- * @param {number} value
- * @param {number} low
- * @param {number} high
- * @param {number} outer
- * @param {number} inner
- */
-function nearSide(value, low, high, outer, inner) {
+function nearSide(
+  /** @type {number} */ value,
+  /** @type {number} */ low,
+  /** @type {number} */ high,
+  /** @type {number} */ outer,
+  /** @type {number} */ inner,
+) {
   if (value >= low - outer && value <= low + inner) return -1;
   if (value >= high - inner && value <= high + outer) return 1;
   return 0;
 }
 
-/**
- * The convex hull of points, counter-clockwise; monotone chain.
- *
- * @param {Point[]} points
- */
-export function hull(points) {
+/** The convex hull of points, counter-clockwise; monotone chain. */
+export function hull(/** @type {Point[]} */ points) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
-  /** @param {Point[]} list */
-  const half = (list) => {
+  const half = (/** @type {Point[]} */ list) => {
     /** @type {Point[]} */
     const chain = [];
     for (const point of list) {
@@ -171,30 +138,78 @@ export function hull(points) {
   return sorted.length < 3 ? sorted : [...half(sorted), ...half(sorted.reverse())];
 }
 
-/**
- * @param {Point} point
- * @param {Point} point2
- * @param {Point} point3
- */
-const cross = ([ox, oy], [ax, ay], [bx, by]) => (ax - ox) * (by - oy) - (ay - oy) * (bx - ox);
+const cross = (/** @type {Point} */ [ox, oy], /** @type {Point} */ [ax, ay], /** @type {Point} */ [bx, by]) =>
+  (ax - ox) * (by - oy) - (ay - oy) * (bx - ox);
 
-/**
- * Twice the signed area of a polygon.
- *
- * @param {Point[]} polygon
- */
-export const area2 = (polygon) =>
+/** Twice the signed area of a polygon. */
+export const area2 = (/** @type {Point[]} */ polygon) =>
   polygon.reduce(
     (sum, [x, y], i) => sum + x * polygon[(i + 1) % polygon.length][1] - polygon[(i + 1) % polygon.length][0] * y,
     0,
   );
 
-/**
- * @param {Point[]} polygon
- * @param {Point} point
- */
-export function isInHull(polygon, point) {
+export function isInHull(/** @type {Point[]} */ polygon, /** @type {Point} */ point) {
   return (
     polygon.length > 2 && polygon.every((corner, i) => cross(corner, polygon[(i + 1) % polygon.length], point) >= 0)
   );
+}
+
+// -- the picture in its window: window = offset + (px + 0.5) * scale, in CSS pixels
+
+const MARGIN = 4;
+const LARGEST_SCALE = 64;
+
+export function createView() {
+  const view = {
+    scale: 1,
+    offset: [0, 0],
+    isFitted: true,
+
+    toWindow: (/** @type {Point} */ [x, y]) => [
+      view.offset[0] + (x + 0.5) * view.scale,
+      view.offset[1] + (y + 0.5) * view.scale,
+    ],
+    toPicture: (/** @type {Point} */ [x, y]) => [
+      (x - view.offset[0]) / view.scale - 0.5,
+      (y - view.offset[1]) / view.scale - 0.5,
+    ],
+
+    /** Shows the whole picture, centred in the window. */
+    fit(/** @type {Size} */ picture, /** @type {Size} */ size) {
+      if (!picture.width || !size.width || !size.height) return;
+      view.scale = fitScale(picture, size);
+      view.offset = [(size.width - picture.width * view.scale) / 2, (size.height - picture.height * view.scale) / 2];
+      view.isFitted = true;
+    },
+
+    /** Zooms by a factor about a point of the window, which keeps showing the same point of the picture. */
+    zoomAbout(
+      /** @type {Point} */ [x, y],
+      /** @type {number} */ factor,
+      /** @type {Size} */ picture,
+      /** @type {Size} */ size,
+    ) {
+      const smallest = Math.min(fitScale(picture, size) / 3, 1);
+      const scale = clamp(view.scale * factor, smallest, LARGEST_SCALE);
+      const share = scale / view.scale;
+      view.offset = [x - (x - view.offset[0]) * share, y - (y - view.offset[1]) * share];
+      view.scale = scale;
+      view.isFitted = false;
+    },
+
+    /** Shifts the picture; a strip of it always stays in the window. */
+    panBy(/** @type {number} */ dx, /** @type {number} */ dy, /** @type {Size} */ picture, /** @type {Size} */ size) {
+      const keep = 32;
+      view.offset = [
+        clamp(view.offset[0] + dx, keep - picture.width * view.scale, size.width - keep),
+        clamp(view.offset[1] + dy, keep - picture.height * view.scale, size.height - keep),
+      ];
+      view.isFitted = false;
+    },
+  };
+  return view;
+}
+
+function fitScale(/** @type {Size} */ picture, /** @type {Size} */ size) {
+  return Math.min((size.width - 2 * MARGIN) / picture.width, (size.height - 2 * MARGIN) / picture.height);
 }

@@ -77,19 +77,13 @@ export function hitTest(editor, px, pointerType, isForced = false) {
   return draw;
 }
 
-/** @param {Hit} hit */
-export function cursorOf(hit) {
+export function cursorOf(/** @type {Hit} */ hit) {
   if (hit.kind === "resize") return `${CURSORS[`${hit.sideX},${hit.sideY}`]}-resize`;
   return { move: "move", rotate: "grab", draw: "crosshair", nothing: "default" }[hit.kind];
 }
 
-/**
- * The box that a click selects: the smallest one around the point.
- *
- * @param {EditorBox[]} boxes
- * @param {Point} px
- */
-function boxAt(boxes, px) {
+/** The box that a click selects: the smallest one around the point. */
+function boxAt(/** @type {EditorBox[]} */ boxes, /** @type {Point} */ px) {
   let best = -1;
   boxes.forEach((box, index) => {
     if (isInside(box, px) && (best < 0 || widthOf(box) * heightOf(box) < widthOf(boxes[best]) * heightOf(boxes[best])))
@@ -98,11 +92,7 @@ function boxAt(boxes, px) {
   return best;
 }
 
-/**
- * @param {Overlay[]} overlays
- * @param {Point} px
- */
-function overlayAt(overlays, px) {
+function overlayAt(/** @type {Overlay[]} */ overlays, /** @type {Point} */ px) {
   const hits = overlays
     .filter(({ id }) => id !== undefined)
     .map(({ id, segments }) => ({ id, outline: hull(segments.flat()) }))
@@ -114,20 +104,21 @@ function overlayAt(overlays, px) {
 /**
  * Starts the gesture of a pointer at a point.
  *
- * @param {EditorInside} editor
- * @param {Hit} hit
- * @param {Point} px
- * @param {Point} windowPoint
  * @returns {Gesture}
  */
-export function beginGesture(editor, hit, px, windowPoint) {
+export function beginGesture(
+  /** @type {EditorInside} */ editor,
+  /** @type {Hit} */ hit,
+  /** @type {Point} */ px,
+  /** @type {Point} */ windowPoint,
+) {
   /** @type {Record<Hit["kind"], (editor: EditorInside, hit: Hit, px: Point) => Drag>} */
   const makers = { draw: beginDraw, move: beginMove, resize: beginResize, rotate: beginRotate, nothing: beginClick };
   const before = { boxes: editor.boxes.map((box) => ({ ...box })), selected: editor.selected };
   const gesture = makers[hit.kind](editor, hit, px);
   let isDrag = false;
-  /** @param {Point} point */
-  const moves = (point) => (isDrag ||= Math.hypot(point[0] - windowPoint[0], point[1] - windowPoint[1]) >= CLICK);
+  const moves = (/** @type {Point} */ point) =>
+    (isDrag ||= Math.hypot(point[0] - windowPoint[0], point[1] - windowPoint[1]) >= CLICK);
   return {
     move(here, point) {
       if (moves(point)) gesture.move(here);
@@ -148,11 +139,7 @@ export function beginGesture(editor, hit, px, windowPoint) {
   };
 }
 
-/**
- * @param {EditorInside} editor
- * @param {Point} px
- */
-function click(editor, px) {
+function click(/** @type {EditorInside} */ editor, /** @type {Point} */ px) {
   const index = boxAt(editor.boxes, px);
   if (index >= 0) {
     editor.select(index);
@@ -169,13 +156,8 @@ function beginClick() {
   return { move() {}, finish() {} };
 }
 
-/**
- * @param {EditorInside} editor
- * @param {Hit} _hit
- * @param {Point} start
- * @returns {Drag}
- */
-function beginDraw(editor, _hit, start) {
+/** @returns {Drag} */
+function beginDraw(/** @type {EditorInside} */ editor, /** @type {Hit} */ _hit, /** @type {Point} */ start) {
   const a = clampPoint(start, editor.limits());
   const others = editor.options.single ? [] : editor.boxes.slice();
   const index = others.length;
@@ -196,13 +178,8 @@ function beginDraw(editor, _hit, start) {
   };
 }
 
-/**
- * @param {EditorInside} editor
- * @param {Hit} hit
- * @param {Point} start
- * @returns {Drag}
- */
-function beginMove(editor, { index }, start) {
+/** @returns {Drag} */
+function beginMove(/** @type {EditorInside} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
   const box = editor.boxes[index];
   return {
     move: ([x, y]) =>
@@ -211,13 +188,12 @@ function beginMove(editor, { index }, start) {
   };
 }
 
-/**
- * @param {EditorInside} editor
- * @param {Hit} hit
- * @param {Point} start
- * @returns {Drag}
- */
-function beginResize(editor, { index, sideX = 0, sideY = 0 }, start) {
+/** @returns {Drag} */
+function beginResize(
+  /** @type {EditorInside} */ editor,
+  /** @type {Hit} */ { index, sideX = 0, sideY = 0 },
+  /** @type {Point} */ start,
+) {
   const box = editor.boxes[index];
   editor.select(index);
   return {
@@ -230,17 +206,11 @@ function beginResize(editor, { index, sideX = 0, sideY = 0 }, start) {
   };
 }
 
-/**
- * @param {EditorInside} editor
- * @param {Hit} hit
- * @param {Point} start
- * @returns {Drag}
- */
-function beginRotate(editor, { index }, start) {
+/** @returns {Drag} */
+function beginRotate(/** @type {EditorInside} */ editor, /** @type {Hit} */ { index }, /** @type {Point} */ start) {
   const box = editor.boxes[index];
   const center = [(box.x_min + box.x_max) / 2, (box.y_min + box.y_max) / 2];
-  /** @param {Point} point */
-  const angleTo = ([x, y]) => Math.atan2(y - center[1], x - center[0]);
+  const angleTo = (/** @type {Point} */ [x, y]) => Math.atan2(y - center[1], x - center[0]);
   const first = angleTo(start);
   let turnRad = 0;
   return {

@@ -4,8 +4,7 @@
 
 import { beginGesture, cursorOf, hitTest } from "./gestures.js";
 
-/** @param {EditorInside} editor */
-export function listenToPointers(editor) {
+export function listenToPointers(/** @type {EditorInside} */ editor) {
   const { root, view } = editor;
   /** @type {Map<number, Point>} */
   const touches = new Map();
@@ -21,12 +20,8 @@ export function listenToPointers(editor) {
   /** @type {Point} */
   let lastPoint = [0, 0];
 
-  /**
-   * The position of an event in the editor's own CSS pixels, even if an ancestor element is scaled.
-   *
-   * @param {MouseEvent} event
-   */
-  function windowPoint(event) {
+  /** The position of an event in the editor's own CSS pixels, even if an ancestor element is scaled. */
+  function windowPoint(/** @type {MouseEvent} */ event) {
     const rect = root.getBoundingClientRect();
     const stretch = rect.width / (editor.size.border || rect.width) || 1;
     return [
@@ -35,8 +30,7 @@ export function listenToPointers(editor) {
     ];
   }
 
-  /** @param {PointerEvent} event */
-  function onDown(event) {
+  function onDown(/** @type {PointerEvent} */ event) {
     if (isOnButton(event)) return;
     const point = windowPoint(event);
     if (event.pointerType === "touch") {
@@ -59,11 +53,8 @@ export function listenToPointers(editor) {
     editor.setCross(null);
   }
 
-  /**
-   * @param {Point} start
-   * @returns {Gesture}
-   */
-  function beginPan(start) {
+  /** @returns {Gesture} */
+  function beginPan(/** @type {Point} */ start) {
     let last = start;
     root.classList.add("panning");
     const end = () => root.classList.remove("panning");
@@ -100,8 +91,7 @@ export function listenToPointers(editor) {
     owner = "pinch";
   }
 
-  /** @param {PointerEvent} event */
-  function onMove(event) {
+  function onMove(/** @type {PointerEvent} */ event) {
     const point = windowPoint(event);
     lastPoint = point;
     if (touches.has(event.pointerId)) touches.set(event.pointerId, point);
@@ -110,11 +100,7 @@ export function listenToPointers(editor) {
     else if (!gesture && event.pointerType !== "touch") hover(event, point);
   }
 
-  /**
-   * @param {PointerEvent} event
-   * @param {Point} point
-   */
-  function hover(event, point) {
+  function hover(/** @type {PointerEvent} */ event, /** @type {Point} */ point) {
     const px = view.toPicture(point);
     const hit = hitTest(editor, px, event.pointerType, event.shiftKey);
     root.style.cursor = isSpaceDown ? "grab" : cursorOf(hit);
@@ -122,8 +108,7 @@ export function listenToPointers(editor) {
     editor.setCross(isBare ? null : point, px);
   }
 
-  /** @param {PointerEvent} event */
-  function onUp(event) {
+  function onUp(/** @type {PointerEvent} */ event) {
     touches.delete(event.pointerId);
     if (!gesture || (owner !== event.pointerId && owner !== "pinch")) return;
     if (owner === "pinch" && touches.size > 0) return;
@@ -144,14 +129,12 @@ export function listenToPointers(editor) {
     return true;
   }
 
-  /** @param {PointerEvent} event */
-  function onCancel(event) {
+  function onCancel(/** @type {PointerEvent} */ event) {
     touches.delete(event.pointerId);
     if (owner === event.pointerId) cancel();
   }
 
-  /** @param {WheelEvent} event */
-  function onWheel(event) {
+  function onWheel(/** @type {WheelEvent} */ event) {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 300 : 1;
     const factor = Math.exp(-event.deltaY * lines * (event.ctrlKey ? 0.01 : 0.0017));
@@ -162,8 +145,7 @@ export function listenToPointers(editor) {
     editor.redraw();
   }
 
-  /** @param {KeyboardEvent} event */
-  const onSpace = (event) => {
+  const onSpace = (/** @type {KeyboardEvent} */ event) => {
     if (event.key !== " ") return;
     isSpaceDown = event.type === "keydown" && root.matches(":hover");
     if (root.matches(":hover") && root.contains(document.activeElement)) event.preventDefault();
@@ -190,5 +172,4 @@ export function listenToPointers(editor) {
   };
 }
 
-/** @param {Event} event */
-const isOnButton = ({ target }) => target instanceof Element && target.closest("button") !== null;
+const isOnButton = (/** @type {Event} */ { target }) => target instanceof Element && target.closest("button") !== null;

@@ -6,18 +6,11 @@ import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { createExportForm } from "./form.js";
 
-/**
- * 3400000 -> "3.4 MB, "
- *
- * @param {number | undefined} bytes
- */
-const size = (bytes) => (bytes ? `${(bytes / 1e6).toLocaleString("en", { maximumFractionDigits: 1 })} MB, ` : "");
+/** 3400000 -> "3.4 MB, " */
+const size = (/** @type {number | undefined} */ bytes) =>
+  bytes ? `${(bytes / 1e6).toLocaleString("en", { maximumFractionDigits: 1 })} MB, ` : "";
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const body = h("div", { class: "body stack" });
   /** @type {(() => void)[]} */
   const stop = [];
@@ -41,13 +34,12 @@ export function mount(root, app) {
   };
 }
 
-/**
- * @param {ModeApp} app
- * @param {HTMLElement} body
- * @param {(() => void)[]} stop
- * @param {() => boolean} isOver
- */
-async function begin(app, body, stop, isOver) {
+async function begin(
+  /** @type {ModeApp} */ app,
+  /** @type {HTMLElement} */ body,
+  /** @type {(() => void)[]} */ stop,
+  /** @type {() => boolean} */ isOver,
+) {
   /** @type {Api.FormatList} */
   const { formats } = await app.api.get("/api/export-formats");
   if (isOver()) return;
@@ -91,10 +83,8 @@ async function begin(app, body, stop, isOver) {
 
   /**
    * Builds the result again only if the job has changed: replacing a link while it is pressed would lose the click.
-   *
-   * @param {Api.Job | undefined} job
    */
-  function showResult(job) {
+  function showResult(/** @type {Api.Job | undefined} */ job) {
     result.hidden = !job;
     const next = JSON.stringify(job ?? null);
     if (next === shown) return;
@@ -125,12 +115,8 @@ async function begin(app, body, stop, isOver) {
   app.refreshProject().catch(app.toast);
 }
 
-/**
- * The location of the dataset, its parts, and what its format cannot store.
- *
- * @param {Api.Job} options
- */
-function describe({ id, created_ns, operator, download, result: anything }) {
+/** The location of the dataset, its parts, and what its format cannot store. */
+function describe(/** @type {Api.Job} */ { id, created_ns, operator, download, result: anything }) {
   /** @type {ExportResult | null} */
   const result = anything;
   const made = new Date(created_ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });

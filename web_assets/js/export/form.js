@@ -16,17 +16,14 @@ const PICTURES = [
   ["both", "both"],
 ];
 
-/** @param {string[][]} rows */
-const options = (rows) => rows.map(([value, text]) => h("option", { value }, text));
-/** @param {HTMLInputElement[]} boxes */
-const ticked = (boxes) => boxes.filter((box) => box.checked).map((box) => box.value);
+const options = (/** @type {string[][]} */ rows) => rows.map(([value, text]) => h("option", { value }, text));
+const ticked = (/** @type {HTMLInputElement[]} */ boxes) => boxes.filter((box) => box.checked).map((box) => box.value);
 
-/**
- * @param {ModeApp} app
- * @param {Api.FormatInfo[]} formats
- * @param {() => void} onChange
- */
-export function createExportForm(app, formats, onChange) {
+export function createExportForm(
+  /** @type {ModeApp} */ app,
+  /** @type {Api.FormatInfo[]} */ formats,
+  /** @type {() => void} */ onChange,
+) {
   const { classes, recordings } = app.state.project;
   /**
    * @param {string} value
@@ -71,18 +68,13 @@ export function createExportForm(app, formats, onChange) {
   });
   const division = h("div", { class: "row", hidden: true }, shares, by, "seed", seed);
 
-  /**
-   * @param {string} legend
-   * @param {Child | Child[]} rows
-   */
-  const group = (legend, rows) =>
+  const group = (/** @type {string} */ legend, /** @type {Child | Child[]} */ rows) =>
     h("fieldset", { class: "plain" }, h("legend", { class: "field-label" }, legend), rows);
-  /**
-   * @param {string} legend
-   * @param {HTMLInputElement[]} boxes
-   * @param {string[]} names
-   */
-  const several = (legend, boxes, names) =>
+  const several = (
+    /** @type {string} */ legend,
+    /** @type {HTMLInputElement[]} */ boxes,
+    /** @type {string[]} */ names,
+  ) =>
     boxes.length > 1
       ? group(
           legend,
@@ -94,11 +86,9 @@ export function createExportForm(app, formats, onChange) {
         )
       : null;
 
-  /** @param {string} state */
-  const countOf = (state) => app.state.project?.labels_by_state[state] ?? 0;
+  const countOf = (/** @type {string} */ state) => app.state.project?.labels_by_state[state] ?? 0;
   const isFlat = () => Boolean(formats.find(({ name }) => name === format.value)?.flat);
-  /** @param {HTMLInputElement[]} boxes */
-  const all = (boxes) => (boxes.every((box) => box.checked) ? null : ticked(boxes));
+  const all = (/** @type {HTMLInputElement[]} */ boxes) => (boxes.every((box) => box.checked) ? null : ticked(boxes));
 
   return {
     parts: [

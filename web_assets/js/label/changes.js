@@ -49,11 +49,9 @@ export function objectChange(draft, { after, kind, onDrawn }) {
 /**
  * Deletes an object with its label.
  *
- * @param {Item} item
- * @param {() => Api.BoxKind} kind
  * @returns {FrameChange}
  */
-export function removal(item, kind) {
+export function removal(/** @type {Item} */ item, /** @type {() => Api.BoxKind} */ kind) {
   const { image_box } = item;
   return {
     path: ["changes"],
@@ -73,10 +71,9 @@ export function removal(item, kind) {
 /**
  * Changes the kind of all boxes of the frame: what they enclose.
  *
- * @param {Api.BoxKind} kind
  * @returns {FrameChange}
  */
-export function kindChange(kind) {
+export function kindChange(/** @type {Api.BoxKind} */ kind) {
   return {
     path: ["changes"],
     body: (state) => ({
@@ -94,11 +91,12 @@ export function kindChange(kind) {
 /**
  * Sets values of attributes of a label, or (null) of the frame.
  *
- * @param {string | null} uid
- * @param {Record<string, string | number | boolean | null>} values
  * @returns {FrameChange}
  */
-export function valuesChange(uid, values) {
+export function valuesChange(
+  /** @type {string | null} */ uid,
+  /** @type {Record<string, string | number | boolean | null>} */ values,
+) {
   return {
     path: ["attributes"],
     isSmall: true,
@@ -110,10 +108,9 @@ export function valuesChange(uid, values) {
 /**
  * Finalises the frame, or reopens it.
  *
- * @param {boolean} isFinal
  * @returns {FrameChange}
  */
-export function finality(isFinal) {
+export function finality(/** @type {boolean} */ isFinal) {
   return {
     path: ["changes"],
     body: () => ({ subject: null, changes: [{ kind: isFinal ? "finalise" : "reopen" }] }),

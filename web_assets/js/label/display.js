@@ -1,18 +1,17 @@
 /** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
 import { cameraOf, imageHeading } from "../camera.js";
+import { otherOverlays } from "../review/drawing.js";
 import { filledBoxes } from "./draft.js";
-import { hintFor } from "./hints.js";
 import { plainBox, secondAxes } from "./items.js";
+import { hintFor } from "./views_pane.js";
 import { openGuesses } from "./work.js";
-import { otherOverlays } from "../rig.js";
 
 /** @type {Record<string, string>} */
 const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5" };
 const PREVIEW_COLOR = "#ff5d8f";
 
-/** @param {Item} item */
-export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolean);
+export const isFinished = (/** @type {Item} */ item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
 /**
  * @param {ModeApp} app
@@ -86,10 +85,8 @@ export function createDisplay(app, work, parts) {
 
   /**
    * Updates the 3D view once the pseudo-views are there; otherwise the server would draw these twice at the same time.
-   *
-   * @param {FrameState} state
    */
-  function showScene(state) {
+  function showScene(/** @type {FrameState} */ state) {
     const { draft, point_size } = work;
     if (draft && (draft.isLoading || work.coming)) return;
     /** @type {Scene3D} */
@@ -106,8 +103,7 @@ export function createDisplay(app, work, parts) {
     sceneShown = key;
   }
 
-  /** @param {Item} item */
-  function imageBox(item) {
+  function imageBox(/** @type {Item} */ item) {
     return {
       ...item.image_box,
       faint: item !== work.draft?.item,
@@ -115,8 +111,7 @@ export function createDisplay(app, work, parts) {
     };
   }
 
-  /** @param {FrameState} state */
-  function overlays(state) {
+  function overlays(/** @type {FrameState} */ state) {
     const { draft } = work;
     const shown = state.labels.filter(({ state: review }) => review !== "rejected");
     /** @type {Overlay[]} */

@@ -1,15 +1,10 @@
 /** The object that is being drawn: its item, the views that the server draws for it, and suggestions on them. */
 
 import { isAborted } from "../errors.js";
-import { carryBox } from "./carry.js";
 import { plainBox, sameBox, secondAxes, VIEWS } from "./items.js";
 
-/**
- * @param {Item} item
- * @param {number} frame
- * @returns {Draft}
- */
-export function makeDraft(item, frame) {
+/** @returns {Draft} */
+export function makeDraft(/** @type {Item} */ item, /** @type {number} */ frame) {
   return {
     item,
     frame,
@@ -32,10 +27,8 @@ export function makeDraft(item, frame) {
 /**
  * An object as the server needs it to draw its views. Once a box is drawn on the second step, its views keep their
  * axes.
- *
- * @param {Draft} draft
  */
-export function drawnObject({ item, kept }) {
+export function drawnObject(/** @type {Draft} */ { item, kept }) {
   const boxes = item.boxes.map((box) => box && plainBox(box));
   while (boxes.length && !boxes.at(-1)) boxes.pop();
   const isDrawn = [2, 3].some((index) => item.boxes[index] || kept[index]);
@@ -45,10 +38,10 @@ export function drawnObject({ item, kept }) {
 /**
  * The drawn box on each view, or else the suggested one.
  *
- * @param {Draft} draft
  * @returns {ViewBox[]}
  */
-export const filledBoxes = ({ item, suggestions }) => item.boxes.map((box, index) => box ?? suggestions[index]);
+export const filledBoxes = (/** @type {Draft} */ { item, suggestions }) =>
+  item.boxes.map((box, index) => box ?? suggestions[index]);
 
 /**
  * Requests the views that follow from an object's boxes; with `suggest`, the server also suggests boxes on them.
@@ -69,10 +62,8 @@ export function createAsk(app, kind) {
 /**
  * `load(draft, suggest)` loads the views that follow from a draft's boxes, and transfers the boxes of views that have
  * changed. It resolves to false if a newer call for the same object has replaced it, or `stop(item)` has cancelled it.
- *
- * @param {AskSteps} ask
  */
-export function createStepLoader(ask) {
+export function createStepLoader(/** @type {AskSteps} */ ask) {
   /**
    * Item -> its request.
    *
@@ -80,11 +71,7 @@ export function createStepLoader(ask) {
    */
   const requests = new Map();
 
-  /**
-   * @param {Draft} draft
-   * @param {boolean} suggest
-   */
-  async function load(draft, suggest) {
+  async function load(/** @type {Draft} */ draft, /** @type {boolean} */ suggest) {
     const { item } = draft;
     requests.get(item)?.abort();
     const own = new AbortController();
@@ -112,28 +99,20 @@ export function createStepLoader(ask) {
     }
   }
 
-  /** @param {Item} item */
-  const stop = (item) => requests.get(item)?.abort();
+  const stop = (/** @type {Item} */ item) => requests.get(item)?.abort();
 
   return { load, stop };
 }
 
-/**
- * @param {ViewBox[] | null} sent
- * @param {ViewBox[]} now
- */
-function isSame(sent, now) {
+function isSame(/** @type {ViewBox[] | null} */ sent, /** @type {ViewBox[]} */ now) {
   return sent?.every((box, i) => sameBox(box, now[i]) || (!box && !now[i])) ?? false;
 }
 
 /**
  * Takes the server's views and suggestions. If boxes of the first step had to be transferred, the answer's second step
  * followed from their old positions and is ignored.
- *
- * @param {Draft} draft
- * @param {Api.StepsOut} answer
  */
-export function takeSteps(draft, answer) {
+export function takeSteps(/** @type {Draft} */ draft, /** @type {Api.StepsOut} */ answer) {
   const { item } = draft;
   const suggested = answer.steps.flatMap((step) => step.suggested);
   let taken = 0;
@@ -161,13 +140,12 @@ export function takeSteps(draft, answer) {
   draft.note = answer.note;
 }
 
-/**
- * @param {Draft} draft
- * @param {number} index
- * @param {Api.ViewJson} old
- * @param {Api.ViewJson} view
- */
-function carryOver(draft, index, old, view) {
+function carryOver(
+  /** @type {Draft} */ draft,
+  /** @type {number} */ index,
+  /** @type {Api.ViewJson} */ old,
+  /** @type {Api.ViewJson} */ view,
+) {
   const { item } = draft;
   const box = item.boxes[index] ?? draft.suggestions[index];
   const moved = box && carryBox(box, old, view);
@@ -178,12 +156,8 @@ function carryOver(draft, index, old, view) {
   draft.suggestions[index] = isExact ? null : (moved?.box ?? null);
 }
 
-/**
- * Without the boxes of the first step, the second step has no views: its boxes become guesses.
- *
- * @param {Draft} draft
- */
-export function demoteSecondStep(draft) {
+/** Without the boxes of the first step, the second step has no views: its boxes become guesses. */
+export function demoteSecondStep(/** @type {Draft} */ draft) {
   const { item, suggestions, kept } = draft;
   draft.steps = draft.steps.slice(0, 1);
   for (const index of [2, 3]) {
@@ -192,4 +166,113 @@ export function demoteSecondStep(draft) {
     kept[index] = true;
     item.boxes[index] = null;
   }
+}
+
+// -- a box transferred to a new view of the same object, after its views were drawn again
+
+const dot = (/** @type {Vector} */ a, /** @type {Vector} */ b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const NEAR = Math.cos((12 * Math.PI) / 180);
+const SAME = 1 - 1e-9;
+
+/**
+ * The box on the new view that covers the same range in metres.
+ *
+ * @param {Box2D} box
+ * @param {Api.ViewJson} from
+ * @param {Api.ViewJson} to
+ * @returns {{box: Box2D, isExact: boolean} | null} null if the directions of the views differ too much;
+ *     exact if both have the same axes.
+ */
+export function carryBox(box, from, to) {
+  const along = Math.min(dot(from.axes[0], to.axes[0]), dot(from.axes[1], to.axes[1]));
+  if (along < NEAR) return null;
+  const [left, right] = carrySpan([box.x_min, box.x_max], from, to, 0, to.width);
+  const [top, bottom] = carrySpan([box.y_min, box.y_max], from, to, 1, to.height);
+  if (right - left < 1 || bottom - top < 1) return null;
+  return { box: { ...box, x_min: left, y_min: top, x_max: right, y_max: bottom }, isExact: along >= SAME };
+}
+
+function carrySpan(
+  /** @type {number[]} */ span,
+  /** @type {Plane} */ from,
+  /** @type {Plane} */ to,
+  /** @type {number} */ axis,
+  /** @type {number} */ length,
+) {
+  return span
+    .map((px) => (from.origin_m[axis] + px * from.metres_per_px - to.origin_m[axis]) / to.metres_per_px)
+    .map((px) => Math.min(Math.max(px, -0.5), length - 0.5));
+}
+
+// -- objects whose image box was moved: their boxes on views are transferred to the new views before the object is
+// saved; otherwise the server would take pixels of the old views for pixels of the new ones
+
+/**
+ * An object that was moved. `views` is the latest loading; null if the views must be loaded again.
+ *
+ * @typedef {{ draft: Draft, views: Promise<boolean> | null, isWaiting: boolean }} Move
+ */
+
+export function createMoves(/** @type {StepLoader} */ loader) {
+  /**
+   * Kept afterwards, because the drafts contain, as guesses, the boxes that could not be transferred.
+   *
+   * @type {WeakMap<Item, Move>}
+   */
+  const moves = new WeakMap();
+
+  /** Loads a draft's views with the loader. */
+  function load(/** @type {Draft} */ draft, /** @type {boolean} */ suggest) {
+    const views = loader.load(draft, suggest);
+    const move = moves.get(draft.item);
+    if (move) move.views = views;
+    return views;
+  }
+
+  return {
+    load,
+    /** True if an object's boxes have not been transferred to its new views yet. */
+    isWaiting: (/** @type {Item} */ item) => Boolean(moves.get(item)?.isWaiting),
+    /** The draft of an object that was moved. */
+    draftOf: (/** @type {Item} */ item) => moves.get(item)?.draft ?? null,
+    /** From now on, saving a draft's object waits for its views. */
+    start: (/** @type {Draft} */ draft) => moves.set(draft.item, { draft, views: null, isWaiting: true }),
+
+    /** Forgets a move: the object was removed, or another version of it was taken. */
+    forget(/** @type {Item} */ item) {
+      moves.delete(item);
+      loader.stop(item);
+    },
+
+    /** Stops loading the views of a draft that is no longer the current one, unless its object was moved. */
+    leave(/** @type {Draft | null} */ draft) {
+      if (draft && !moves.get(draft.item)?.isWaiting) loader.stop(draft.item);
+    },
+
+    /**
+     * Resolves to true once an object's boxes are on its own views, to false if it is gone. Rejects if its views
+     * cannot be loaded; another call tries again.
+     *
+     * @param {Item} item
+     * @param {(draft: Draft) => void} ask loads the views with `load`.
+     */
+    async settle(item, ask) {
+      for (let move = moves.get(item); move?.isWaiting && move === moves.get(item); ) {
+        if (!move.views) ask(move.draft);
+        const { views } = move;
+        try {
+          const isNewest = await views;
+          if (move.views !== views) continue;
+          move.isWaiting = !isNewest;
+          if (isNewest) return true;
+          move.views = null;
+        } catch (error) {
+          if (move.views !== views) continue;
+          move.views = null;
+          if (move === moves.get(item)) throw error;
+        }
+      }
+      return false;
+    },
+  };
 }

@@ -1,7 +1,7 @@
 /** Opens frames one after the other, and loads what others save in the open one. */
 
 import { count } from "../dom.js";
-import { isAborted } from "../errors.js";
+import { isAborted, messageOf } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
@@ -29,8 +29,7 @@ export function createFrames(app, work, parts) {
   let broken = null;
   const problem = createFrameProblem(imageHost, { onRetry: retry, onStep: (which) => void go(which) });
 
-  /** @param {Route} route */
-  async function openRoute(route) {
+  async function openRoute(/** @type {Route} */ route) {
     prefetch.stop();
     let frame = null;
     try {
@@ -61,13 +60,8 @@ export function createFrames(app, work, parts) {
     }
   }
 
-  /**
-   * Handles a frame that cannot be read: the panels show the reason in place of its pictures.
-   *
-   * @param {unknown} error
-   * @param {number} frame
-   */
-  function fail(error, frame) {
+  /** Handles a frame that cannot be read: the panels show the reason in place of its pictures. */
+  function fail(/** @type {unknown} */ error, /** @type {number} */ frame) {
     work.frameShown = null;
     broken = frame;
     order.opened(frame);
@@ -84,18 +78,13 @@ export function createFrames(app, work, parts) {
     void openRoute({ ...app.state.route, frame: broken });
   }
 
-  /** @param {Direction} direction */
-  async function beside(direction) {
+  async function beside(/** @type {Direction} */ direction) {
     if (app.state.frame) return direction === "next" ? order.next() : order.previous();
     return direction === "next" && order.by === "teach" ? order.next() : broken && frameBeside(app, broken, direction);
   }
 
-  /**
-   * Takes an object whose first drag was made in Review.
-   *
-   * @param {number} frame
-   */
-  function takeGiven(frame) {
+  /** Takes an object whose first drag was made in Review. */
+  function takeGiven(/** @type {number} */ frame) {
     const { given } = app;
     app.given = null;
     // frame ids are unique only within a project
@@ -103,12 +92,8 @@ export function createFrames(app, work, parts) {
     if (isMine && !work.isReadonly) objects.onImageChange([given.image_box], "draw", 0, 1);
   }
 
-  /**
-   * The frame's state was set: a new frame, an undo, or a change by others. Changes of this page are for onSaved.
-   *
-   * @param {FrameState | null} state
-   */
-  function onFrame(state) {
+  /** The frame's state was set: a new frame, an undo, or a change by others. Changes of this page are for onSaved. */
+  function onFrame(/** @type {FrameState | null} */ state) {
     if (!state) return;
     const isNew = work.frameShown !== state.frame.id;
     if (saver.isBusy && !isNew) return;
@@ -117,8 +102,7 @@ export function createFrames(app, work, parts) {
     if (isNew) app.events.openFrame(state.frame.id);
   }
 
-  /** @param {FrameState} state */
-  function begin(state) {
+  function begin(/** @type {FrameState} */ state) {
     const { id } = state.frame;
     work.frameShown = id;
     order.opened(id);
@@ -135,12 +119,8 @@ export function createFrames(app, work, parts) {
     image.fit();
   }
 
-  /**
-   * Shows the boxes that the image detector finds, if there is a detector.
-   *
-   * @param {number} frame
-   */
-  async function suggestOnImage(frame) {
+  /** Shows the boxes that the image detector finds, if there is a detector. */
+  async function suggestOnImage(/** @type {number} */ frame) {
     if (!app.state.project?.detectors.image || work.isReadonly) return;
     const boxes = await suggester.onImage(frame);
     if (work.frameShown !== frame) return;
@@ -148,8 +128,7 @@ export function createFrames(app, work, parts) {
     show();
   }
 
-  /** @param {FrameState} state */
-  function rebuild(state) {
+  function rebuild(/** @type {FrameState} */ state) {
     work.items = itemsOf(state);
     if (work.draft) {
       const known = work.draft.item;
@@ -163,8 +142,7 @@ export function createFrames(app, work, parts) {
     show();
   }
 
-  /** @param {number} index */
-  function keepCurrent(index) {
+  function keepCurrent(/** @type {number} */ index) {
     if (!work.draft) return;
     work.draft.item.uid = work.items[index].uid;
     work.items[index] = work.draft.item;
@@ -172,8 +150,7 @@ export function createFrames(app, work, parts) {
     void whole.follow(work.draft);
   }
 
-  /** @param {FrameState} state */
-  function onSaved(state) {
+  function onSaved(/** @type {FrameState} */ state) {
     const fresh = itemsOf(state);
     // this page's boxes are newer than any answer; the server adds uids and the boxes of others
     work.items = fresh.map((item) => work.items.find((known) => sameBox(known.stored, item.image_box)) ?? item);
@@ -193,8 +170,7 @@ export function createFrames(app, work, parts) {
 
   const isDrawing = () => Boolean(work.draft?.isLoading) || editors.some((editor) => editor.isDragging);
 
-  /** @param {Direction} direction */
-  async function go(direction) {
+  async function go(/** @type {Direction} */ direction) {
     prefetch.stop();
     if (!(await app.mayLeave())) return;
     const frame = await beside(direction);
@@ -203,8 +179,7 @@ export function createFrames(app, work, parts) {
     else app.go(makeHash(app.state.route.project, "label", frame));
   }
 
-  /** @param {OrderName} value */
-  function setOrder(value) {
+  function setOrder(/** @type {OrderName} */ value) {
     order.by = value;
     prefetch.restart();
     show();
@@ -232,4 +207,141 @@ export function createFrames(app, work, parts) {
   }
 
   return { openRoute, onFrame, onSaved, refresh, go, setOrder, flush, unsaved, discard };
+}
+
+// -- which frame is next: the most useful one for training, or the next in time
+
+const KEPT = "label-order";
+
+export function createOrder(/** @type {App} */ app) {
+  /** @type {number[]} */
+  const visited = [];
+  /** @type {number | null} */
+  let remaining = null;
+  /** @type {OrderName} */
+  let by = localStorage.getItem(KEPT) === "time" ? "time" : "teach";
+
+  /** @param {RequestOptions} [options] */
+  async function teaching(options) {
+    const current = app.state.frame?.frame.id ?? null;
+    /** @type {Api.QueueOut} */
+    const { items, remaining: count } = await app.api.get(`${app.path("queue")}?order=teach`, options);
+    remaining = count;
+    const others = items.map(({ frame }) => frame).filter((frame) => frame !== current);
+    return (
+      others.find((frame) => !visited.includes(frame)) ?? others.find((frame) => frame !== visited.at(-1)) ?? null
+    );
+  }
+
+  async function firstFrame() {
+    /** @type {Api.FrameListJson} */
+    const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
+    return frames[0]?.id ?? null;
+  }
+
+  return {
+    get by() {
+      return by;
+    },
+    set by(value) {
+      by = value;
+      localStorage.setItem(KEPT, value);
+    },
+    /** The number of frames in the queue at the latest request; null before the first one. */
+    get remaining() {
+      return remaining;
+    },
+    /**
+     * The id of the first frame, or of the next one; null if there is none. Does not open it.
+     *
+     * @param {RequestOptions} [options]
+     */
+    async next(options) {
+      if (by === "time" && app.state.frame) return app.state.frame.frame.next;
+      return (
+        (by === "teach" ? await teaching(options) : null) ??
+        (app.state.frame ? app.state.frame.frame.next : firstFrame())
+      );
+    },
+    /** The id of the previous frame in time, or of the one that was open before. */
+    previous() {
+      const current = app.state.frame?.frame;
+      if (by === "time" || visited.length < 2) return current?.previous ?? null;
+      visited.pop();
+      return visited.pop() ?? null;
+    },
+    /** Records that a frame was opened. */
+    opened(/** @type {number} */ frame) {
+      if (visited.at(-1) !== frame) visited.push(frame);
+      if (visited.length > 500) visited.shift();
+    },
+  };
+}
+
+// -- the next frame, loaded ahead
+
+const IDLE_WAIT_MS = 300;
+
+/** requestIdleCallback, or a pause if the browser lacks it. */
+function whenIdle(/** @type {() => void} */ run) {
+  if ("requestIdleCallback" in globalThis) {
+    const id = requestIdleCallback(run);
+    return () => cancelIdleCallback(id);
+  }
+  const id = setTimeout(run, IDLE_WAIT_MS);
+  return () => clearTimeout(id);
+}
+
+export function createPrefetch(/** @type {App} */ app, /** @type {Order} */ order) {
+  /** @type {(() => void) | null} */
+  let cancel = null;
+  /**
+   * The frame whose next frame was read.
+   *
+   * @type {number | null}
+   */
+  let doneFor = null;
+
+  async function run(/** @type {number} */ shown, /** @type {AbortSignal} */ signal) {
+    try {
+      const next = await order.next({ signal });
+      if (next !== null && next !== shown && !signal.aborted) {
+        /** @type {FrameState} */
+        const { image } = await app.api.get(app.path("frames", next), { signal });
+        // once read to its end, it is in the browser's cache
+        const picture = await fetch(image.url, { signal, priority: "low", credentials: "same-origin" });
+        await picture.blob();
+      }
+      doneFor = shown;
+    } catch (error) {
+      // the problem is shown when that frame is opened
+      if (!isAborted(error)) console.debug(`reading ahead: ${messageOf(error)}`);
+    }
+  }
+
+  function stop() {
+    cancel?.();
+    cancel = null;
+  }
+
+  return {
+    /** Begins as soon as the page is idle, once for each frame. */
+    start() {
+      stop();
+      const shown = app.state.frame?.frame.id;
+      if (shown === undefined || shown === doneFor) return;
+      const request = new AbortController();
+      const forget = whenIdle(() => void run(shown, request.signal));
+      cancel = () => {
+        forget();
+        request.abort();
+      };
+    },
+    /** Prefetches again after a change of the order, since another frame may be next. */
+    restart() {
+      doneFor = null;
+      this.start();
+    },
+    stop,
+  };
 }

@@ -7,12 +7,8 @@ export const DRAGS = 1 + VIEWS;
 /** @type {(keyof Rect)[]} */
 const EDGES = ["x_min", "y_min", "x_max", "y_max"];
 
-/**
- * A copy with only the fields that are sent to the server; editors add others.
- *
- * @param {Box2D} box
- */
-export function plainBox(box) {
+/** A copy with only the fields that are sent to the server; editors add others. */
+export function plainBox(/** @type {Box2D} */ box) {
   const { label, x_min, y_min, x_max, y_max, score = 1 } = box;
   return { label, x_min, y_min, x_max, y_max, score };
 }
@@ -27,34 +23,21 @@ export function naming(renamed) {
   return (box) => (box && Object.hasOwn(renamed, box.label) ? { ...box, label: renamed[box.label] } : box);
 }
 
-/**
- * Gives all boxes of an item the new names of their classes.
- *
- * @param {Item} item
- * @param {Naming} named
- */
-export function relabelItem(item, named) {
+/** Gives all boxes of an item the new names of their classes. */
+export function relabelItem(/** @type {Item} */ item, /** @type {Naming} */ named) {
   item.image_box = named(item.image_box);
   item.stored = named(item.stored);
   item.boxes = item.boxes.map(named);
 }
 
-/**
- * @param {ViewBox | undefined} a
- * @param {ViewBox | undefined} b
- */
-export function sameBox(a, b) {
+export function sameBox(/** @type {ViewBox | undefined} */ a, /** @type {ViewBox | undefined} */ b) {
   return (
     a === b || Boolean(a && b && a.label === b.label && EDGES.every((edge) => Math.abs(a[edge] - b[edge]) < 1e-6))
   );
 }
 
-/**
- * The items of a frame's state, in the order of its image boxes.
- *
- * @param {FrameState} state
- */
-export function itemsOf(state) {
+/** The items of a frame's state, in the order of its image boxes. */
+export function itemsOf(/** @type {FrameState} */ state) {
   return (state.image_boxes?.boxes ?? []).map((box) => {
     const object = state.objects.find((known) => sameBox(known.image_box, box));
     return { ...makeItem(plainBox(box), object?.views ?? [], object?.uid ?? null), stored: plainBox(box) };
@@ -89,50 +72,35 @@ export function makeItem(imageBox, views = [], uid = null) {
 /**
  * What a label records of the detector whose boxes the operator accepted; null if there are none.
  *
- * @param {Item} item
  * @returns {Api.SuggestionJson | null}
  */
-export function suggestionOf({ suggested }) {
+export function suggestionOf(/** @type {Item} */ { suggested }) {
   const used = suggested.find(Boolean);
   return used ? { ...used, corrected: !suggested.every(Boolean) } : null;
 }
 
-/**
- * True for the side view of a step, whose front view looks along the camera's axis rather than across it.
- *
- * @param {Api.ViewJson} view
- */
-const looksAside = ({ axes }) => Math.abs(axes[0][2]) > Math.abs(axes[2][2]);
+/** True for the side view of a step, whose front view looks along the camera's axis rather than across it. */
+const looksAside = (/** @type {Api.ViewJson} */ { axes }) => Math.abs(axes[0][2]) > Math.abs(axes[2][2]);
 
-/**
- * The axes of the second step's front view; null if none of its views is known.
- *
- * @param {Item} item
- */
-export function secondAxes({ views: [, , front, side] }) {
+/** The axes of the second step's front view; null if none of its views is known. */
+export function secondAxes(/** @type {Item} */ { views: [, , front, side] }) {
   if (front) return front.axes;
   if (!side) return null;
   const [a3, a2, away] = side.axes;
   return [away.map((value) => -value), a2, a3];
 }
 
-/**
- * The number of an item's five drags that are done.
- *
- * @param {Item} item
- */
-export function progressOf(item) {
+/** The number of an item's five drags that are done. */
+export function progressOf(/** @type {Item} */ item) {
   return 1 + item.boxes.filter(Boolean).length;
 }
 
-/**
- * The image boxes with `before` replaced by `after`: null for `before` appends, null for `after` removes.
- *
- * @param {Box2D[]} boxes
- * @param {Box2D | null} before
- * @param {Box2D | null} after
- */
-export function exchanged(boxes, before, after) {
+/** The image boxes with `before` replaced by `after`: null for `before` appends, null for `after` removes. */
+export function exchanged(
+  /** @type {Box2D[]} */ boxes,
+  /** @type {Box2D | null} */ before,
+  /** @type {Box2D | null} */ after,
+) {
   /** @type {Box2D[]} */
   const plain = boxes.map(plainBox);
   const index = before ? plain.findIndex((box) => sameBox(box, before)) : -1;
@@ -140,11 +108,7 @@ export function exchanged(boxes, before, after) {
   return after ? plain.with(index, after) : plain.toSpliced(index, 1);
 }
 
-/**
- * @param {Item} a
- * @param {Item} b
- */
-export function sameItem(a, b) {
+export function sameItem(/** @type {Item} */ a, /** @type {Item} */ b) {
   return (
     sameBox(a.image_box, b.image_box) &&
     progressOf(a) === progressOf(b) &&
@@ -152,18 +116,12 @@ export function sameItem(a, b) {
   );
 }
 
-/**
- * Intersection over union of two boxes of the same class; 0 for different classes.
- *
- * @param {Box2D} a
- * @param {Box2D} b
- */
-export function overlap(a, b) {
+/** Intersection over union of two boxes of the same class; 0 for different classes. */
+export function overlap(/** @type {Box2D} */ a, /** @type {Box2D} */ b) {
   if (a.label !== b.label) return 0;
   const width = Math.min(a.x_max, b.x_max) - Math.max(a.x_min, b.x_min);
   const height = Math.min(a.y_max, b.y_max) - Math.max(a.y_min, b.y_min);
   if (width <= 0 || height <= 0) return 0;
-  /** @param {Rect} box */
-  const area = (box) => (box.x_max - box.x_min) * (box.y_max - box.y_min);
+  const area = (/** @type {Rect} */ box) => (box.x_max - box.x_min) * (box.y_max - box.y_min);
   return (width * height) / (area(a) + area(b) - width * height);
 }

@@ -6,23 +6,20 @@
  * contains the next views and suggestions.
  *
  * This file assembles the page and registers its keys. work.js holds the state, objects.js handles drags, frames.js
- * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views, suggestions.js
- * loads suggestions, whole_boxes.js offers whole boxes, and saver.js saves.
+ * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views,
+ * suggestions.js loads suggestions and offers whole boxes, and saver.js saves.
  */
 
 import { createAttributes } from "../attributes.js";
 import { classColor } from "../colors.js";
-import { createEditor } from "../editor2d/editor.js";
 import { h, leaveField } from "../dom.js";
+import { createEditor } from "../editor2d/editor.js";
 import { finality, kindChange, valuesChange } from "./changes.js";
 import { createDisplay } from "./display.js";
 import { createAsk, createStepLoader } from "./draft.js";
-import { createFrames } from "./frames.js";
+import { createFrames, createOrder, createPrefetch } from "./frames.js";
 import { createObjects } from "./objects.js";
-import { createOrder } from "./order.js";
-import { createPrefetch } from "./prefetch.js";
-import { createSaveProblem } from "./save_problem.js";
-import { createSaver } from "./saver.js";
+import { createSaveProblem, createSaver } from "./saver.js";
 import {
   createClassPicker,
   createFrameBar,
@@ -31,20 +28,15 @@ import {
   noFrames,
   reviewHash,
 } from "./side_panel.js";
-import { createSuggester } from "./suggestions.js";
 import { createViewsPane } from "./views_pane.js";
-import { createWholeBoxes } from "./whole_boxes.js";
+import { createSuggester, createWholeBoxes } from "./suggestions.js";
 import { createWork, keepKind, renameClasses } from "./work.js";
 
 const POINT_LIMITS = [0.1, 10];
 const DRAG_WAIT_MS = 300;
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- * @returns {Mounted}
- */
-export function mount(root, app) {
+/** @returns {Mounted} */
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   if (app.state.project.frames === 0) {
     root.append(noFrames(app.state.project.name));
     return { unmount: () => {} };
@@ -191,8 +183,7 @@ export function mount(root, app) {
 
   // -- callbacks
 
-  /** @param {boolean} isSaving */
-  function onBusy(isSaving) {
+  function onBusy(/** @type {boolean} */ isSaving) {
     page.toggleAttribute("data-saving", isSaving);
     problem.show();
     if (isSaving) return;
@@ -207,12 +198,8 @@ export function mount(root, app) {
     show();
   }
 
-  /**
-   * Waits for the end of a drag: an editor shows no new boxes during one.
-   *
-   * @param {Draft} draft
-   */
-  function onSuggested(draft) {
+  /** Waits for the end of a drag: an editor shows no new boxes during one. */
+  function onSuggested(/** @type {Draft} */ draft) {
     if (work.draft !== draft) return;
     show();
     if (views.editors.some((editor) => editor.isDragging)) setTimeout(onSuggested, DRAG_WAIT_MS, draft);
@@ -220,8 +207,7 @@ export function mount(root, app) {
 
   // -- commands
 
-  /** @param {Api.BoxKind} name */
-  function setKind(name) {
+  function setKind(/** @type {Api.BoxKind} */ name) {
     keepKind(name);
     const known = app.state.frame?.image_boxes;
     if (known?.boxes.length && known.box_kind !== name && !work.isReadonly) saver.save(kindChange(name));
@@ -229,8 +215,7 @@ export function mount(root, app) {
     show();
   }
 
-  /** @param {number} digit */
-  function pickClass(digit) {
+  function pickClass(/** @type {number} */ digit) {
     const name = app.state.project.classes[digit - 1];
     if (name) objects.pickClass(name);
   }
@@ -257,16 +242,14 @@ export function mount(root, app) {
     return true;
   }
 
-  /** @param {number} factor */
-  function zoomPoints(factor) {
+  function zoomPoints(/** @type {number} */ factor) {
     work.point_size = Math.min(Math.max(work.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1]);
     show();
   }
 
   void frames.openRoute(app.state.route);
   return {
-    /** @param {Route} route */
-    route: (route) => void frames.openRoute(route),
+    route: (/** @type {Route} */ route) => void frames.openRoute(route),
     flush() {
       leaveField(values);
       return frames.flush();

@@ -4,9 +4,8 @@ import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { objectChange, removal } from "./changes.js";
 import { isFinished } from "./display.js";
-import { demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
+import { createMoves, demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
 import { makeItem, plainBox, sameBox } from "./items.js";
-import { createMoves } from "./moves.js";
 import { openGuesses } from "./work.js";
 
 /** Maximum time that the 3D view waits for the pictures of views. */
@@ -28,22 +27,15 @@ export function createObjects(app, work, parts) {
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
-  /**
-   * Makes an object the current one and fetches its views.
-   *
-   * @param {Item} item
-   */
-  function open(item) {
+  /** Makes an object the current one and fetches its views. */
+  function open(/** @type {Item} */ item) {
     begin(item);
     work.loaded = loadSteps();
     show();
   }
 
-  /**
-   * @param {Item} item
-   * @returns {Draft}
-   */
-  function begin(item) {
+  /** @returns {Draft} */
+  function begin(/** @type {Item} */ item) {
     moves.leave(work.draft);
     const draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
     work.draft = draft;
@@ -51,8 +43,7 @@ export function createObjects(app, work, parts) {
     return draft;
   }
 
-  /** @param {string} uid */
-  function openLabel(uid) {
+  function openLabel(/** @type {string} */ uid) {
     const item = work.items.find((known) => known.uid === uid);
     if (item) open(item);
   }
@@ -101,12 +92,8 @@ export function createObjects(app, work, parts) {
     if (work.draft === draft && draft.changes === changes) work.loaded = loadSteps();
   }
 
-  /**
-   * Shows new views; once they are on the screen, the 3D view and prefetching may begin.
-   *
-   * @param {Draft} draft
-   */
-  async function showViews(draft) {
+  /** Shows new views; once they are on the screen, the 3D view and prefetching may begin. */
+  async function showViews(/** @type {Draft} */ draft) {
     if (draft.item.boxes.every(Boolean)) draft.outline = null;
     const own = {};
     work.coming = own;
@@ -122,20 +109,18 @@ export function createObjects(app, work, parts) {
 
   // -- boxes on the image
 
-  /** @param {number} index */
-  function onImageSelect(index) {
+  function onImageSelect(/** @type {number} */ index) {
     const item = work.items[index];
     work.selected = item ?? null;
     if (item && item !== work.draft?.item) open(item);
   }
 
-  /**
-   * @param {Box2D[]} boxes
-   * @param {EditKind} why
-   * @param {number} index
-   * @param {number} actions
-   */
-  function onImageChange(boxes, why, index, actions) {
+  function onImageChange(
+    /** @type {Box2D[]} */ boxes,
+    /** @type {EditKind} */ why,
+    /** @type {number} */ index,
+    /** @type {number} */ actions,
+  ) {
     app.effort.action(actions);
     if (index >= work.items.length && why !== "draw")
       takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
@@ -144,8 +129,7 @@ export function createObjects(app, work, parts) {
     else changeImageBox(work.items[index], plainBox(boxes[index]));
   }
 
-  /** @param {Item} item */
-  function add(item) {
+  function add(/** @type {Item} */ item) {
     work.items = [...work.items, item];
     work.selected = item;
     if (item.boxes.some(Boolean)) {
@@ -157,20 +141,12 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /**
-   * @param {Item} item
-   * @param {Box2D} box
-   */
-  function takeGuess(item, box) {
+  function takeGuess(/** @type {Item} */ item, /** @type {Box2D} */ box) {
     work.notSaved = work.notSaved.filter((known) => known !== item);
     add({ ...item, uid: null, stored: null, image_box: { ...plainBox(box), score: 1 } });
   }
 
-  /**
-   * @param {Item} item
-   * @param {Box2D} box
-   */
-  function changeImageBox(item, box) {
+  function changeImageBox(/** @type {Item} */ item, /** @type {Box2D} */ box) {
     item.image_box = box;
     const draft = work.draft?.item === item ? work.draft : begin(item);
     if (item.boxes.some(Boolean) || item.uid) followMove(draft);
@@ -178,12 +154,8 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /**
-   * Saves an object whose views have changed, after its boxes were transferred to the new views.
-   *
-   * @param {Draft} draft
-   */
-  function followMove(draft) {
+  /** Saves an object whose views have changed, after its boxes were transferred to the new views. */
+  function followMove(/** @type {Draft} */ draft) {
     const { item } = draft;
     const isWaiting = moves.isWaiting(item);
     if (!isWaiting) moves.start(draft);
@@ -193,12 +165,8 @@ export function createObjects(app, work, parts) {
     else saver.save({ item, make: () => followed(item) });
   }
 
-  /**
-   * The change of an object whose image box was moved, once its boxes are on the new views; null if it is gone.
-   *
-   * @param {Item} item
-   */
-  async function followed(item) {
+  /** The change of an object whose image box was moved, once its boxes are on the new views; null if it is gone. */
+  async function followed(/** @type {Item} */ item) {
     const isThere = await moves.settle(item, (draft) => {
       if (work.draft === draft) work.loaded = loadSteps();
       else void moves.load(draft, false);
@@ -209,12 +177,7 @@ export function createObjects(app, work, parts) {
 
   // -- boxes on the views
 
-  /**
-   * @param {number} index
-   * @param {Box2D} box
-   * @param {number} actions
-   */
-  function setViewBox(index, box, actions) {
+  function setViewBox(/** @type {number} */ index, /** @type {Box2D} */ box, /** @type {number} */ actions) {
     app.effort.action(actions);
     const { draft } = work;
     if (!draft) return;
@@ -244,11 +207,7 @@ export function createObjects(app, work, parts) {
     return true;
   }
 
-  /**
-   * @param {Draft} draft
-   * @param {number[]} indices
-   */
-  function accept({ item, suggestions, suggestion, kept }, indices) {
+  function accept(/** @type {Draft} */ { item, suggestions, suggestion, kept }, /** @type {number[]} */ indices) {
     for (const index of indices) {
       if (suggestions[index] && !item.boxes[index] && !kept[index]) item.suggested[index] = suggestion;
       const box = item.boxes[index] ?? suggestions[index];
@@ -258,11 +217,7 @@ export function createObjects(app, work, parts) {
     }
   }
 
-  /**
-   * @param {number} index
-   * @param {number} actions
-   */
-  function clearViewBox(index, actions) {
+  function clearViewBox(/** @type {number} */ index, /** @type {number} */ actions) {
     app.effort.action(actions);
     const { draft } = work;
     if (!draft) return;
@@ -275,8 +230,7 @@ export function createObjects(app, work, parts) {
 
   // -- the object as a whole
 
-  /** @param {string} name */
-  function pickClass(name) {
+  function pickClass(/** @type {string} */ name) {
     work.label = name;
     const item = work.draft?.item;
     if (item && !work.isReadonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
@@ -288,14 +242,12 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /** @param {Item} item */
-  function remove(item) {
+  function remove(/** @type {Item} */ item) {
     app.effort.action();
     removeItem(item);
   }
 
-  /** @param {Item} item */
-  function removeItem(item) {
+  function removeItem(/** @type {Item} */ item) {
     work.items = work.items.filter((other) => other !== item);
     moves.forget(item);
     if (work.draft?.item === item) close();
@@ -303,12 +255,8 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /**
-   * Saves an object as it is now; while it waits for its views, it is saved when they are loaded.
-   *
-   * @param {Draft} draft
-   */
-  function save(draft) {
+  /** Saves an object as it is now; while it waits for its views, it is saved when they are loaded. */
+  function save(/** @type {Draft} */ draft) {
     draft.changes += 1;
     draft.whole = null;
     suggester.stop();
@@ -318,8 +266,7 @@ export function createObjects(app, work, parts) {
     saver.save(changeOf(draft));
   }
 
-  /** @param {Draft} draft */
-  function changeOf(draft) {
+  function changeOf(/** @type {Draft} */ draft) {
     const { changes } = draft;
     return objectChange(draft, {
       after: work.loaded,
@@ -340,12 +287,8 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /**
-   * The others' version was kept. The dropped change stays visible; a click or Enter saves it.
-   *
-   * @param {FrameChange | LaterChange} options
-   */
-  function onDropped({ item }) {
+  /** The others' version was kept. The dropped change stays visible; a click or Enter saves it. */
+  function onDropped(/** @type {FrameChange | LaterChange} */ { item }) {
     if (!item) return;
     // boxes that have not been transferred yet are not on any view of the moved object
     const boxes = moves.isWaiting(item) ? [] : item.boxes;
@@ -364,8 +307,7 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /** @param {number} direction */
-  function cycle(direction) {
+  function cycle(/** @type {number} */ direction) {
     if (!work.items.length) return false;
     const index = work.draft ? work.items.indexOf(work.draft.item) + direction : direction > 0 ? 0 : -1;
     const item = work.items.at(index % work.items.length);

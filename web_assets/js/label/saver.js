@@ -5,6 +5,7 @@
  * cache.
  */
 
+import { button, h } from "../dom.js";
 import { ApiError, isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
@@ -36,15 +37,13 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     onBusy(false);
   }
 
-  /** @param {Waiting} entry */
-  async function changeOf(entry) {
+  async function changeOf(/** @type {Waiting} */ entry) {
     if (!("make" in entry)) return entry;
     entry.made ??= await entry.make();
     return entry.made;
   }
 
-  /** @param {Waiting} entry */
-  async function send(entry) {
+  async function send(/** @type {Waiting} */ entry) {
     const { frame } = entry;
     /** @type {FrameChange | null} */
     let change = null;
@@ -76,30 +75,21 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   /**
    * The state of a change's frame, which the operator may have left.
    *
-   * @param {number} frame
    * @returns {FrameState | Promise<FrameState>}
    */
-  function stateOf(frame) {
+  function stateOf(/** @type {number} */ frame) {
     const open = app.state.frame;
     return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));
   }
 
-  /**
-   * @param {FrameState} state
-   * @param {number} frame
-   */
-  function take(state, frame) {
+  function take(/** @type {FrameState} */ state, /** @type {number} */ frame) {
     if (app.state.frame?.frame.id !== frame) return;
     app.frames.take(state);
     if (waiting.length === 1) onSaved(currentFrame(app));
   }
 
-  /**
-   * Handles the refusal of a small change.
-   *
-   * @param {ApiError} error
-   */
-  function again(error) {
+  /** Handles the refusal of a small change. */
+  function again(/** @type {ApiError} */ error) {
     if (isStale(error)) {
       app.frames.take(error.body.state);
       return;
@@ -112,11 +102,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   /**
    * Lets the operator choose. "theirs": all waiting changes are dropped, but stay visible. "mine": the change is
    * applied to the others' version and sent again.
-   *
-   * @param {StaleError} error
-   * @param {FrameChange} change
    */
-  async function settle(error, change) {
+  async function settle(/** @type {StaleError} */ error, /** @type {FrameChange} */ change) {
     const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
     const dropped = choice === "theirs" ? waiting.map((entry) => entry.made ?? entry) : [];
     if (choice === "theirs") waiting = [];
@@ -125,12 +112,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   }
 
   return {
-    /**
-     * Queues a change of the open frame.
-     *
-     * @param {FrameChange | LaterChange} change
-     */
-    save(change) {
+    /** Queues a change of the open frame. */
+    save(/** @type {FrameChange | LaterChange} */ change) {
       waiting.push({ ...change, frame: currentFrame(app).frame.id });
       running ??= run();
     },
@@ -176,4 +159,43 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
       while (running) await running;
     },
   };
+}
+
+// -- why a change could not be saved, and what to do
+
+/**
+ * @param {ModeApp} app
+ * @param {Saver} saver
+ * @param {object} listeners
+ * @param {(renamed: Record<string, string>) => void} listeners.onRelabel gives unsaved boxes another class.
+ * @param {() => void} listeners.onDiscard drops what is not saved.
+ */
+export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
+  const root = h("span", { class: "problem", role: "alert", "data-testid": "save-problem" });
+
+  function choice(/** @type {string} */ gone) {
+    const options = app.state.project.classes.map((name) => h("option", {}, name));
+    const select = h(
+      "select",
+      { "aria-label": `Class in place of ${gone}`, "data-testid": "save-as" },
+      h("option", { value: "", disabled: true, selected: true }, "save it as …"),
+      options,
+    );
+    select.addEventListener("change", () => onRelabel({ [gone]: select.value }));
+    return select;
+  }
+
+  function show() {
+    root.replaceChildren();
+    if (!saver.problem) return;
+    const gone = [...saver.labels()].find((label) => !app.state.project.classes.includes(label));
+    root.append(
+      `Not saved: ${saver.problem.message} `,
+      gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
+      " ",
+      button("Discard", onDiscard),
+    );
+  }
+
+  return { root, show };
 }

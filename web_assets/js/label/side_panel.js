@@ -3,7 +3,7 @@
 import { valuesText } from "../attributes.js";
 import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
-import { count, glyph, h, iconButton } from "../dom.js";
+import { button, count, glyph, h, iconButton } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { DRAGS, progressOf } from "./items.js";
@@ -21,37 +21,23 @@ const KINDS = [
   ["box", "Whole object", "Boxes enclose the whole object, hidden parts included."],
 ];
 
-/**
- * Buttons for the classes; the digit keys do the same. The last button changes the classes.
- *
- * @param {ModeApp} app
- * @param {(name: string) => void} onPick
- */
-export function createClassPicker(app, onPick) {
+/** Buttons for the classes; the digit keys do the same. The last button changes the classes. */
+export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: string) => void} */ onPick) {
   const project = app.state.route.project;
   const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class" });
   return {
     root,
-    /** @param {string} current */
-    show(current) {
+    show(/** @type {string} */ current) {
       root.replaceChildren(
         ...app.state.project.classes.map((label, index) => {
           const swatch = h("span", { class: "swatch" });
           swatch.style.background = classColor(app.state.project, label);
           const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
-          return h(
-            "button",
-            {
-              type: "button",
-              role: "radio",
-              "aria-checked": String(label === current),
-              "data-testid": `class-${label}`,
-              onclick: () => onPick(label),
-            },
-            swatch,
-            label,
-            digit,
-          );
+          return button([swatch, label, digit], () => onPick(label), {
+            role: "radio",
+            "aria-checked": String(label === current),
+            "data-testid": `class-${label}`,
+          });
         }),
         iconButton("edit", "Change the classes and attributes", () => editClasses(app, project), {
           "data-testid": "edit-classes",
@@ -61,15 +47,11 @@ export function createClassPicker(app, onPick) {
   };
 }
 
-/**
- * The choice of what boxes on the image and on views enclose, which the detectors learn, too.
- *
- * @param {(kind: Api.BoxKind) => void} onKind
- */
-export function createKindSwitch(onKind) {
+/** The choice of what boxes on the image and on views enclose, which the detectors learn, too. */
+export function createKindSwitch(/** @type {(kind: Api.BoxKind) => void} */ onKind) {
   const help = h("span", { class: "help grow" });
   const buttons = KINDS.map(([kind, text]) =>
-    h("button", { type: "button", role: "radio", "data-testid": `kind-${kind}`, onclick: () => onKind(kind) }, text),
+    button(text, () => onKind(kind), { role: "radio", "data-testid": `kind-${kind}` }),
   );
   return {
     root: h(
@@ -78,11 +60,7 @@ export function createKindSwitch(onKind) {
       h("div", { class: "segments", role: "radiogroup", "aria-label": "What boxes enclose" }, buttons),
       help,
     ),
-    /**
-     * @param {Api.BoxKind} kind
-     * @param {boolean} isReadonly
-     */
-    show(kind, isReadonly) {
+    show(/** @type {Api.BoxKind} */ kind, /** @type {boolean} */ isReadonly) {
       KINDS.forEach(([name, , text], i) => {
         buttons[i].setAttribute("aria-checked", String(name === kind));
         buttons[i].disabled = isReadonly;
@@ -92,13 +70,11 @@ export function createKindSwitch(onKind) {
   };
 }
 
-/**
- * The frame's objects with their progress, and its other 3D boxes.
- *
- * @param {ModeApp} app
- * @param {RowActions} options
- */
-export function createObjectList(app, { onOpen, onDelete, onReview }) {
+/** The frame's objects with their progress, and its other 3D boxes. */
+export function createObjectList(
+  /** @type {ModeApp} */ app,
+  /** @type {RowActions} */ { onOpen, onDelete, onReview },
+) {
   const list = h("ul", { class: "objects", "data-testid": "objects" });
   const total = h("span", { class: "muted number" });
   return {
@@ -108,8 +84,14 @@ export function createObjectList(app, { onOpen, onDelete, onReview }) {
       h("header", {}, h("h2", { class: "grow" }, "Objects"), total),
       list,
     ),
-    /** @param {{ items: Item[], current: Item | null, state: FrameState, isReadonly: boolean }} shown */
-    show({ items, current, state, isReadonly }) {
+    show(
+      /** @type {{ items: Item[], current: Item | null, state: FrameState, isReadonly: boolean }} */ {
+        items,
+        current,
+        state,
+        isReadonly,
+      },
+    ) {
       const drawn = new Set(items.map(({ uid }) => uid).filter(Boolean));
       const others = state.labels.filter(({ uid, state: review }) => !drawn.has(uid) && review !== "rejected");
       total.textContent = items.length ? `${items.filter((item) => item.uid).length} of ${items.length} finished` : "";
@@ -124,14 +106,13 @@ export function createObjectList(app, { onOpen, onDelete, onReview }) {
   };
 }
 
-/**
- * @param {ModeApp} app
- * @param {Item} item
- * @param {boolean} isCurrent
- * @param {boolean} isReadonly
- * @param {Pick<RowActions, "onOpen" | "onDelete">} options
- */
-function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
+function objectRow(
+  /** @type {ModeApp} */ app,
+  /** @type {Item} */ item,
+  /** @type {boolean} */ isCurrent,
+  /** @type {boolean} */ isReadonly,
+  /** @type {Pick<RowActions, "onOpen" | "onDelete">} */ { onOpen, onDelete },
+) {
   const { label } = item.image_box;
   const done = progressOf(item);
   const text = item.uid ? "finished" : `${done} of ${DRAGS} boxes`;
@@ -142,19 +123,19 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
     { class: "dots", "aria-hidden": "true" },
     Array.from({ length: DRAGS }, (_, i) => h("i", { class: i < done ? "on" : "" })),
   );
-  const open = h(
-    "button",
+  const open = button(
+    [
+      swatch,
+      h("span", { class: "grow ellipsis" }, label),
+      dots,
+      h("span", { class: item.uid ? "state-accepted" : "muted" }, text),
+    ],
+    () => onOpen(item),
     {
-      type: "button",
       class: "quiet entry",
       "aria-current": isCurrent ? "true" : null,
       title: item.uid ? "Show its views" : "Continue this object",
-      onclick: () => onOpen(item),
     },
-    swatch,
-    h("span", { class: "grow ellipsis" }, label),
-    dots,
-    h("span", { class: item.uid ? "state-accepted" : "muted" }, text),
   );
   const remove = iconButton("trash", `Delete this ${label}`, () => onDelete(item), { disabled: isReadonly });
   return h(
@@ -165,30 +146,28 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
   );
 }
 
-/**
- * @param {ModeApp} app
- * @param {Api.LabelJson} label
- */
-const labelTitle = (app, label) => ["Open in Review", valuesText(app, label)].filter(Boolean).join("\n");
+const labelTitle = (/** @type {ModeApp} */ app, /** @type {Api.LabelJson} */ label) =>
+  ["Open in Review", valuesText(app, label)].filter(Boolean).join("\n");
 
-/**
- * @param {ModeApp} app
- * @param {Api.LabelJson} label
- * @param {(uid: string) => void} onReview
- */
-function labelRow(app, label, onReview) {
+function labelRow(
+  /** @type {ModeApp} */ app,
+  /** @type {Api.LabelJson} */ label,
+  /** @type {(uid: string) => void} */ onReview,
+) {
   const swatch = h("span", { class: "swatch" });
   swatch.style.background = classColor(app.state.project, label.label);
   const score = label.state === "proposed" && label.score !== null ? ` ${label.score.toFixed(2)}` : "";
   return h(
     "li",
     {},
-    h(
-      "button",
-      { type: "button", class: "quiet entry", title: labelTitle(app, label), onclick: () => onReview(label.uid) },
-      swatch,
-      h("span", { class: "grow ellipsis" }, label.label),
-      h("span", { class: `state-${label.state}` }, label.state + score),
+    button(
+      [
+        swatch,
+        h("span", { class: "grow ellipsis" }, label.label),
+        h("span", { class: `state-${label.state}` }, label.state + score),
+      ],
+      () => onReview(label.uid),
+      { class: "quiet entry", title: labelTitle(app, label) },
     ),
   );
 }
@@ -216,7 +195,7 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
     h("option", { value: "time" }, "In time order"),
   );
   const note = h("span", { class: "muted grow ellipsis" });
-  const finalise = h("button", { type: "button", hidden: true, "data-testid": "finalise", onclick: onFinalise });
+  const finalise = button([], onFinalise, { hidden: true, "data-testid": "finalise" });
   const root = h(
     "footer",
     { class: "panel frame-bar" },
@@ -224,28 +203,23 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
     h(
       "div",
       { class: "row" },
-      h(
-        "button",
-        { type: "button", title: "Previous frame", onclick: onPrevious, "data-testid": "previous-frame" },
-        glyph("previous"),
-        h("kbd", {}, "P"),
-        h("span", { class: "visually-hidden" }, "Previous frame"),
+      button(
+        [glyph("previous"), h("kbd", {}, "P"), h("span", { class: "visually-hidden" }, "Previous frame")],
+        onPrevious,
+        { title: "Previous frame", "data-testid": "previous-frame" },
       ),
-      h(
-        "button",
-        { type: "button", class: "primary", title: "Next frame", onclick: onNext, "data-testid": "next-frame" },
-        "Next ",
-        h("kbd", {}, "N"),
-        glyph("next"),
-      ),
+      button(["Next ", h("kbd", {}, "N"), glyph("next")], onNext, {
+        class: "primary",
+        title: "Next frame",
+        "data-testid": "next-frame",
+      }),
       h("span", { class: "grow" }),
       finalise,
     ),
   );
   return {
     root,
-    /** @param {FrameState} state */
-    show(state) {
+    show(/** @type {FrameState} */ state) {
       select.value = order.by;
       const left = order.by === "teach" ? order.remaining : null;
       note.textContent = left === null ? "" : `${left} left`;
@@ -262,12 +236,8 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
   };
 }
 
-/**
- * What to do if a project has no frames.
- *
- * @param {string} project
- */
-export function noFrames(project) {
+/** What to do if a project has no frames. */
+export function noFrames(/** @type {string} */ project) {
   return h(
     "div",
     { class: "empty", "data-testid": "no-frames" },
@@ -277,10 +247,6 @@ export function noFrames(project) {
   );
 }
 
-/**
- * @param {ModeApp} app
- * @param {string} uid
- */
-export function reviewHash(app, uid) {
+export function reviewHash(/** @type {ModeApp} */ app, /** @type {string} */ uid) {
   return makeHash(app.state.route.project, "review", currentFrame(app).frame.id, { uid });
 }

@@ -1,6 +1,110 @@
-/** The detectors' suggestions: problems with them, waiting for a detector that is being loaded, boxes on the image. */
+/**
+ * Whole boxes: once an object's visible part is drawn, the server offers boxes that the whole object may have. One of
+ * them is shown dashed; Enter confirms it, another key shows the next one.
+ */
 
+import { isAborted } from "../errors.js";
 import { takeSteps } from "./draft.js";
+import { plainBox } from "./items.js";
+
+/** Enter confirms a box only after this time on the screen: before it, the key was meant for something else. */
+const SEEN_MS = 300;
+
+/**
+ * @param {ModeApp} app
+ * @param {Work} work
+ * @param {object} parts
+ * @param {Saver} parts.saver
+ * @param {() => void} parts.onOffered called when boxes are offered, or another one is shown.
+ */
+export function createWholeBoxes(app, work, { saver, onOffered }) {
+  /** @type {AbortController | null} */
+  let request = null;
+
+  /** The label of a draft's object, if its box encloses only what is seen. */
+  function seenLabel(/** @type {Draft} */ { item }) {
+    if (work.isReadonly || !item.boxes.every(Boolean)) return null;
+    const label = app.state.frame?.labels.find(({ uid }) => uid === item.uid);
+    return label?.box_kind === "silhouette" && label.state !== "rejected" ? label : null;
+  }
+
+  /** Asks for the whole boxes of an object, unless they are known already; `stop` or another call ends that. */
+  async function follow(/** @type {Draft} */ draft) {
+    stop();
+    const own = new AbortController();
+    request = own;
+    try {
+      await saver.idle();
+      if (own.signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
+      const { changes } = draft;
+      const path = app.path("frames", draft.frame, "label", "whole");
+      /** @type {Api.WholeOut} */
+      const { boxes } = await app.api.post(
+        path,
+        { image_box: plainBox(draft.item.image_box) },
+        { signal: own.signal },
+      );
+      if (own.signal.aborted || draft.changes !== changes) return;
+      draft.whole = { boxes, shown: 0, changes, since: performance.now() };
+      onOffered();
+    } catch (error) {
+      // the object is labelled without it
+      if (!isAborted(error)) app.toast(error);
+    } finally {
+      if (request === own) request = null;
+    }
+  }
+
+  function stop() {
+    request?.abort();
+    request = null;
+  }
+
+  /** The box that is offered for the current object; null if there is none. */
+  function offered() {
+    const { draft } = work;
+    const whole = draft?.whole;
+    if (!draft || !whole || whole.changes !== draft.changes || !seenLabel(draft)) return null;
+    return whole.boxes[whole.shown] ?? null;
+  }
+
+  /** Shows the next of the offered boxes; false if there is no other one. */
+  function next() {
+    const whole = work.draft?.whole;
+    if (!offered() || !whole || whole.boxes.length < 2) return false;
+    app.effort.action();
+    whole.shown = (whole.shown + 1) % whole.boxes.length;
+    onOffered();
+    return true;
+  }
+
+  /** Confirms the offered box; false if there is none, or not long enough to be seen. */
+  function confirm() {
+    const { draft } = work;
+    const whole = offered();
+    const label = draft && seenLabel(draft);
+    if (!draft?.whole || !whole || !label || performance.now() - draft.whole.since < SEEN_MS) return false;
+    app.effort.action();
+    draft.whole = null;
+    const { uid, label: name, track_id } = label;
+    const { box, outline } = whole;
+    saver.save({
+      path: ["changes"],
+      item: draft.item,
+      body: () => ({
+        subject: uid,
+        changes: [{ kind: "edit", uid, label: name, box, track_id, box_kind: "box" }],
+      }),
+      mine: () => ({ text: [`${name}: its whole box`], boxes: [], outlines: [outline] }),
+    });
+    onOffered();
+    return true;
+  }
+
+  return { follow, stop, offered, next, confirm };
+}
+
+// -- the detectors' suggestions: problems with them, waiting for a detector that is loaded, boxes on the image
 
 const LOADING_WAIT_MS = 1500;
 /**
@@ -20,11 +124,7 @@ export function createSuggester(app, { ask, onSuggested }) {
   /** @type {AbortController | null} */
   let request = null;
 
-  /**
-   * @param {Api.DetectorKind} role
-   * @param {string | null | undefined} problem
-   */
-  function report(role, problem) {
+  function report(/** @type {Api.DetectorKind} */ role, /** @type {string | null | undefined} */ problem) {
     const key = `${app.state.route.project}: ${problem}`;
     if (!problem || reported.has(key)) return;
     reported.add(key);
@@ -39,10 +139,8 @@ export function createSuggester(app, { ask, onSuggested }) {
   /**
    * While the detector is being loaded, asks again for the suggestions of a draft. Any change of the draft, another
    * call, or `stop` ends that.
-   *
-   * @param {Draft} draft
    */
-  async function follow(draft) {
+  async function follow(/** @type {Draft} */ draft) {
     stop();
     report("view", draft.problem);
     const own = new AbortController();
@@ -67,12 +165,8 @@ export function createSuggester(app, { ask, onSuggested }) {
     }
   }
 
-  /**
-   * The boxes that the image detector finds on a frame.
-   *
-   * @param {number} frame
-   */
-  async function onImage(frame) {
+  /** The boxes that the image detector finds on a frame. */
+  async function onImage(/** @type {number} */ frame) {
     /** @type {Api.SuggestionsOut} */
     const { boxes, problem } = await app.api.get(app.path("frames", frame, "label", "suggestions"));
     report("image", problem);

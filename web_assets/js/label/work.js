@@ -6,11 +6,8 @@ const KIND_KEPT = "box-kind";
 /** IoU above which a detected box and a drawn one are the same object. */
 const SAME_OBJECT = 0.4;
 
-/**
- * @param {ModeApp} app
- * @returns {Work}
- */
-export function createWork(app) {
+/** @returns {Work} */
+export function createWork(/** @type {ModeApp} */ app) {
   return {
     items: [],
     draft: null,
@@ -55,18 +52,16 @@ export function renameClasses(work, renamed) {
   if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
 }
 
-/** @param {Api.BoxKind} kind */
-export function keepKind(kind) {
+export function keepKind(/** @type {Api.BoxKind} */ kind) {
   localStorage.setItem(KIND_KEPT, kind);
 }
 
 /**
  * Dashed boxes on the image: this page's unsaved boxes, and detected ones at places where nothing is drawn.
  *
- * @param {Work} work
  * @returns {Guess[]}
  */
-export function openGuesses({ isReadonly, items, notSaved, detections }) {
+export function openGuesses(/** @type {Work} */ { isReadonly, items, notSaved, detections }) {
   if (isReadonly) return [];
   const unsaved = notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
   const suggested = detections.filter((box) => !items.some((item) => overlap(item.image_box, box) > SAME_OBJECT));

@@ -1,6 +1,6 @@
 /** The row of buttons under the pictures, which do the same as the keys. */
 
-import { h, iconButton } from "../dom.js";
+import { button, h, iconButton } from "../dom.js";
 
 /**
  * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "follow" | "draw" | "finalise",
@@ -19,44 +19,35 @@ const GIZMOS = [
  * @param {Act} act what each button does.
  */
 export function createActions(host, act) {
-  /**
-   * @param {Exclude<keyof Act, "gizmo" | "remove">} id
-   * @param {string} text
-   * @param {string} key
-   * @param {string} [kind]
-   */
-  const button = (id, text, key, kind = "") =>
-    h(
-      "button",
-      { type: "button", class: kind, title: `${text} (${key})`, "data-testid": `act-${id}`, onclick: () => act[id]() },
-      text,
-      h("kbd", {}, key),
-    );
-  const accept = button("accept", "Accept", "Space", "primary");
-  const reject = button("reject", "Reject", "X");
-  const refit = button("refit", "Fit again", "G");
-  const flip = button("flip", "Turn 90°", "F");
-  const copy = button("copy", "Copy previous", "C");
-  const follow = button("follow", "Follow", "V");
-  const draw = button("draw", "New box", "B");
+  const action = (
+    /** @type {Exclude<keyof Act, "gizmo" | "remove">} */ id,
+    /** @type {string} */ text,
+    /** @type {string} */ key,
+    /** @type {string} */ kind = "",
+  ) =>
+    button([text, h("kbd", {}, key)], () => act[id](), {
+      class: kind,
+      title: `${text} (${key})`,
+      "data-testid": `act-${id}`,
+    });
+  const accept = action("accept", "Accept", "Space", "primary");
+  const reject = action("reject", "Reject", "X");
+  const refit = action("refit", "Fit again", "G");
+  const flip = action("flip", "Turn 90°", "F");
+  const copy = action("copy", "Copy previous", "C");
+  const follow = action("follow", "Follow", "V");
+  const draw = action("draw", "New box", "B");
   const remove = iconButton("trash", "Delete the box (Del)", () => act.remove(), { "data-testid": "act-delete" });
-  const finalise = h("button", { type: "button", "data-testid": "act-finalise", onclick: () => act.finalise() });
+  const finalise = button([], () => act.finalise(), { "data-testid": "act-finalise" });
   const gizmo = h(
     "div",
     { class: "segments", role: "group", "aria-label": "Gizmo in the 3D view" },
     GIZMOS.map(([mode, text, key]) =>
-      h(
-        "button",
-        {
-          type: "button",
-          "data-mode": mode,
-          title: `Gizmo: ${text.toLowerCase()} (${key})`,
-          "data-testid": `gizmo-${mode}`,
-          onclick: () => act.gizmo(mode),
-        },
-        text,
-        h("kbd", {}, key),
-      ),
+      button([text, h("kbd", {}, key)], () => act.gizmo(mode), {
+        "data-mode": mode,
+        title: `Gizmo: ${text.toLowerCase()} (${key})`,
+        "data-testid": `gizmo-${mode}`,
+      }),
     ),
   );
   host.replaceChildren(

@@ -23,8 +23,7 @@ import { copiedText } from "./tracks.js";
 export function createCommands(app, { desk, queue, opening, follow, image, ortho, root }) {
   const { project } = app.state.route;
 
-  /** @param {number} by */
-  function stepBox(by) {
+  function stepBox(/** @type {number} */ by) {
     const uids = desk.labels().map(({ uid }) => uid);
     if (uids.length === 0) return;
     const at = uids.indexOf(desk.uid ?? "");
@@ -36,11 +35,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    * to another frame. Otherwise the most doubtful open box of the frame, or none: to go on to the queue from there,
    * accept a box that is reviewed already.
    *
-   * @param {"accept" | "reject" | "delete"} kind
-   * @param {PageLabel} label
    * @returns {Target | null}
    */
-  function nextAfter(kind, label) {
+  function nextAfter(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {PageLabel} */ label) {
     const { id: frame } = currentFrame(app).frame;
     const next = queue.after(label.uid);
     const isRemoved = kind === "delete" || (kind === "reject" && label.isNew);
@@ -60,10 +57,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   /**
    * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting. A new
    * box stays selected when it is accepted, since the next step is often to follow it.
-   *
-   * @param {"accept" | "reject" | "delete"} kind
    */
-  async function decide(kind) {
+  async function decide(/** @type {"accept" | "reject" | "delete"} */ kind) {
     const label = desk.shown;
     if (opening.loading || !app.state.frame) return;
     if (!label) return kind === "accept" ? goOn() : undefined;
@@ -86,14 +81,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     else if (!next && kind !== "accept") opening.pick(null);
   }
 
-  /** @param {PageLabel} label */
-  const isReviewed = ({ state }) => state === "accepted" || state === "edited";
+  const isReviewed = (/** @type {PageLabel} */ { state }) => state === "accepted" || state === "edited";
 
-  /**
-   * @param {"accept" | "reject" | "delete"} kind
-   * @param {PageLabel} label
-   */
-  async function save(kind, label) {
+  async function save(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {PageLabel} */ label) {
     // a new box is stored together with its draft
     if (kind === "accept" && desk.hasDraft && !label.isNew) {
       const isSaved = await desk.commit();
@@ -141,15 +131,10 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     }
   }
 
-  /**
-   * Runs an action unless a frame is being opened.
-   *
-   * @param {() => unknown} fn
-   */
-  const whenCalm = (fn) => (opening.loading ? undefined : void fn());
+  /** Runs an action unless a frame is being opened. */
+  const whenCalm = (/** @type {() => unknown} */ fn) => (opening.loading ? undefined : void fn());
 
-  /** @param {"forward" | "backward"} direction */
-  const followOne = (direction) =>
+  const followOne = (/** @type {"forward" | "backward"} */ direction) =>
     whenCalm(async () => {
       // a new box is right when it is followed: it was just drawn
       if (desk.shown?.isNew && !(await desk.decide("accept", desk.shown.uid))) return;
@@ -158,18 +143,15 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
     });
 
-  /** @param {"forward" | "backward"} direction */
-  const followAll = (direction) => whenCalm(() => follow.start(direction, null));
+  const followAll = (/** @type {"forward" | "backward"} */ direction) => whenCalm(() => follow.start(direction, null));
 
   const canDraw = () => app.state.frame !== null && !opening.loading && !app.state.frame.frame.finalised;
 
   /**
    * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label, unless
    * it has too few points for views to draw on.
-   *
-   * @param {Box2D} box
    */
-  async function fitDrawn(box) {
+  async function fitDrawn(/** @type {Box2D} */ box) {
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
@@ -230,8 +212,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }
 
-  /** @param {string} key */
-  function setClass(key) {
+  function setClass(/** @type {string} */ key) {
     const name = app.state.project.classes[Number(key) - 1];
     if (!name || image.setClass(name)) return;
     if (desk.shown && desk.shown.label !== name) void desk.edit({ label: name });

@@ -12,18 +12,12 @@ import { copyBox, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
 import { isStale, isTrackTaken, messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { resolveStale } from "./stale.js";
-import { chooseBox } from "./which_stays.js";
+import { chooseBox, resolveStale } from "./stale.js";
 
-/**
- * True if a label has not been reviewed yet.
- *
- * @param {{ state: Api.ReviewState }} label
- */
-export const isOpen = (label) => label.state === "proposed";
+/** True if a label has not been reviewed yet. */
+export const isOpen = (/** @type {{ state: Api.ReviewState }} */ label) => label.state === "proposed";
 
-/** @param {App} app */
-export function createDesk(app) {
+export function createDesk(/** @type {App} */ app) {
   /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
   /**
@@ -55,8 +49,7 @@ export function createDesk(app) {
   /** @type {Promise<unknown>} */
   let chain = Promise.resolve();
 
-  /** @param {DeskEvent} what */
-  function notify(what) {
+  function notify(/** @type {DeskEvent} */ what) {
     for (const fn of listeners) fn(what);
   }
 
@@ -81,13 +74,8 @@ export function createDesk(app) {
     return done;
   }
 
-  /**
-   * Sends changes of the open frame; resolves to null if they are saved, else to the problem.
-   *
-   * @param {Change[]} changes
-   * @param {string | null} subject
-   */
-  function send(changes, subject) {
+  /** Sends changes of the open frame; resolves to null if they are saved, else to the problem. */
+  function send(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
     const { id } = currentFrame(app).frame;
     return enqueue(async () => {
       try {
@@ -100,12 +88,11 @@ export function createDesk(app) {
     });
   }
 
-  /**
-   * @param {number} id
-   * @param {Change[]} changes
-   * @param {string | null} subject
-   */
-  async function post(id, changes, subject) {
+  async function post(
+    /** @type {number} */ id,
+    /** @type {Change[]} */ changes,
+    /** @type {string | null} */ subject,
+  ) {
     const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
       app.frames.take(await app.api.change(app.path("frames", id, "changes"), body));
@@ -148,19 +135,14 @@ export function createDesk(app) {
     if (draft && !draft.problem && draft.sending !== draft.wanted) void commit();
   }
 
-  /** @param {string | null} id */
-  function select(id) {
+  function select(/** @type {string | null} */ id) {
     if (id === uid) return;
     keep();
     uid = id;
     notify("selection");
   }
 
-  /**
-   * @param {PageLabel} label
-   * @param {Wanted} wanted
-   */
-  const isChanged = (label, wanted) =>
+  const isChanged = (/** @type {PageLabel} */ label, /** @type {Wanted} */ wanted) =>
     label.label !== wanted.label || label.track_id !== wanted.track_id || !sameBox(label.box, wanted.box);
 
   /** Saves the selected box's draft, if there is one, as one edit that took this many actions. */
@@ -173,13 +155,8 @@ export function createDesk(app) {
     return save(uid, draft);
   }
 
-  /**
-   * Applies the draft of a new box, which only this page has.
-   *
-   * @param {string | null} id
-   * @param {number} actions
-   */
-  function applyDraft(id, actions) {
+  /** Applies the draft of a new box, which only this page has. */
+  function applyDraft(/** @type {string | null} */ id, /** @type {number} */ actions) {
     const entry = added.get(id);
     if (!entry) return true;
     entry.label = seen(entry.label);
@@ -189,24 +166,15 @@ export function createDesk(app) {
     return true;
   }
 
-  /**
-   * Accepts a new box, which stores it. It is stored once, even if it is accepted again before the answer.
-   *
-   * @param {string | null} id
-   * @param {NewLabel} entry
-   */
-  function create(id, entry) {
+  /** Accepts a new box, which stores it. It is stored once, even if it is accepted again before the answer. */
+  function create(/** @type {string | null} */ id, /** @type {NewLabel} */ entry) {
     entry.sending ??= storeNew(id, entry).finally(() => {
       entry.sending = null;
     });
     return entry.sending;
   }
 
-  /**
-   * @param {string | null} id
-   * @param {NewLabel} entry
-   */
-  async function storeNew(id, entry) {
+  async function storeNew(/** @type {string | null} */ id, /** @type {NewLabel} */ entry) {
     // completes an edit by arrow keys that were pressed just before
     if (uid === id) for (const fn of leaving) fn();
     applyDraft(id, 1);
@@ -226,8 +194,7 @@ export function createDesk(app) {
     return !error;
   }
 
-  /** @param {string | null} id */
-  function remove(id) {
+  function remove(/** @type {string | null} */ id) {
     added.delete(id);
     drafts.delete(id);
     if (uid === id) uid = null;
@@ -235,20 +202,12 @@ export function createDesk(app) {
     return true;
   }
 
-  /**
-   * @param {string | null} id
-   * @param {LabelDraft} draft
-   */
-  function save(id, draft) {
+  function save(/** @type {string | null} */ id, /** @type {LabelDraft} */ draft) {
     draft.sent = sendDraft(id ?? "", draft);
     return draft.sent;
   }
 
-  /**
-   * @param {string} id
-   * @param {LabelDraft} draft
-   */
-  async function sendDraft(id, draft) {
+  async function sendDraft(/** @type {string} */ id, /** @type {LabelDraft} */ draft) {
     const wanted = draft.wanted;
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
@@ -268,15 +227,13 @@ export function createDesk(app) {
     return !error;
   }
 
-  /** @param {string | null} [id] */
-  function revert(id = uid) {
+  function revert(/** @type {string | null} */ id = uid) {
     if (added.has(id) && !drafts.has(id)) remove(id);
     drafts.delete(id);
     notify("draft");
   }
 
-  /** @param {string | null} id */
-  function retry(id) {
+  function retry(/** @type {string | null} */ id) {
     const [entry, draft] = [added.get(id), drafts.get(id)];
     if (entry) return create(id, entry);
     return draft ? save(id, draft) : Promise.resolve(true);
@@ -285,10 +242,9 @@ export function createDesk(app) {
   /**
    * A label as shown: with its draft's box, class and track.
    *
-   * @param {PageLabel} label
    * @returns {PageLabel}
    */
-  function seen(label) {
+  function seen(/** @type {PageLabel} */ label) {
     const draft = drafts.get(label.uid);
     return draft ? { ...label, ...draft.wanted } : label;
   }
@@ -313,14 +269,9 @@ export function createDesk(app) {
       return label && seen(label);
     },
 
-    /**
-     * A stored box as it was before it was corrected on this page, or null.
-     *
-     * @param {string} id
-     */
-    formerBox: (id) => former.get(id) ?? null,
-    /** @param {string} id */
-    isDraft: (id) => drafts.has(id),
+    /** A stored box as it was before it was corrected on this page, or null. */
+    formerBox: (/** @type {string} */ id) => former.get(id) ?? null,
+    isDraft: (/** @type {string} */ id) => drafts.has(id),
     /** The reason why a label could not be saved, or null. */
     problemOf: (id = uid) => drafts.get(id)?.problem ?? added.get(id)?.problem ?? null,
 
@@ -367,34 +318,22 @@ export function createDesk(app) {
       return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },
 
-    /**
-     * Calls `fn(what)` after changes. Returns a function that removes this listener.
-     *
-     * @param {(what: DeskEvent) => unknown} fn
-     */
-    on(fn) {
+    /** Calls `fn(what)` after changes. Returns a function that removes this listener. */
+    on(/** @type {(what: DeskEvent) => unknown} */ fn) {
       listeners.add(fn);
       return () => listeners.delete(fn);
     },
 
     select,
-    /**
-     * Adds a function that ends an edit in progress of the selected box, called before another box is selected.
-     *
-     * @param {() => void} fn
-     */
-    onLeave(fn) {
+    /** Adds a function that ends an edit in progress of the selected box, called before another box is selected. */
+    onLeave(/** @type {() => void} */ fn) {
       leaving.add(fn);
     },
     settle,
     enqueue,
 
-    /**
-     * Shows the selected label with other values, without saving them.
-     *
-     * @param {Partial<Wanted>} changes
-     */
-    preview(changes) {
+    /** Shows the selected label with other values, without saving them. */
+    preview(/** @type {Partial<Wanted>} */ changes) {
       const label = stored();
       if (!label) return;
       const draft = drafts.get(uid) ?? {
@@ -411,12 +350,8 @@ export function createDesk(app) {
     commit,
     revert,
 
-    /**
-     * Shows the selected label with other values, and saves them.
-     *
-     * @param {Partial<Wanted>} changes
-     */
-    edit(changes) {
+    /** Shows the selected label with other values, and saves them. */
+    edit(/** @type {Partial<Wanted>} */ changes) {
       this.preview(changes);
       return commit();
     },
@@ -430,13 +365,8 @@ export function createDesk(app) {
       notify("frame");
     },
 
-    /**
-     * Accepts, rejects or deletes a label.
-     *
-     * @param {"accept" | "reject" | "delete"} kind
-     * @param {string} id
-     */
-    async decide(kind, id) {
+    /** Accepts, rejects or deletes a label. */
+    async decide(/** @type {"accept" | "reject" | "delete"} */ kind, /** @type {string} */ id) {
       const entry = added.get(id);
       if (entry) return kind === "accept" ? create(id, entry) : remove(id);
       app.effort.action();
@@ -461,23 +391,17 @@ export function createDesk(app) {
       );
     },
 
-    /**
-     * Finalises the frame, or reopens it.
-     *
-     * @param {boolean} on
-     */
-    async finalise(on) {
+    /** Finalises the frame, or reopens it. */
+    async finalise(/** @type {boolean} */ on) {
       app.effort.action();
       return !(await send([{ kind: on ? "finalise" : "reopen" }], null));
     },
 
-    /**
-     * Sets values of attributes of a label, or (null) of the frame.
-     *
-     * @param {string | null} id
-     * @param {Record<string, string | number | boolean | null>} values
-     */
-    setValues(id, values) {
+    /** Sets values of attributes of a label, or (null) of the frame. */
+    setValues(
+      /** @type {string | null} */ id,
+      /** @type {Record<string, string | number | boolean | null>} */ values,
+    ) {
       const { id: frame } = currentFrame(app).frame;
       app.effort.action();
       return enqueue(async () => {

@@ -12,23 +12,14 @@ export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: 
 /** Characters of the values at a box on the image. */
 const MOST_VALUES = 40;
 
-/**
- * A short name for a label: its class with its track id, or with the beginning of its uid.
- *
- * @param {PageLabel} label
- */
-export function shortName(label) {
+/** A short name for a label: its class with its track id, or with the beginning of its uid. */
+export function shortName(/** @type {PageLabel} */ label) {
   const id = label.track_id !== null ? `#${label.track_id}` : label.isNew ? "new" : label.uid.slice(0, 4);
   return `${label.label} ${id}`;
 }
 
-/**
- * What is written at the selected box: also its state, and the values of its attributes as far as they are short.
- *
- * @param {PageLabel} label
- * @param {string} values
- */
-function selectedTag(label, values) {
+/** What is written at the selected box: also its state, and the values of its attributes as far as they are short. */
+function selectedTag(/** @type {PageLabel} */ label, /** @type {string} */ values) {
   const shown = values.length > MOST_VALUES ? `${values.slice(0, MOST_VALUES - 1)}…` : values;
   return [shortName(label), label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
 }
@@ -46,4 +37,18 @@ export function imageOverlay(camera, label, { selected, box, color = STATE_COLOR
   const tag = selected ? selectedTag(label, values) : shortName(label);
   const heading = imageHeading(camera, box ?? label.box);
   return { id: label.uid, segments, heading, color, dash: label.state === "rejected", strong: selected, tag };
+}
+
+// -- objects that another camera of the rig has: they cannot be selected
+
+const COLOR = "#c3a6ff";
+
+/** @returns {Overlay[]} */
+export function otherOverlays(/** @type {Api.OtherLabelJson[]} */ others) {
+  return others.map(({ label, track_id, camera, outline }) => ({
+    segments: outline,
+    color: COLOR,
+    dash: true,
+    tag: `${label}${track_id === null ? "" : ` #${track_id}`} · ${camera}`,
+  }));
 }

@@ -1,7 +1,7 @@
 /** The selected box as numbers: centre and size in metres, angles in degrees, class and track; and facts about it. */
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
-import { count, h, leaveField } from "../dom.js";
+import { button, count, h, leaveField } from "../dom.js";
 import { OWN } from "./queue.js";
 
 const CENTER = [
@@ -21,12 +21,11 @@ const ANGLES = [
   ["roll", "about the heading"],
 ];
 
-/**
- * @param {HTMLElement} host
- * @param {Desk} desk
- * @param {{ classes: () => string[], up: () => Vector | null }} options
- */
-export function createFields(host, desk, { classes, up }) {
+export function createFields(
+  /** @type {HTMLElement} */ host,
+  /** @type {Desk} */ desk,
+  /** @type {{ classes: () => string[], up: () => Vector | null }} */ { classes, up },
+) {
   /** @type {Record<string, HTMLInputElement>} */
   const inputs = {};
   /**
@@ -55,15 +54,14 @@ export function createFields(host, desk, { classes, up }) {
   );
   host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, nothing, form);
 
-  /**
-   * @param {string} name
-   * @param {string} label
-   * @param {string} help
-   * @param {string} unit
-   * @param {number} step
-   * @param {(value: number) => void} change
-   */
-  function number(name, label, help, unit, step, change) {
+  function number(
+    /** @type {string} */ name,
+    /** @type {string} */ label,
+    /** @type {string} */ help,
+    /** @type {string} */ unit,
+    /** @type {number} */ step,
+    /** @type {(value: number) => void} */ change,
+  ) {
     /** @type {HTMLInputElement} */
     const input = h("input", {
       type: "number",
@@ -89,8 +87,7 @@ export function createFields(host, desk, { classes, up }) {
   }
 
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
-  /** @param {HTMLInputElement} input */
-  function leave(input) {
+  function leave(/** @type {HTMLInputElement} */ input) {
     if (!Number.isFinite(input.valueAsNumber)) return abandon();
     typed = null;
     void desk.commit();
@@ -103,16 +100,11 @@ export function createFields(host, desk, { classes, up }) {
     else show();
   }
 
-  /** @param {(box: Box3D) => Box3D} change */
-  function setBox(change) {
+  function setBox(/** @type {(box: Box3D) => Box3D} */ change) {
     if (desk.shown) desk.preview({ box: change(copyBox(desk.shown.box)) });
   }
-  /**
-   * @param {number[]} list
-   * @param {number} i
-   * @param {number} value
-   */
-  const place = (list, i, value) => list.map((old, k) => (k === i ? value : old));
+  const place = (/** @type {number[]} */ list, /** @type {number} */ i, /** @type {number} */ value) =>
+    list.map((old, k) => (k === i ? value : old));
   const choice = h("select", {
     "aria-label": "Class",
     "data-testid": "field-class",
@@ -198,14 +190,8 @@ export function createFields(host, desk, { classes, up }) {
     choice.value = value;
   }
 
-  /**
-   * Shows a number, but not in the field that is being typed in.
-   *
-   * @param {string} name
-   * @param {number} value
-   * @param {number} digits
-   */
-  function put(name, value, digits) {
+  /** Shows a number, but not in the field that is being typed in. */
+  function put(/** @type {string} */ name, /** @type {number} */ value, /** @type {number} */ digits) {
     // -0.0 is 0
     const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
     if (inputs[name] !== typed && inputs[name].value !== text) inputs[name].value = text;
@@ -220,24 +206,8 @@ export function createFields(host, desk, { classes, up }) {
       h(
         "div",
         { class: "row" },
-        h(
-          "button",
-          {
-            type: "button",
-            onclick: () => void desk.retry(),
-            "data-testid": "draft-retry",
-          },
-          "Try again",
-        ),
-        h(
-          "button",
-          {
-            type: "button",
-            onclick: () => desk.revert(),
-            "data-testid": "draft-discard",
-          },
-          "Discard",
-        ),
+        button("Try again", () => void desk.retry(), { "data-testid": "draft-retry" }),
+        button("Discard", () => desk.revert(), { "data-testid": "draft-discard" }),
       ),
     );
   }
@@ -273,19 +243,14 @@ export function createFields(host, desk, { classes, up }) {
   return { show, fill, attributes };
 }
 
-/**
- * @param {string} name
- * @param {Node[]} fields
- */
-function group(name, fields) {
+function group(/** @type {string} */ name, /** @type {Node[]} */ fields) {
   return h("fieldset", {}, h("legend", {}, name), fields);
 }
 
-/** @param {number | null | undefined} value */
-const percent = (value) => (value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`);
+const percent = (/** @type {number | null | undefined} */ value) =>
+  value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`;
 
-/** @param {PageLabel} label */
-function describe(label) {
+function describe(/** @type {PageLabel} */ label) {
   const rows = [
     ["Points", label.points.toLocaleString("en"), "in the stored box"],
     ["Score", label.score === null ? "–" : label.score.toFixed(2), scorer(label)],
@@ -320,32 +285,20 @@ function describe(label) {
   return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
 }
 
-/**
- * Whose score a label has: of several sources, that of the shown box.
- *
- * @param {PageLabel} label
- */
-function scorer({ score, source, said }) {
+/** Whose score a label has: of several sources, that of the shown box. */
+function scorer(/** @type {PageLabel} */ { score, source, said }) {
   const by = said.find((each) => each.score === score)?.source;
   if (by !== undefined && by !== OWN) return `of ${by}`;
   return by === undefined && source === "imported" ? "as in the imported file" : "of both detectors together";
 }
 
-/**
- * What one source says of an object, such as "mine: car 0.82".
- *
- * @param {Api.SaidJson} said
- */
-function words({ source, label, score }) {
+/** What one source says of an object, such as "mine: car 0.82". */
+function words(/** @type {Api.SaidJson} */ { source, label, score }) {
   return `${source}: ${label}${score === null ? "" : ` ${score.toFixed(2)}`}`;
 }
 
-/**
- * The counts of labels by state, such as "3 proposed, 1 accepted".
- *
- * @param {PageLabel[]} labels
- */
-export function summary(labels) {
+/** The counts of labels by state, such as "3 proposed, 1 accepted". */
+export function summary(/** @type {PageLabel[]} */ labels) {
   const states = ["proposed", "accepted", "edited", "rejected"];
   const parts = states.flatMap((state) => {
     const number = labels.filter((label) => label.state === state).length;

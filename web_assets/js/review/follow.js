@@ -4,7 +4,7 @@
  */
 
 import { trackColor } from "../colors.js";
-import { count, h, iconButton } from "../dom.js";
+import { button, count, h, iconButton } from "../dom.js";
 import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
@@ -24,11 +24,7 @@ const closed = new Set();
 export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   const title = h("span", { class: "grow", "data-testid": "follow-title" });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
-  const stop = h(
-    "button",
-    { type: "button", class: "danger", "data-testid": "follow-stop", onclick: () => void end() },
-    "Stop",
-  );
+  const stop = button("Stop", () => void end(), { class: "danger", "data-testid": "follow-stop" });
   const close = iconButton("close", "Close", () => hide(), { "data-testid": "follow-close" });
   const list = h("ul", { class: "followed" });
   const body = h(
@@ -71,8 +67,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     }
   }
 
-  /** @param {Api.FollowRunJson} next */
-  function take(next) {
+  function take(/** @type {Api.FollowRunJson} */ next) {
     if (next.operator !== app.state.operator || closed.has(next.number)) return;
     // the answer to a request may come after the first events of its run
     if (run && (next.number < run.number || (next.number === run.number && next.done < run.done))) return;
@@ -132,13 +127,8 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     }
   }
 
-  /**
-   * Follows a reviewed box, or all reviewed boxes of the frame (null).
-   *
-   * @param {"forward" | "backward"} direction
-   * @param {string | null} uid
-   */
-  async function start(direction, uid) {
+  /** Follows a reviewed box, or all reviewed boxes of the frame (null). */
+  async function start(/** @type {"forward" | "backward"} */ direction, /** @type {string | null} */ uid) {
     if (!app.state.frame) return;
     await desk.flush();
     const { id } = currentFrame(app).frame;
@@ -169,25 +159,17 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 
   return {
     start,
-    /**
-     * Whether more boxes of a track are being found.
-     *
-     * @param {number} track
-     */
-    isFollowed: (track) => run?.state === "running" && run.tracks.some(({ track_id }) => track_id === track),
+    /** Whether more boxes of a track are being found. */
+    isFollowed: (/** @type {number} */ track) =>
+      run?.state === "running" && run.tracks.some(({ track_id }) => track_id === track),
     destroy() {
       for (const off of stopEvents) off();
     },
   };
 }
 
-/**
- * How far an object was followed; empty while it is not known, and if it has not come so far.
- *
- * @param {Api.FollowRunJson} run
- * @param {Api.FollowedJson} track
- */
-function reached(run, track) {
+/** How far an object was followed; empty while it is not known, and if it has not come so far. */
+function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedJson} */ track) {
   if (run.state !== "done" || track.stops.length > 0) return "";
   if (!track.is_open) return ", to its next reviewed box";
   return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
@@ -213,19 +195,12 @@ function trackRow(track, end, open) {
     { "data-testid": "followed" },
     text,
     ...track.stops.map((at) =>
-      h(
-        "button",
-        {
-          type: "button",
-          class: "stop",
-          title: "Go to this frame and correct or draw the box; then follow it from there",
-          "data-testid": "follow-go",
-          "data-frame": String(at.frame),
-          onclick: () => open({ frame: at.frame, uid: null }),
-        },
-        h("b", {}, `${at.key} →`),
-        ` ${at.reason}`,
-      ),
+      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame, uid: null }), {
+        class: "stop",
+        title: "Go to this frame and correct or draw the box; then follow it from there",
+        "data-testid": "follow-go",
+        "data-frame": String(at.frame),
+      }),
     ),
   );
 }

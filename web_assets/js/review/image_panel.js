@@ -5,8 +5,7 @@ import { cameraOf } from "../camera.js";
 import { classColor, trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
-import { imageOverlay } from "./drawing.js";
-import { otherOverlays } from "../rig.js";
+import { imageOverlay, otherOverlays } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
@@ -14,13 +13,17 @@ const LEAST_DRAG = 8;
 /**
  * `onDrawn(box)` is called with a box drawn for a new object; it resolves after the fit, whether it succeeded or not.
  * `canDraw()` says whether the frame can get a new box.
- *
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void, canDraw: () => boolean }} options
  */
-export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) {
+export function createImagePanel(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Desk} */ desk,
+  /** @type {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void, canDraw: () => boolean }} */ {
+    onDrawn,
+    onMode,
+    canDraw,
+  },
+) {
   const title = h("h2", { class: "ellipsis" }, "Image");
   const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
@@ -74,8 +77,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     show();
   }
 
-  /** @param {PageLabel} label */
-  const colorOf = (label) => (byTrack.checked ? { color: trackColor(label.track_id) } : {});
+  const colorOf = (/** @type {PageLabel} */ label) => (byTrack.checked ? { color: trackColor(label.track_id) } : {});
 
   function show() {
     const frame = app.state.frame;
@@ -111,8 +113,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     editor.setOverlays(overlays);
   }
 
-  /** @param {FrameState} state */
-  function noteOf({ frame }) {
+  function noteOf(/** @type {FrameState} */ { frame }) {
     if (isFitting) return "Fitting a 3D box …";
     if (wanted !== null) return `Drag a box around a ${wanted}. Press Esc to cancel.`;
     if (frame.finalised) return "finalised";
@@ -127,15 +128,13 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     app.api.post(app.path("models", "load")).catch(app.toast);
   }
 
-  /** @param {boolean} isNow */
-  function onDrag(isNow) {
+  function onDrag(/** @type {boolean} */ isNow) {
     if (isNow && !hasLoaded) loadDetectors();
     isDragging = isNow;
     if (!isNow) chosen = null;
   }
 
-  /** @param {Box2D} box */
-  async function fit(box) {
+  async function fit(/** @type {Box2D} */ box) {
     const { label, x_min, y_min, x_max, y_max } = box;
     isFitting = true;
     onDrag(false);
@@ -148,8 +147,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     }
   }
 
-  /** @param {string | null} label */
-  function draw(label) {
+  function draw(/** @type {string | null} */ label) {
     if (label !== null && !hasLoaded) loadDetectors();
     wanted = label;
     editor.setBoxes([]);
@@ -167,12 +165,8 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     },
     /** Asks for a box of the usual class. */
     drawUsual: () => draw(usualClass()),
-    /**
-     * Changes the class of the box that is being drawn or was asked for; false if there is none.
-     *
-     * @param {string} name
-     */
-    setClass(name) {
+    /** Changes the class of the box that is being drawn or was asked for; false if there is none. */
+    setClass(/** @type {string} */ name) {
       if (isDragging) chosen = name;
       else if (wanted !== null) draw(name);
       else return false;

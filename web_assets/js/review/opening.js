@@ -36,23 +36,16 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   let broken = null;
   let seenQueue = false;
 
-  /**
-   * Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet.
-   *
-   * @param {boolean} value
-   */
-  function setLoading(value) {
+  /** Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet. */
+  function setLoading(/** @type {boolean} */ value) {
     loading = value;
     onLoading();
   }
 
   /**
    * Opens a frame. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
-   *
-   * @param {number} id
-   * @param {string | null} uid
    */
-  async function open(id, uid) {
+  async function open(/** @type {number} */ id, /** @type {string | null} */ uid) {
     openings += 1;
     const own = openings;
     setLoading(true);
@@ -82,24 +75,15 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     return true;
   }
 
-  /**
-   * Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read.
-   *
-   * @param {unknown} error
-   * @param {number | null} [frame]
-   */
-  function showProblem(error, frame = null) {
+  /** Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read. */
+  function showProblem(/** @type {unknown} */ error, /** @type {number | null} */ frame = null) {
     broken = frame;
     if (error !== null) opened = null;
     onProblem(error, frame);
   }
 
-  /**
-   * Selects a label of the open frame: this one, or else the most doubtful proposal.
-   *
-   * @param {string | null} uid
-   */
-  function pick(uid) {
+  /** Selects a label of the open frame: this one, or else the most doubtful proposal. */
+  function pick(/** @type {string | null} */ uid) {
     const labels = desk.labels();
     const chosen =
       labels.find((label) => label.uid === uid) ??
@@ -121,8 +105,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     app.go(makeHash(project, "review", frame));
   }
 
-  /** @param {Direction} which */
-  async function step(which) {
+  async function step(/** @type {Direction} */ which) {
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
     if (next === null)
       app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
@@ -181,5 +164,5 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
   };
 }
 
-/** @param {PageLabel[]} labels */
-export const mostDoubtful = (labels) => labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];
+export const mostDoubtful = (/** @type {PageLabel[]} */ labels) =>
+  labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];

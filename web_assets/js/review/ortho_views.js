@@ -35,13 +35,12 @@ const NAMES = ["top", "front", "side"];
 /** A box whose axes differ from the view's by more than this is drawn as its 12 edges, not as a rectangle. */
 const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {ReturnType<typeof import("./preload.js").createPreload>} preload
- */
-export function createOrthoViews(host, app, desk, preload) {
+export function createOrthoViews(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Desk} */ desk,
+  /** @type {ReturnType<typeof import("./preload.js").createPreload>} */ preload,
+) {
   const panels = NAMES.map((name) => createPanel(name, desk));
   host.append(...panels.map(({ root }) => root));
   /** @type {{ frame: number, box: Box3D } | null} */
@@ -120,12 +119,9 @@ export function createOrthoViews(host, app, desk, preload) {
       for (const { editor } of panels) editor.fit();
     },
 
-    /**
-     * Passes a key to the focused view; true if the view handles it.
-     *
-     * @param {KeyboardEvent} event
-     */
-    key: (event) => panels.find(({ editor }) => editor.root === document.activeElement)?.editor.key(event) ?? false,
+    /** Passes a key to the focused view; true if the view handles it. */
+    key: (/** @type {KeyboardEvent} */ event) =>
+      panels.find(({ editor }) => editor.root === document.activeElement)?.editor.key(event) ?? false,
 
     destroy() {
       request?.abort();
@@ -134,11 +130,7 @@ export function createOrthoViews(host, app, desk, preload) {
   };
 }
 
-/**
- * @param {Name} name
- * @param {Desk} desk
- */
-function createPanel(name, desk) {
+function createPanel(/** @type {Name} */ name, /** @type {Desk} */ desk) {
   const note = h("p", { class: "view-note", role: "alert", hidden: true });
   const body = h("div", { class: "view-body" }, note);
   const scale = h("span", { class: "muted number" });
@@ -194,10 +186,8 @@ function createPanel(name, desk) {
 
   /**
    * Begins an edit unless one is in progress; returns the box before it. During the edit, the editor draws the box.
-   *
-   * @param {PageLabel} label
    */
-  function begin(label) {
+  function begin(/** @type {PageLabel} */ label) {
     start ??= copyBox(label.box);
     // onChange does not follow a drag that was cancelled or moved nothing; after arrow keys, it follows later
     if (isPointer && !editor.isDragging) queueMicrotask(giveUp);
@@ -214,12 +204,13 @@ function createPanel(name, desk) {
     start = null;
   }
 
-  /**
-   * @param {Plane} plane
-   * @param {Box3D} box
-   * @returns {Overlay}
-   */
-  const heading = (plane, box) => ({ segments: [], heading: viewHeading(plane, box), color: color(), strong: true });
+  /** @returns {Overlay} */
+  const heading = (/** @type {Plane} */ plane, /** @type {Box3D} */ box) => ({
+    segments: [],
+    heading: viewHeading(plane, box),
+    color: color(),
+    strong: true,
+  });
 
   function follow() {
     const box = desk.shown?.box;
@@ -256,12 +247,8 @@ function createPanel(name, desk) {
       end();
     },
 
-    /**
-     * Shows a new view. Resolves to false if it is not shown: during a drag, or if a newer one has replaced it.
-     *
-     * @param {Api.OrthoView} fresh
-     */
-    async setView(fresh) {
+    /** Shows a new view. Resolves to false if it is not shown: during a drag, or if a newer one has replaced it. */
+    async setView(/** @type {Api.OrthoView} */ fresh) {
       note.hidden = true;
       if (start || editor.isDragging) return false;
       // the picture and the box on it change together
@@ -286,20 +273,14 @@ function createPanel(name, desk) {
       void editor.setPicture(null);
     },
 
-    /** @param {string} message */
-    setProblem(message) {
+    setProblem(/** @type {string} */ message) {
       note.textContent = message;
       note.hidden = false;
     },
   };
 }
 
-/**
- * True if each of the view's axes is parallel to one of the box's.
- *
- * @param {Plane} view
- * @param {Box3D} box
- */
-function isAligned(view, box) {
+/** True if each of the view's axes is parallel to one of the box's. */
+function isAligned(/** @type {Plane} */ view, /** @type {Box3D} */ box) {
   return [0, 1].every((i) => [0, 1, 2].some((k) => Math.abs(dot(view.axes[i], boxAxis(box, k))) > ALIGNED));
 }

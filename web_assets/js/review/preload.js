@@ -10,12 +10,7 @@ import { SIZE_PX } from "./ortho_views.js";
 /** At least as many pictures of a contact sheet as a screen shows when it opens: 20 at 1366 x 768. */
 const ON_SCREEN = 32;
 
-/**
- * @param {App} app
- * @param {Desk} desk
- * @param {Queue} queue
- */
-export function createPreload(app, desk, queue) {
+export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, /** @type {Queue} */ queue) {
   /** @type {{ frame: number, box: Box3D, views: Api.OrthoOut } | null} */
   let ahead = null;
   /** @type {AbortController | null} */
@@ -36,12 +31,8 @@ export function createPreload(app, desk, queue) {
     await drawSheet(request);
   }
 
-  /**
-   * Loads the next box; a problem is shown when the box itself is opened.
-   *
-   * @param {AbortSignal} signal
-   */
-  async function loadNext(signal) {
+  /** Loads the next box; a problem is shown when the box itself is opened. */
+  async function loadNext(/** @type {AbortSignal} */ signal) {
     const next = desk.uid === null ? null : queue.after(desk.uid);
     if (!next) return;
     try {
@@ -64,8 +55,7 @@ export function createPreload(app, desk, queue) {
     }
   }
 
-  /** @param {AbortController} own */
-  async function drawSheet(own) {
+  async function drawSheet(/** @type {AbortController} */ own) {
     const track = desk.stored()?.track_id ?? null;
     const recording = app.state.frame?.frame.recording;
     const name = `${recording}/${track}`;
@@ -99,21 +89,13 @@ export function createPreload(app, desk, queue) {
       };
     },
 
-    /**
-     * The pictures of a box, if they are loaded.
-     *
-     * @param {number} frame
-     * @param {Box3D} box
-     */
-    take: (frame, box) => (ahead && ahead.frame === frame && sameBox(ahead.box, box) ? ahead.views : null),
+    /** The pictures of a box, if they are loaded. */
+    take: (/** @type {number} */ frame, /** @type {Box3D} */ box) =>
+      ahead && ahead.frame === frame && sameBox(ahead.box, box) ? ahead.views : null,
   };
 }
 
-/**
- * Lets the browser keep a picture.
- *
- * @param {string} url
- */
-function show(url) {
+/** Lets the browser keep a picture. */
+function show(/** @type {string} */ url) {
   new Image().src = url;
 }

@@ -17,11 +17,7 @@ const FEW = 100;
 
 /** @typedef {Partial<Record<"attribute" | "value" | "contains" | "low" | "high" | "known", string>>} ValueQuery */
 
-/**
- * @param {App} app
- * @param {() => void} onChange
- */
-export function createQueue(app, onChange) {
+export function createQueue(/** @type {App} */ app, /** @type {() => void} */ onChange) {
   const kept = localStorage.getItem("queue-order");
   let order = ORDERS.find(([name]) => name === kept)?.[0] ?? "worst";
   let label = "";
@@ -81,12 +77,8 @@ export function createQueue(app, onChange) {
       return Boolean(label || value.attribute || source);
     },
 
-    /**
-     * Chooses another order or filter, and starts at the beginning of the queue.
-     *
-     * @param {{ order?: string, label?: string, value?: ValueQuery, source?: string }} changes
-     */
-    async choose(changes) {
+    /** Chooses another order or filter, and starts at the beginning of the queue. */
+    async choose(/** @type {{ order?: string, label?: string, value?: ValueQuery, source?: string }} */ changes) {
       order = changes.order ?? order;
       label = changes.label ?? label;
       value = changes.value ?? value;
@@ -96,22 +88,14 @@ export function createQueue(app, onChange) {
       await load();
     },
 
-    /**
-     * Remembers the operator's place, so that the next item is known when this one is gone.
-     *
-     * @param {string | null} uid
-     */
-    visit(uid) {
+    /** Remembers the operator's place, so that the next item is known when this one is gone. */
+    visit(/** @type {string | null} */ uid) {
       const index = items.findIndex((item) => item.uid === uid);
       if (index >= 0) place = index;
     },
 
-    /**
-     * The next item to review after this one, or null.
-     *
-     * @param {string} uid
-     */
-    after(uid) {
+    /** The next item to review after this one, or null. */
+    after(/** @type {string} */ uid) {
       const index = items.findIndex((item) => item.uid === uid);
       const others =
         index >= 0
@@ -120,15 +104,10 @@ export function createQueue(app, onChange) {
       return others[0] ?? null;
     },
 
-    /**
-     * Removes the items that are reviewed in a frame's new state.
-     *
-     * @param {FrameState} frame
-     */
-    settle(frame) {
+    /** Removes the items that are reviewed in a frame's new state. */
+    settle(/** @type {FrameState} */ frame) {
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
-      /** @param {QueueItem} item */
-      const gone = (item) => item.frame === frame.frame.id && !open.has(item.uid);
+      const gone = (/** @type {QueueItem} */ item) => item.frame === frame.frame.id && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
       items = items.filter((item) => !gone(item));

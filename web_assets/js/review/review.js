@@ -2,37 +2,33 @@
  * Review: a queue of proposals. One key accepts a correct one; a wrong one can be rejected, deleted or corrected.
  *
  * This file assembles the parts. The desk (desk.js) holds the selection and saves, the queue (queue.js) provides the
- * next item, opening.js opens frames, commands.js holds what keys (bindings.js) and buttons do. The other parts draw,
+ * next item, opening.js opens frames, commands.js holds what keys and buttons do. The other parts draw,
  * and pass on the operator's actions.
  */
 
 import { createAttributes } from "../attributes.js";
+import { h } from "../dom.js";
 import { createFrameProblem } from "../frame_problem.js";
+import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
-import { bindings } from "./bindings.js";
 import { createCommands } from "./commands.js";
 import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
-import { emptyProject, layout } from "./layout.js";
 import { createOpening } from "./opening.js";
 import { createOrthoViews } from "./ortho_views.js";
 import { createPreload } from "./preload.js";
 import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
-import { createBoxList, createQueueList } from "./side_lists.js";
 import { createSheet } from "./sheet.js";
+import { createBoxList, createQueueList } from "./side_lists.js";
 import { createTracks } from "./tracks.js";
 
 /** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const project = app.state.route.project;
   root.classList.add("fixed");
   if (app.state.project.frames === 0) {
@@ -58,8 +54,7 @@ export function mount(root, app) {
     },
   });
   const { go } = opening;
-  /** @param {Target} target */
-  const goInQueue = (target) => go(target, true);
+  const goInQueue = (/** @type {Target} */ target) => go(target, true);
   const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
   const boxList = createBoxList(parts.boxes, app, desk);
   const preload = createPreload(app, desk, queue);
@@ -149,8 +144,7 @@ export function mount(root, app) {
     parts.saving.textContent = desk.isSaving ? "saving …" : opening.loading ? "opening …" : "";
   }
 
-  /** @param {Api.Gizmo} mode */
-  function setGizmo(mode) {
+  function setGizmo(/** @type {Api.Gizmo} */ mode) {
     scene.setGizmo(mode);
     showActions();
   }
@@ -213,12 +207,8 @@ export function mount(root, app) {
     app.keys.register(bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
   ];
 
-  /**
-   * Selects the label that an undo or redo has changed.
-   *
-   * @param {FrameState} frame
-   */
-  function selectWhatWasUndone(frame) {
+  /** Selects the label that an undo or redo has changed. */
+  function selectWhatWasUndone(/** @type {FrameState} */ frame) {
     if (!seen) return;
     const before = seen;
     seen = null;
@@ -231,8 +221,7 @@ export function mount(root, app) {
   opening.begin().catch((error) => app.toast(error));
 
   return {
-    /** @param {Route} route */
-    route({ frame, query }) {
+    route(/** @type {Route} */ { frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
@@ -264,5 +253,110 @@ export function mount(root, app) {
   };
 }
 
-/** @param {PageLabel} label */
-const fingerprint = ({ state, label, track_id, box }) => JSON.stringify([state, label, track_id, box]);
+const fingerprint = (/** @type {PageLabel} */ { state, label, track_id, box }) =>
+  JSON.stringify([state, label, track_id, box]);
+
+// -- its panels
+
+export function layout(/** @type {string} */ project) {
+  const part = (/** @type {string} */ name, /** @type {string} */ label) =>
+    h("section", { class: `panel ${name}`, "aria-label": label });
+  const queue = part("queue", "Queue");
+  const boxes = part("frame-boxes", "Boxes of this frame");
+  const imagePanel = part("image", "Camera image");
+  const scene = part("scene", "3D view");
+  const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
+  const fields = part("fields", "Selected box");
+  const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
+  const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
+  const done = h(
+    "div",
+    { class: "done-note", hidden: true, role: "status", "data-testid": "review-done" },
+    "No proposals left to review. ",
+    h("a", { href: makeHash(project, "train") }, "Propose more"),
+    " or ",
+    h("a", { href: makeHash(project, "export") }, "export"),
+    ".",
+  );
+  const root = h(
+    "div",
+    { class: "review" },
+    h("div", { class: "side" }, queue, boxes),
+    h("div", { class: "pictures" }, imagePanel, scene),
+    h("div", { class: "bar" }, actions, done, saving),
+    h("div", { class: "details" }, ortho, fields),
+  );
+  return { root, queue, boxes, image: imagePanel, scene, ortho, fields, actions, saving, done };
+}
+
+/** Shown in place of the panels if the project has no frame. */
+export function emptyProject() {
+  return h(
+    "div",
+    { class: "empty" },
+    h("h2", {}, "There is nothing to review yet"),
+    h("p", {}, "Add a recording to the project, label a few objects, and let the detectors propose the rest."),
+    h("a", { class: "button", href: "#/" }, "Add a recording"),
+  );
+}
+
+// -- its keys
+
+/**
+ * @param {object} parts
+ * @param {ReturnType<typeof import("./commands.js").createCommands>} parts.commands
+ * @param {Opening} parts.opening
+ * @param {ReturnType<typeof import("./tracks.js").createTracks>} parts.tracks
+ * @param {ReturnType<typeof import("./sheet.js").createSheet>} parts.sheet
+ * @param {ReturnType<typeof import("./scene.js").createScene>} parts.scene
+ * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
+ * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
+ * @param {(mode: Api.Gizmo) => void} parts.setGizmo
+ * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
+ */
+export function bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes }) {
+  // a key that is held down acts on one box only, not on the following ones
+  const once =
+    (/** @type {(key: string) => unknown} */ fn) =>
+    (/** @type {KeyboardEvent} */ event, /** @type {string} */ key) => {
+      if (!event.repeat) fn(key);
+    };
+  return {
+    accept: once(() => commands.decide("accept")),
+    "accept-all": once(() => commands.whenCalm(commands.acceptAll)),
+    reject: once(() => commands.decide("reject")),
+    delete: once(() => commands.decide("delete")),
+    refit: once(commands.refit),
+    flip: once(commands.flip),
+    class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => commands.setClass(key),
+    attribute: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => attributes.press(key),
+    cancel: commands.cancel,
+    finalise: once(commands.finalise),
+    "copy-previous": once(commands.copy),
+    follow: once(() => commands.followOne("forward")),
+    "follow-back": once(() => commands.followOne("backward")),
+    "follow-all": once(() => commands.followAll("forward")),
+    "follow-all-back": once(() => commands.followAll("backward")),
+    "copy-next": once(() => commands.whenCalm(() => tracks.copyToNext())),
+    carry: once(() => commands.whenCalm(() => tracks.carry())),
+    interpolate: once(() => commands.whenCalm(() => tracks.interpolate())),
+    "interpolate-refit": once(() => commands.whenCalm(() => tracks.interpolate(true))),
+    sheet: once(() => commands.whenCalm(sheet.show)),
+    "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
+    "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
+    "next-box": () => commands.stepBox(1),
+    "previous-box": () => commands.stepBox(-1),
+    "next-frame": () => opening.step("next"),
+    "previous-frame": () => opening.step("previous"),
+    "draw-box": once(commands.draw),
+    "gizmo-translate": () => setGizmo("translate"),
+    "gizmo-rotate": () => setGizmo("rotate"),
+    "gizmo-off": () => setGizmo("off"),
+    "points-larger": () => scene.points(1.25),
+    "points-smaller": () => scene.points(0.8),
+    fit: () => {
+      image.fit();
+      ortho.fit();
+    },
+  };
+}

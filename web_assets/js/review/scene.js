@@ -1,6 +1,6 @@
 /** The 3D view of the open frame: points, all boxes, and a gizmo on the selected box. */
 
-import { h } from "../dom.js";
+import { button, h } from "../dom.js";
 
 /** @type {[Api.PointColor, string][]} */
 const COLORS = [
@@ -13,12 +13,7 @@ const POINT_LIMITS = [0.1, 10];
 /** Minimum time between updates for changes by others, ms; without a graphics card, one takes a third of a second. */
 const CALM_MS = { card: 300, software: 2500, none: 0 };
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- */
-export function createScene(host, app, desk) {
+export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app, /** @type {Desk} */ desk) {
   const body = h("div", { class: "viewport-host" });
   const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
   /** @type {HTMLSelectElement} */
@@ -34,17 +29,11 @@ export function createScene(host, app, desk) {
     },
     COLORS.map(([value, text]) => h("option", { value }, text)),
   );
-  const reset = h(
-    "button",
-    {
-      type: "button",
-      class: "quiet small",
-      title: "Look from the camera",
-      "data-testid": "reset-view",
-      onclick: () => send({ reset_view: true }),
-    },
-    "Reset view",
-  );
+  const reset = button("Reset view", () => send({ reset_view: true }), {
+    class: "quiet small",
+    title: "Look from the camera",
+    "data-testid": "reset-view",
+  });
   host.append(h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset), body);
   const { viewport } = app;
   /** @type {{ gizmo: Api.Gizmo, color: Api.PointColor, point_size: number }} */
@@ -88,10 +77,8 @@ export function createScene(host, app, desk) {
   /**
    * Sends the scene, unless it was sent already: without a graphics card, drawing takes time. If only the stored
    * labels have changed, as when others save, there is a pause between two updates.
-   *
-   * @param {Partial<Scene3D>} [more]
    */
-  function send(more = {}) {
+  function send(/** @type {Partial<Scene3D>} */ more = {}) {
     clearTimeout(timer);
     const id = app.state.frame?.frame.id ?? broken;
     const revision = app.state.frame?.frame.revision ?? null;
@@ -112,8 +99,7 @@ export function createScene(host, app, desk) {
     sent = { scene: text, revision, at: performance.now() };
   }
 
-  /** @param {Partial<typeof chosen>} changes */
-  function choose(changes) {
+  function choose(/** @type {Partial<typeof chosen>} */ changes) {
     Object.assign(chosen, changes);
     send();
   }
@@ -122,11 +108,9 @@ export function createScene(host, app, desk) {
     get gizmo() {
       return chosen.gizmo;
     },
-    /** @param {Api.Gizmo} mode */
-    setGizmo: (mode) => choose({ gizmo: mode }),
+    setGizmo: (/** @type {Api.Gizmo} */ mode) => choose({ gizmo: mode }),
     show: () => send(),
-    /** @param {number | null} frame */
-    fail(frame) {
+    fail(/** @type {number | null} */ frame) {
       broken = frame;
     },
 
@@ -135,12 +119,8 @@ export function createScene(host, app, desk) {
       if (!isDragging) send();
     },
 
-    /**
-     * Larger or smaller points, by a factor.
-     *
-     * @param {number} factor
-     */
-    points: (factor) =>
+    /** Larger or smaller points, by a factor. */
+    points: (/** @type {number} */ factor) =>
       choose({ point_size: Math.min(Math.max(chosen.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1]) }),
 
     destroy() {

@@ -7,7 +7,7 @@
  */
 
 import { openDialog } from "../dialogs.js";
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
@@ -34,8 +34,7 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
    */
   const left = new Set();
 
-  /** @param {number} track */
-  const nameOf = (track) => `${currentFrame(app).frame.recording}/${track}`;
+  const nameOf = (/** @type {number} */ track) => `${currentFrame(app).frame.recording}/${track}`;
 
   /**
    * Shows the track of the selected box, and stores what is accepted.
@@ -71,13 +70,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
     return true;
   }
 
-  /**
-   * The boxes of a track that can be shown.
-   *
-   * @param {number} recording
-   * @param {number} track
-   */
-  async function read(recording, track) {
+  /** The boxes of a track that can be shown. */
+  async function read(/** @type {number} */ recording, /** @type {number} */ track) {
     /** @type {Api.TrackOut} */
     const { boxes } = await app.api.get(app.path("recordings", recording, "tracks", track));
     return boxes.filter(({ index, state }) => index !== null && state !== "rejected");
@@ -110,12 +104,14 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
     const grid = h("div", { class: "sheet", onkeydown: onKey });
     const note = h("p", { class: "muted", role: "status", "data-testid": "sheet-note" });
 
-    /** @param {Api.TrackBox} box */
-    function tile(box) {
-      return h(
-        "button",
+    function tile(/** @type {Api.TrackBox} */ box) {
+      return button(
+        [
+          h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }),
+          h("span", { class: "ellipsis" }, box.key),
+        ],
+        (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         {
-          type: "button",
           class: `tile state-${box.state}`,
           disabled: !isOpen(box),
           "aria-pressed": isOpen(box) ? "false" : null,
@@ -125,19 +121,12 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
             : `${box.state} already`,
           "data-testid": "sheet-box",
           "data-uid": box.uid,
-          onclick: (event) => (event.ctrlKey || event.metaKey ? correct(box) : toggle(box.uid, event.shiftKey)),
         },
-        h("img", { alt: "", width: WIDTH, height: HEIGHT, decoding: "async" }),
-        h("span", { class: "ellipsis" }, box.key),
       );
     }
 
-    /**
-     * Shows these boxes, which may be others than before.
-     *
-     * @param {Api.TrackBox[]} boxes
-     */
-    function fill(boxes) {
+    /** Shows these boxes, which may be others than before. */
+    function fill(/** @type {Api.TrackBox[]} */ boxes) {
       shown = boxes;
       proposals = shown.filter(isOpen);
       const states = new Map(shown.map(({ uid, state }) => [uid, state]));
@@ -158,11 +147,7 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
       }`;
     }
 
-    /**
-     * @param {string} uid
-     * @param {boolean} isAll
-     */
-    function toggle(uid, isAll) {
+    function toggle(/** @type {string} */ uid, /** @type {boolean} */ isAll) {
       app.effort.action();
       const isOut = !out.has(uid);
       corrected = null;
@@ -170,12 +155,7 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
       mark(uid, isAll, isOut);
     }
 
-    /**
-     * @param {string} from
-     * @param {boolean} isAll
-     * @param {boolean} isOut
-     */
-    function mark(from, isAll, isOut) {
+    function mark(/** @type {string} */ from, /** @type {boolean} */ isAll, /** @type {boolean} */ isOut) {
       const at = proposals.findIndex(({ uid }) => uid === from);
       if (at < 0) return; // it was reviewed meanwhile
       for (const { uid } of proposals.slice(at, isAll ? undefined : at + 1)) {
@@ -185,23 +165,15 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
       }
     }
 
-    /**
-     * Accepts what is before a box, and opens this one.
-     *
-     * @param {Api.TrackBox} box
-     */
-    function correct({ uid }) {
+    /** Accepts what is before a box, and opens this one. */
+    function correct(/** @type {Api.TrackBox} */ { uid }) {
       mark(uid, true, true);
       corrected = uid;
       grid.closest("form")?.requestSubmit();
     }
 
-    /**
-     * Enter accepts also while a picture has the focus; the space bar clicks it out.
-     *
-     * @param {KeyboardEvent} event
-     */
-    function onKey(event) {
+    /** Enter accepts also while a picture has the focus; the space bar clicks it out. */
+    function onKey(/** @type {KeyboardEvent} */ event) {
       if (event.key !== "Enter") return;
       event.preventDefault();
       if (event.target instanceof HTMLElement) event.target.closest("form")?.requestSubmit();
@@ -225,8 +197,7 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
       return wrong.find(({ uid }) => uid === corrected) ?? wrong[0] ?? null;
     }
 
-    /** @param {Api.TileJson} drawn */
-    function picture({ uid, png, problem }) {
+    function picture(/** @type {Api.TileJson} */ { uid, png, problem }) {
       const image = tiles.get(uid)?.querySelector("img");
       if (!image) return;
       if (png) image.src = `data:image/png;base64,${png}`;
@@ -296,5 +267,4 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
   return { show: () => show(true), again };
 }
 
-/** @param {Api.TrackBox} box */
-const isOpen = ({ state }) => state === "proposed";
+const isOpen = (/** @type {Api.TrackBox} */ { state }) => state === "proposed";

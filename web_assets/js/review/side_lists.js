@@ -1,25 +1,23 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
 import { valuesText } from "../attributes.js";
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { ORDERS, OWN } from "./queue.js";
-import { refill } from "./refill.js";
-import { createValueFilter } from "./value_filter.js";
+import { createValueFilter, refill } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one. */
 const ROWS = 120;
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Queue} queue
- * @param {{ open: (target: Target) => unknown }} options
- */
-export function createQueueList(host, app, queue, { open }) {
+export function createQueueList(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Queue} */ queue,
+  /** @type {{ open: (target: Target) => unknown }} */ { open },
+) {
   /** @type {HTMLSelectElement} */
   const order = h(
     "select",
@@ -63,11 +61,10 @@ export function createQueueList(host, app, queue, { open }) {
     if (isEnded) choose(label, { label: label.value, value: values.query() });
   }
 
-  /**
-   * @param {HTMLSelectElement | null} select
-   * @param {Parameters<Queue["choose"]>[0]} changes
-   */
-  function choose(select, changes) {
+  function choose(
+    /** @type {HTMLSelectElement | null} */ select,
+    /** @type {Parameters<Queue["choose"]>[0]} */ changes,
+  ) {
     // so that Space and the digits are keys of the mode again
     select?.blur();
     queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
@@ -96,14 +93,13 @@ export function createQueueList(host, app, queue, { open }) {
     };
     return [
       h("p", {}, "No proposal matches the filter."),
-      h("button", { type: "button", onclick: clear, "data-testid": "queue-clear" }, "Show all"),
+      button("Show all", clear, { "data-testid": "queue-clear" }),
     ];
   }
 
   return {
     fill,
-    /** @param {string | null} uid */
-    show(uid) {
+    show(/** @type {string | null} */ uid) {
       showSources();
       left.textContent = count(queue.remaining, "proposal");
       const at = Math.max(
@@ -121,43 +117,38 @@ export function createQueueList(host, app, queue, { open }) {
   };
 }
 
-/**
- * @param {QueueItem} item
- * @param {Map<number, string>} recordings
- * @param {boolean} isCurrent
- * @param {(target: Target) => unknown} open
- */
-function queueRow(item, recordings, isCurrent, open) {
+function queueRow(
+  /** @type {QueueItem} */ item,
+  /** @type {Map<number, string>} */ recordings,
+  /** @type {boolean} */ isCurrent,
+  /** @type {(target: Target) => unknown} */ open,
+) {
   const isOurs = item.sources.every((name) => name === OWN);
   const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
   return h(
     "li",
     {},
-    h(
-      "button",
+    button(
+      [
+        h("span", { class: "ellipsis grow" }, item.label),
+        isOurs ? null : saidBy(item.sources),
+        h("span", { class: "muted ellipsis number" }, place),
+        doubtBar(item.doubt),
+      ],
+      () => open(item),
       {
-        type: "button",
         class: "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
         title: `${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
-        onclick: () => open(item),
         "data-testid": "queue-item",
         "data-uid": item.uid,
       },
-      h("span", { class: "ellipsis grow" }, item.label),
-      isOurs ? null : saidBy(item.sources),
-      h("span", { class: "muted ellipsis number" }, place),
-      doubtBar(item.doubt),
     ),
   );
 }
 
-/**
- * Such as "mine +1".
- *
- * @param {string[]} sources
- */
-function saidBy([first, ...others]) {
+/** Such as "mine +1". */
+function saidBy(/** @type {string[]} */ [first, ...others]) {
   return h(
     "span",
     { class: "said muted", "data-testid": "queue-said" },
@@ -166,8 +157,7 @@ function saidBy([first, ...others]) {
   );
 }
 
-/** @param {number | null} doubt */
-function doubtBar(doubt) {
+function doubtBar(/** @type {number | null} */ doubt) {
   if (doubt === null || doubt === undefined) return h("span", { class: "doubt" });
   const bar = h("i", {});
   bar.style.width = `${Math.round(100 * doubt)}%`;
@@ -176,12 +166,8 @@ function doubtBar(doubt) {
 
 /**
  * The boxes of the frame; if several are open, with a small picture of each, so that they can be accepted together.
- *
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
  */
-export function createBoxList(host, app, desk) {
+export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app, /** @type {Desk} */ desk) {
   const title = h("h2", {}, "In this frame");
   const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
   const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
@@ -209,8 +195,8 @@ export function createBoxList(host, app, desk) {
     if (known.split("/")[0] !== String(frame.id)) pictures = new Map();
     known = key;
     const { signal } = request;
-    /** @param {Api.TileJson} tile */
-    const take = ({ uid, png }) => png && pictures.set(uid, `data:image/png;base64,${png}`);
+    const take = (/** @type {Api.TileJson} */ { uid, png }) =>
+      png && pictures.set(uid, `data:image/png;base64,${png}`);
     try {
       await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
       if (!signal.aborted) draw();
@@ -241,22 +227,22 @@ function boxRow(app, label, desk, picture) {
   return h(
     "li",
     {},
-    h(
-      "button",
+    button(
+      [
+        h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
+        h("span", { class: "ellipsis grow" }, shortName(label)),
+        h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
+        picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
+      ],
+      () => desk.select(label.uid),
       {
-        type: "button",
         class: "quiet row-button",
         "aria-current": label.uid === desk.uid ? "true" : null,
         title: problem ? `Not saved. ${problem}` : valuesText(app, label) || null,
-        onclick: () => desk.select(label.uid),
         "data-testid": "frame-box",
         "data-uid": label.uid,
         "data-state": label.state,
       },
-      h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
-      h("span", { class: "ellipsis grow" }, shortName(label)),
-      h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
-      picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
     ),
   );
 }

@@ -1,6 +1,8 @@
 /** If others have changed the frame in the meantime, the operator chooses between the two versions. */
 
 import { cameraOf, outline } from "../camera.js";
+import { openDialog } from "../dialogs.js";
+import { h } from "../dom.js";
 import { isStale } from "../errors.js";
 import { askVersion } from "../stale.js";
 
@@ -41,14 +43,13 @@ export async function resolveStale(app, error, { changes, subject, take }) {
   }
 }
 
-/**
- * @param {Pick<App, "api" | "path">} app
- * @param {FrameState} theirs
- * @param {Change[]} changes
- * @param {string | null} subject
- * @returns {Promise<FrameState>}
- */
-async function sendAgain(app, theirs, changes, subject) {
+/** @returns {Promise<FrameState>} */
+async function sendAgain(
+  /** @type {Pick<App, "api" | "path">} */ app,
+  /** @type {FrameState} */ theirs,
+  /** @type {Change[]} */ changes,
+  /** @type {string | null} */ subject,
+) {
   const uids = new Set(theirs.labels.map(({ uid }) => uid));
   const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
   const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
@@ -65,17 +66,12 @@ async function sendAgain(app, theirs, changes, subject) {
 /**
  * The change that adds an edited box again, as a new one, after others have deleted it.
  *
- * @param {Change} change
  * @returns {Change}
  */
-const asNew = ({ label, box, track_id }) => ({ kind: "create", label, box, track_id });
+const asNew = (/** @type {Change} */ { label, box, track_id }) => ({ kind: "create", label, box, track_id });
 
-/**
- * @param {FrameState} theirs
- * @param {Change[]} changes
- * @returns {Mine}
- */
-function shown(theirs, changes) {
+/** @returns {Mine} */
+function shown(/** @type {FrameState} */ theirs, /** @type {Change[]} */ changes) {
   const labels = new Map(theirs.labels.map((label) => [label.uid, label]));
   const camera = cameraOf(theirs.image);
   const boxes = changes.flatMap(({ box, uid }) => box ?? labels.get(uid ?? "")?.box ?? []);
@@ -85,5 +81,49 @@ function shown(theirs, changes) {
   return { text, boxes: [], outlines: boxes.map((box) => outline(camera, box).flatMap(pairs)) };
 }
 
-/** @param {Line} line */
-const pairs = (line) => line.slice(1).map((end, i) => [line[i], end]);
+const pairs = (/** @type {Line} */ line) => line.slice(1).map((end, i) => [line[i], end]);
+
+// -- a track has one box in a frame: the operator chooses which one stays
+
+/**
+ * The changes to send in place of refused ones, perhaps none, and the box to select then, if another one; null if the
+ * refused ones stay unsaved.
+ *
+ * @param {PageLabel[]} labels of the frame, as stored.
+ * @param {Change[]} changes the refused ones.
+ * @param {TrackTakenError} error
+ * @returns {Promise<{ changes: Change[], selected?: string } | null>}
+ */
+export async function chooseBox(labels, changes, error) {
+  const { track } = error.body;
+  const isOwn = (/** @type {string} */ uid) => changes.some((change) => change.uid === uid);
+  const other = labels.find((label) => label.track_id === track && label.state !== "rejected" && !isOwn(label.uid));
+  if (!other || changes.length !== 1) return null;
+  const chosen = await openDialog({
+    title: `Track ${track} has a box in this frame`,
+    testid: "which-stays",
+    content: [
+      h(
+        "p",
+        {},
+        `The other box is ${other.state === "proposed" ? "a proposal" : other.state} (${other.label}). An object ` +
+          "has one box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
+      ),
+    ],
+    // Enter, which has just ended the track's number, deletes nothing
+    actions: [
+      { label: "Keep this box", value: "this", kind: "" },
+      { label: "Keep the other box", value: "other", kind: "" },
+      { label: "Cancel", value: "neither" },
+    ],
+  });
+  const { uid, kind } = changes[0];
+  if (chosen === "this") return { changes: [{ kind: "delete", uid: other.uid }, ...changes] };
+  if (chosen === "other") {
+    // a new box is not stored, and a rejected one stays rejected
+    const isGone = uid === undefined || kind === "accept";
+    return { changes: isGone ? [] : [{ kind: "delete", uid }], selected: other.uid };
+  }
+  // the track, or the state, stays as it was; a changed box is not lost
+  return kind === "track" || kind === "accept" ? { changes: [] } : null;
+}

@@ -4,7 +4,7 @@
  */
 
 import { trackColor } from "../colors.js";
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
@@ -17,10 +17,9 @@ const SHOWN = 40;
 /**
  * What to say about boxes that were copied from the previous frame, and how.
  *
- * @param {PageLabel[]} copies
  * @returns {[string, "good" | "warn"]}
  */
-export function copiedText(copies) {
+export function copiedText(/** @type {PageLabel[]} */ copies) {
   const empty = copies.filter(({ points }) => points < LEAST_POINTS);
   const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
   if (empty.length === 0) return [what, "good"];
@@ -31,46 +30,30 @@ export function copiedText(copies) {
 
 /**
  * `open` shows a box in its frame, `sheet` the contact sheet. `onCarried` is called when later proposals have changed.
- *
- * @param {HTMLElement} host
- * @param {ModeApp} app
- * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, sheet: () => unknown, onCarried: () => unknown }} options
  */
-export function createTracks(host, app, desk, { open, sheet, onCarried }) {
+export function createTracks(
+  /** @type {HTMLElement} */ host,
+  /** @type {ModeApp} */ app,
+  /** @type {Desk} */ desk,
+  /** @type {{ open: (target: Target) => unknown, sheet: () => unknown, onCarried: () => unknown }} */ {
+    open,
+    sheet,
+    onCarried,
+  },
+) {
   const title = h("span", { class: "grow ellipsis" });
-  const fill = h(
-    "button",
-    {
-      type: "button",
-      title: "Propose boxes between this reviewed box and its track's previous reviewed box (I)",
-      "data-testid": "act-fill",
-      onclick: () => void interpolate(),
-    },
-    "Fill back",
-    h("kbd", {}, "I"),
-  );
-  const all = h(
-    "button",
-    {
-      type: "button",
-      title: "All boxes of this track as small pictures, to be accepted together (S)",
-      "data-testid": "act-sheet",
-      onclick: () => sheet(),
-    },
-    "Sheet",
-  );
-  const alike = h(
-    "button",
-    {
-      type: "button",
-      title: "Correct the later proposals of this track like this box (A)",
-      "data-testid": "act-carry",
-      onclick: () => void carry(),
-    },
-    "Alike",
-    h("kbd", {}, "A"),
-  );
+  const fill = button(["Fill back", h("kbd", {}, "I")], () => void interpolate(), {
+    title: "Propose boxes between this reviewed box and its track's previous reviewed box (I)",
+    "data-testid": "act-fill",
+  });
+  const all = button("Sheet", () => sheet(), {
+    title: "All boxes of this track as small pictures, to be accepted together (S)",
+    "data-testid": "act-sheet",
+  });
+  const alike = button(["Alike", h("kbd", {}, "A")], () => void carry(), {
+    title: "Correct the later proposals of this track like this box (A)",
+    "data-testid": "act-carry",
+  });
   const strip = h("div", { class: "track-strip", "data-testid": "track-strip" });
   const body = h(
     "div",
@@ -83,8 +66,7 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
   let known = { key: "", boxes: [] };
 
   const recording = () => currentFrame(app).frame.recording;
-  /** @param {number} id */
-  const path = (id) => app.path("recordings", recording(), "tracks", id);
+  const path = (/** @type {number} */ id) => app.path("recordings", recording(), "tracks", id);
 
   async function show() {
     const { shown: label } = desk;
@@ -110,11 +92,7 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
     }
   }
 
-  /**
-   * @param {PageLabel} label
-   * @param {number} id
-   */
-  function draw(label, id) {
+  function draw(/** @type {PageLabel} */ label, /** @type {number} */ id) {
     const at = Math.max(
       0,
       known.boxes.findIndex(({ uid }) => uid === label.uid),
@@ -128,26 +106,20 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
     strip.replaceChildren(
       ...known.boxes.slice(from, from + SHOWN).map((box) =>
-        h("button", {
-          type: "button",
+        button([], () => open({ frame: box.frame, uid: box.uid }), {
           class: `tick state-${box.state}`,
           title: `${box.key}, ${box.state}`,
           "aria-label": `Frame ${box.key}, ${box.state}`,
           "aria-current": box.uid === label.uid ? "true" : null,
           "data-testid": "track-tick",
           "data-uid": box.uid,
-          onclick: () => open({ frame: box.frame, uid: box.uid }),
         }),
       ),
     );
   }
 
-  /**
-   * Goes to the next (by = 1) or previous (by = -1) frame with the same object.
-   *
-   * @param {number} by
-   */
-  async function step(by) {
+  /** Goes to the next (by = 1) or previous (by = -1) frame with the same object. */
+  async function step(/** @type {number} */ by) {
     const label = desk.stored();
     if (!label) return;
     if (label.track_id === null)
@@ -244,12 +216,8 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
     }
   }
 
-  /**
-   * Reports a refused change. If others have changed the frame in the meantime, their version is shown.
-   *
-   * @param {unknown} error
-   */
-  async function refused(error) {
+  /** Reports a refused change. If others have changed the frame in the meantime, their version is shown. */
+  async function refused(/** @type {unknown} */ error) {
     if (isStale(error)) app.frames.take(error.body.state);
     app.toast(error, isStale(error) ? "warn" : undefined);
   }

@@ -2,15 +2,12 @@
 
 import { nameOf, schemaOf, steps } from "../attributes.js";
 import { h } from "../dom.js";
-import { refill } from "./refill.js";
 
-/**
- * `onChange` is called with what the server is to be asked.
- *
- * @param {ModeApp} app
- * @param {(query: import("./queue.js").ValueQuery) => unknown} onChange
- */
-export function createValueFilter(app, onChange) {
+/** `onChange` is called with what the server is to be asked. */
+export function createValueFilter(
+  /** @type {ModeApp} */ app,
+  /** @type {(query: import("./queue.js").ValueQuery) => unknown} */ onChange,
+) {
   /**
    * The attribute of each option that is typed, by the option's value.
    *
@@ -34,13 +31,12 @@ export function createValueFilter(app, onChange) {
   const contains = input("contains", "contains", "text");
   const root = h("span", { class: "value-filter" }, select, low, high, contains);
 
-  /**
-   * @param {string} name
-   * @param {string} placeholder
-   * @param {"number" | "text"} type
-   * @returns {HTMLInputElement}
-   */
-  function input(name, placeholder, type) {
+  /** @returns {HTMLInputElement} */
+  function input(
+    /** @type {string} */ name,
+    /** @type {string} */ placeholder,
+    /** @type {"number" | "text"} */ type,
+  ) {
     return h("input", {
       type,
       step: type === "number" ? "any" : null,
@@ -115,4 +111,23 @@ export function createValueFilter(app, onChange) {
       showInputs();
     },
   };
+}
+
+// -- selects whose options change
+
+/**
+ * Gives a select other options; true if the chosen one is gone.
+ *
+ * @param {HTMLSelectElement} select
+ * @param {string} all the option without a value.
+ * @param {Map<string, string>} texts of the other options, by their values.
+ */
+export function refill(select, all, texts) {
+  const chosen = select.value;
+  select.replaceChildren(
+    h("option", { value: "" }, all),
+    ...[...texts].map(([value, text]) => h("option", { value }, text)),
+  );
+  select.value = texts.has(chosen) ? chosen : "";
+  return select.value !== chosen;
 }

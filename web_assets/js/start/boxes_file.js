@@ -192,8 +192,7 @@ export async function importBoxes(app, name) {
     );
   }
 
-  /** @param {string} label */
-  function classChoice(label) {
+  function classChoice(/** @type {string} */ label) {
     const like = project.classes.find((known) => known.toLowerCase() === label.toLowerCase());
     return h(
       "select",
@@ -204,12 +203,8 @@ export async function importBoxes(app, name) {
     );
   }
 
-  /**
-   * Adds the classes that the project lacks by now: an earlier try may have added some.
-   *
-   * @param {string[]} labels
-   */
-  async function addClasses(labels) {
+  /** Adds the classes that the project lacks by now: an earlier try may have added some. */
+  async function addClasses(/** @type {string[]} */ labels) {
     if (!labels.length) return;
     /** @type {Api.ProjectInfo} */
     const present = await app.api.get(projectPath(name));
@@ -283,21 +278,13 @@ export async function importBoxes(app, name) {
   });
 }
 
-/**
- * A score with few digits.
- *
- * @param {number} value
- */
-function number(value) {
+/** A score with few digits. */
+function number(/** @type {number} */ value) {
   return Number(value.toPrecision(3)).toString();
 }
 
-/**
- * What a file has.
- *
- * @param {Api.BoxesFile} file
- */
-function described({ name, found, notes, ambiguous, is_3d }) {
+/** What a file has. */
+function described(/** @type {Api.BoxesFile} */ { name, found, notes, ambiguous, is_3d }) {
   const thing = is_3d ? "frame" : "image";
   return [
     h("p", { "data-testid": "boxes-found" }, `${name}: ${found}`),

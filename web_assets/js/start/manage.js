@@ -2,8 +2,8 @@
 
 import { projectPath } from "../api.js";
 import { openDialog } from "../dialogs.js";
-import { count, glyph, h } from "../dom.js";
-import { manageRecordings } from "./recordings_list.js";
+import { button, count, glyph, h } from "../dom.js";
+import { manageRecordings } from "./recordings.js";
 
 /**
  * A button that opens the menu.
@@ -15,17 +15,8 @@ import { manageRecordings } from "./recordings_list.js";
  */
 export function createMenu(app, project, refresh, onJob) {
   const { name } = project;
-  /**
-   * @param {string} id
-   * @param {string} label
-   * @param {() => Promise<unknown>} act
-   */
-  const item = (id, label, act) =>
-    h(
-      "button",
-      { type: "button", class: "quiet", role: "menuitem", "data-testid": `${id}-${name}`, onclick: () => run(act) },
-      label,
-    );
+  const item = (/** @type {string} */ id, /** @type {string} */ label, /** @type {() => Promise<unknown>} */ act) =>
+    button(label, () => run(act), { class: "quiet", role: "menuitem", "data-testid": `${id}-${name}` });
   const remove = item("remove", "Remove …", () => removeProject(app, project));
   const items = project.problem
     ? [remove]
@@ -39,24 +30,21 @@ export function createMenu(app, project, refresh, onJob) {
         remove,
       ];
   const list = h("div", { class: "menu", popover: "auto", role: "menu", "aria-label": `Project ${name}` }, items);
-  const button = h("button", {
-    type: "button",
+  const opener = button(glyph("more"), null, {
     class: "icon quiet",
     title: "Recordings, rename, copy, remove",
     "aria-label": `More about ${name}`,
     "aria-haspopup": "menu",
     "data-testid": `menu-${name}`,
   });
-  button.append(glyph("more"));
-  button.popoverTargetElement = list;
+  opener.popoverTargetElement = list;
   list.addEventListener("beforetoggle", () => {
-    const { right, bottom } = button.getBoundingClientRect();
+    const { right, bottom } = opener.getBoundingClientRect();
     list.style.top = `${bottom}px`;
     list.style.right = `${document.documentElement.clientWidth - right}px`;
   });
 
-  /** @param {() => Promise<unknown>} act */
-  async function run(act) {
+  async function run(/** @type {() => Promise<unknown>} */ act) {
     list.hidePopover();
     try {
       await act();
@@ -66,14 +54,10 @@ export function createMenu(app, project, refresh, onJob) {
     await refresh();
   }
 
-  return [button, list];
+  return [opener, list];
 }
 
-/**
- * @param {string} label
- * @param {string} value
- */
-function nameField(label, value) {
+function nameField(/** @type {string} */ label, /** @type {string} */ value) {
   const input = h("input", {
     required: true,
     maxlength: 64,
@@ -85,11 +69,7 @@ function nameField(label, value) {
   return { input, root: h("label", { class: "field" }, h("span", {}, label), input) };
 }
 
-/**
- * @param {App} app
- * @param {string} project
- */
-function rename(app, project) {
+function rename(/** @type {App} */ app, /** @type {string} */ project) {
   const { input, root } = nameField("New name", project);
   return openDialog({
     title: `Rename ${project}`,
@@ -107,11 +87,9 @@ function rename(app, project) {
 /**
  * Starts a job that copies the project. Returns the job, or null if the dialog was cancelled.
  *
- * @param {App} app
- * @param {Api.ProjectSummary} project
  * @returns {Promise<Api.Job | null>}
  */
-function copy(app, project) {
+function copy(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
   const { input, root } = nameField("Name of the copy", `${project.name}-copy`);
   const labels = h("input", { type: "checkbox", checked: true, "data-testid": "copy-labels" });
   return openDialog({
@@ -138,11 +116,7 @@ function copy(app, project) {
   });
 }
 
-/**
- * @param {App} app
- * @param {Api.ProjectSummary} project
- */
-async function removeProject(app, project) {
+async function removeProject(/** @type {App} */ app, /** @type {Api.ProjectSummary} */ project) {
   const { name, problem } = project;
   const labels = numberOfLabels(project);
   const { input, root } = nameField(`To remove it, type its name: ${name}`, "");
@@ -190,5 +164,87 @@ async function removeProject(app, project) {
   });
 }
 
-/** @param {Api.ProjectSummary} project */
-const numberOfLabels = ({ labels_by_state: states }) => Object.values(states).reduce((sum, number) => sum + number, 0);
+const numberOfLabels = (/** @type {Api.ProjectSummary} */ { labels_by_state: states }) =>
+  Object.values(states).reduce((sum, number) => sum + number, 0);
+
+// -- the dialog that creates a project
+
+const ROTATIONS = [
+  ["auto", "Automatic", "Upright where the recording has an up direction, free elsewhere."],
+  ["upright", "Upright", "Boxes turn only about the vertical: people, cars, furniture."],
+  ["free", "Free", "Boxes turn in any direction: hands, tools, parts in a bin."],
+];
+
+/** Asks for name, classes and rotation. Returns the project's summary, or null if the dialog was cancelled. */
+export function createProject(/** @type {App} */ app) {
+  const name = h("input", {
+    name: "name",
+    required: true,
+    maxlength: 64,
+    autofocus: true,
+    placeholder: "street-hands",
+    autocomplete: "off",
+    "data-testid": "project-name",
+  });
+  const classes = h("input", {
+    name: "classes",
+    required: true,
+    placeholder: "hand, cup",
+    autocomplete: "off",
+    "data-testid": "project-classes",
+  });
+  const choices = ROTATIONS.map(([value, title, help]) =>
+    h(
+      "label",
+      { class: "choice" },
+      h("input", {
+        type: "radio",
+        name: "rotation",
+        value,
+        checked: value === "auto",
+        "data-testid": `rotation-${value}`,
+      }),
+      h("span", {}, h("strong", {}, title), h("span", { class: "help" }, help)),
+    ),
+  );
+  return openDialog({
+    title: "New project",
+    testid: "new-project-dialog",
+    content: [
+      h(
+        "label",
+        { class: "field" },
+        h("span", {}, "Name"),
+        name,
+        h("span", { class: "help" }, "Letters, digits, '-' and '_'. The project's folder gets this name."),
+      ),
+      h(
+        "label",
+        { class: "field" },
+        h("span", {}, "Classes"),
+        classes,
+        h(
+          "span",
+          { class: "help" },
+          "Separated by commas. The first nine get the keys 1 to 9. You can add more later.",
+        ),
+      ),
+      h("fieldset", { class: "choices" }, h("legend", { class: "field-label" }, "Rotation of boxes"), choices),
+    ],
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: "Create", value: "create" },
+    ],
+    async submit(value, form) {
+      if (value === "cancel") return null;
+      const labels = classes.value
+        .split(",")
+        .map((text) => text.trim())
+        .filter(Boolean);
+      if (!name.value.trim()) throw new Error("Please give the project a name.");
+      if (!labels.length) throw new Error("Please name at least one class: the kind of object that you label.");
+      const rotation = new FormData(form).get("rotation");
+      return app.api.post("/api/projects", { name: name.value.trim(), classes: labels, rotation });
+    },
+  });
+}

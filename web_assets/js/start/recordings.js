@@ -1,11 +1,10 @@
 /** The dialogs that add recordings to a project, and that point to a moved recording. */
 
-import { openDialog } from "../dialogs.js";
-import { count, glyph, h } from "../dom.js";
 import { projectPath } from "../api.js";
+import { confirm, openDialog } from "../dialogs.js";
+import { button, count, glyph, h } from "../dom.js";
 import { ApiError, messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
-import { createFolders } from "./folders.js";
 import { chooseTopics } from "./topics.js";
 
 /** What is added of a recording with several cameras, or with a LiDAR that sees more than its camera. */
@@ -18,13 +17,8 @@ const CAMERAS = [
   })),
 ];
 
-/**
- * Shows the folders until it is closed, so that several recordings can be added.
- *
- * @param {App} app
- * @param {string} project
- */
-export function addRecordings(app, project) {
+/** Shows the folders until it is closed, so that several recordings can be added. */
+export function addRecordings(/** @type {App} */ app, /** @type {string} */ project) {
   const done = h("div", { class: "added", role: "status" });
   const labels = h("input", { type: "checkbox", checked: true, "data-testid": "own-labels" });
   const cameras = h(
@@ -126,15 +120,13 @@ async function add(app, { project, done, labels, cameras }, entry, button, again
   }
 }
 
-/**
- * Offers to set the new path of a recording of the project that is found elsewhere.
- *
- * @param {App} app
- * @param {string} project
- * @param {Api.FolderEntry} entry
- * @param {Api.MissingRecording} moved
- */
-function askMoved(app, project, entry, moved) {
+/** Offers to set the new path of a recording of the project that is found elsewhere. */
+function askMoved(
+  /** @type {App} */ app,
+  /** @type {string} */ project,
+  /** @type {Api.FolderEntry} */ entry,
+  /** @type {Api.MissingRecording} */ moved,
+) {
   return openDialog({
     title: `${moved.name} has moved`,
     testid: "moved-dialog",
@@ -154,13 +146,8 @@ function askMoved(app, project, entry, moved) {
   });
 }
 
-/**
- * The progress of reading the boxes, which continues when the dialog is closed.
- *
- * @param {App} app
- * @param {Api.Job} job
- */
-function jobLine(app, job) {
+/** The progress of reading the boxes, which continues when the dialog is closed. */
+function jobLine(/** @type {App} */ app, /** @type {Api.Job} */ job) {
   takeJob(app, job);
   const line = createJobLine(app, "import", () => app.state.jobs.find(({ id }) => id === job.id) ?? job);
   const stop = app.state.on("jobs", () => {
@@ -171,22 +158,19 @@ function jobLine(app, job) {
   return line.root;
 }
 
-/** @param {Api.AddedRecording} options */
-function describe({ recording, is_new, new_frames, left_out }) {
+function describe(/** @type {Api.AddedRecording} */ { recording, is_new, new_frames, left_out }) {
   const more = left_out ? `, ${left_out} left out` : "";
   return is_new
     ? `${recording.name}: ${count(recording.frames, "frame")}${more}`
     : `${recording.name} was already in the project: ${count(new_frames, "new frame")}${more}`;
 }
 
-/**
- * Asks for the new path of a recording. Returns the recording, or null if the dialog was cancelled.
- *
- * @param {App} app
- * @param {string} project
- * @param {Api.MissingRecording} options
- */
-export function locateRecording(app, project, { id, name }) {
+/** Asks for the new path of a recording. Returns the recording, or null if the dialog was cancelled. */
+export function locateRecording(
+  /** @type {App} */ app,
+  /** @type {string} */ project,
+  /** @type {Api.MissingRecording} */ { id, name },
+) {
   /** @type {string | null} */
   let chosen = null;
   const status = h(
@@ -227,4 +211,133 @@ export function locateRecording(app, project, { id, name }) {
   });
   void folders.show("");
   return closed;
+}
+
+// -- the dialog with all recordings of a project
+
+/** Shows the recordings until the dialog is closed. */
+export async function manageRecordings(/** @type {App} */ app, /** @type {string} */ project) {
+  const list = h("ul", { class: "recordings", role: "status" });
+  const path = (/** @type {(string | number)[]} */ ...parts) => projectPath(project, "recordings", ...parts);
+
+  async function show(/** @type {Promise<Api.ListedRecordings>} */ answer) {
+    try {
+      const { recordings } = await answer;
+      list.replaceChildren(...recordings.map(row));
+      if (!recordings.length) list.append(h("li", { class: "muted" }, "No recording yet"));
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  function row(/** @type {Api.ListedRecording} */ recording) {
+    const { id, name, frames, labels, missing, removed_by } = recording;
+    const isGone = removed_by !== null;
+    const numbers = [...(isGone ? [] : [count(frames, "frame")]), count(labels, "label")].join(", ");
+    const states = [...(isGone ? [`removed by ${removed_by}`] : []), ...(missing ? ["its folder was not found"] : [])];
+    return h(
+      "li",
+      { class: "row", "data-testid": `recording-${name}` },
+      h("span", { class: `grow ellipsis${isGone ? " muted" : ""}`, title: name }, name),
+      h("span", { class: "muted number" }, numbers),
+      h("span", { class: missing ? "bad" : "muted" }, states.join("; ")),
+      missing && button("Locate …", () => locate(recording), { "data-testid": "locate" }),
+      isGone &&
+        !missing &&
+        button("Bring back", () => show(app.api.post(path(id, "restore"))), { "data-testid": "restore" }),
+      !isGone && button("Remove …", () => remove(recording), { "data-testid": "remove" }),
+    );
+  }
+
+  async function locate(/** @type {Api.ListedRecording} */ recording) {
+    if (await locateRecording(app, project, recording)) await show(app.api.get(path()));
+  }
+
+  async function remove(/** @type {Api.ListedRecording} */ { id, name, labels }) {
+    const text =
+      `Its ${count(labels, "label")} stay in the project's history, and come back with it. Until then they are ` +
+      "neither shown nor counted, exported or trained on. Its files stay where they are.";
+    if (await confirm(`Remove ${name} from ${project}?`, text, "Remove", "danger")) {
+      await show(app.api.del(path(id)));
+    }
+  }
+
+  await show(app.api.get(path()));
+  return openDialog({
+    title: `Recordings of ${project}`,
+    testid: "recordings-dialog",
+    wide: true,
+    content: [list],
+    actions: [{ label: "Done", value: "done" }],
+  });
+}
+
+// -- a browser of the server's folders
+
+/**
+ * @param {App} app
+ * @param {Picker} options
+ * @returns {{nodes: Node[], show: (path: string) => Promise<void>}} the elements, and the function that
+ *     opens a folder; "" lists the server's folders.
+ */
+export function createFolders(app, options) {
+  const crumbs = h("nav", { class: "crumbs", "aria-label": "Folder" });
+  const list = h("ul", { class: "folders", "data-testid": "folders", tabindex: -1 });
+
+  async function show(/** @type {string} */ path) {
+    try {
+      /** @type {Api.FolderListing} */
+      const listing = await app.api.get(`/api/folders?path=${encodeURIComponent(path)}`);
+      crumbs.replaceChildren(...makeCrumbs(listing.path, show));
+      list.replaceChildren(
+        ...(listing.entries.length
+          ? listing.entries.map((entry) => makeEntry(entry, show, options))
+          : [nothing(listing.path)]),
+      );
+      list.focus();
+    } catch (error) {
+      list.replaceChildren(h("li", { class: "error-box", role: "alert" }, messageOf(error)));
+    }
+  }
+
+  return { nodes: [crumbs, list], show };
+}
+
+function nothing(/** @type {string} */ path) {
+  const text = path
+    ? "This folder is empty."
+    : "The server has no folder with recordings. Start it with --folder PATH.";
+  return h("li", { class: "empty" }, text);
+}
+
+function makeCrumbs(/** @type {string} */ path, /** @type {(path: string) => void} */ show) {
+  const parts = path ? path.split("/") : [];
+  const step = (/** @type {string} */ text, /** @type {string} */ target) =>
+    button(text, () => show(target), { class: "quiet" });
+  return [
+    step("Folders", ""),
+    ...parts.flatMap((part, i) => [h("span", { class: "muted" }, "/"), step(part, parts.slice(0, i + 1).join("/"))]),
+  ];
+}
+
+function makeEntry(
+  /** @type {Api.FolderEntry} */ entry,
+  /** @type {(path: string) => void} */ show,
+  /** @type {Picker} */ { text, testid, onPick },
+) {
+  const name = h("span", { class: "grow ellipsis", title: entry.name }, entry.name);
+  const openButton = button([glyph("folder"), name], () => show(entry.path), {
+    class: "quiet entry",
+    "data-testid": `folder-${entry.name}`,
+  });
+  if (entry.recording === null) return h("li", {}, openButton);
+  /** @type {HTMLButtonElement} */
+  const pick = button(text, () => onPick(entry, pick), { class: "primary", "data-testid": `${testid}-${entry.name}` });
+  return h(
+    "li",
+    { class: "entry recording" },
+    entry.is_folder ? openButton : name,
+    h("span", { class: "chip format" }, entry.recording),
+    pick,
+  );
 }

@@ -1,23 +1,17 @@
 /** The start page: the projects with what can be done to them, a new project, and recordings for them. */
 
-import { count, glyph, h, iconButton } from "../dom.js";
-import { makeHash } from "../router.js";
-import { messageOf } from "../errors.js";
-import { createJobLine, isActive, takeJob } from "../jobs.js";
 import { editClasses } from "../classes/classes.js";
+import { button, count, glyph, h, iconButton } from "../dom.js";
+import { messageOf } from "../errors.js";
+import { createJobLine, followImports, isActive, isOfImport, takeJob } from "../jobs.js";
+import { makeHash } from "../router.js";
 import { importBoxes } from "./boxes_file.js";
-import { followImports, isOfImport } from "./imports.js";
-import { createMenu } from "./manage.js";
+import { createMenu, createProject } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
-import { createProject } from "./new_project.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 
-/**
- * @param {HTMLElement} root
- * @param {App} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
   /** @type {JobLine[]} */
   let lines = [];
@@ -36,12 +30,7 @@ export function mount(root, app) {
   );
 
   function newButton() {
-    return h(
-      "button",
-      { type: "button", class: "primary", "data-testid": "new-project", onclick: make },
-      glyph("plus"),
-      "New project",
-    );
+    return button([glyph("plus"), "New project"], make, { class: "primary", "data-testid": "new-project" });
   }
 
   async function make() {
@@ -51,22 +40,16 @@ export function mount(root, app) {
     await add(project.name);
   }
 
-  /** @param {string} name */
-  async function add(name) {
+  async function add(/** @type {string} */ name) {
     await addRecordings(app, name);
     await refresh();
   }
 
-  /**
-   * @param {string} name
-   * @param {Api.MissingRecording} recording
-   */
-  async function locate(name, recording) {
+  async function locate(/** @type {string} */ name, /** @type {Api.MissingRecording} */ recording) {
     if (await locateRecording(app, name, recording)) await refresh();
   }
 
-  /** @param {string} name */
-  async function change(name) {
+  async function change(/** @type {string} */ name) {
     try {
       await editClasses(app, name);
     } catch (error) {
@@ -75,8 +58,7 @@ export function mount(root, app) {
     await refresh();
   }
 
-  /** @param {string} name */
-  async function addBoxes(name) {
+  async function addBoxes(/** @type {string} */ name) {
     try {
       const job = await importBoxes(app, name);
       if (!job) return;
@@ -87,8 +69,7 @@ export function mount(root, app) {
     }
   }
 
-  /** @param {Api.Job} job */
-  function begun(job) {
+  function begun(/** @type {Api.Job} */ job) {
     started.add(job.id);
     takeJob(app, job);
   }
@@ -117,7 +98,7 @@ export function mount(root, app) {
       );
       showLines();
     } catch (error) {
-      const retry = h("button", { type: "button", onclick: refresh }, "Try again");
+      const retry = button("Try again", refresh);
       list.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)), h("div", {}, retry));
     }
   }
@@ -146,14 +127,8 @@ export function mount(root, app) {
   };
 }
 
-/**
- * The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed.
- *
- * @param {App} app
- * @param {string} project
- * @param {Set<string>} started
- */
-function importLine(app, project, started) {
+/** The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed. */
+function importLine(/** @type {App} */ app, /** @type {string} */ project, /** @type {Set<string>} */ started) {
   const own = () =>
     app.state.jobs
       .filter((job) => isOfImport(job) && job.project === project)
@@ -189,23 +164,13 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
     box.append(h("p", { class: "error-box" }, problem));
     return box;
   }
-  const addButton = h(
-    "button",
-    {
-      type: "button",
-      class: project.recordings ? "" : "primary",
-      onclick: () => add(name),
-      "data-testid": `add-recording-${name}`,
-    },
-    glyph("plus"),
-    "Recording",
-  );
-  const boxesButton = h(
-    "button",
-    { type: "button", onclick: () => addBoxes(name), "data-testid": `import-boxes-${name}` },
-    glyph("plus"),
-    "Boxes",
-  );
+  const addButton = button([glyph("plus"), "Recording"], () => add(name), {
+    class: project.recordings ? "" : "primary",
+    "data-testid": `add-recording-${name}`,
+  });
+  const boxesButton = button([glyph("plus"), "Boxes"], () => addBoxes(name), {
+    "data-testid": `import-boxes-${name}`,
+  });
   boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
   boxesButton.hidden = !project.recordings;
   const links = project.recordings
@@ -238,12 +203,8 @@ function card(project, { add, addBoxes, locate, change, line, menu }) {
   return box;
 }
 
-/**
- * @param {Api.MissingRecording} options
- * @param {() => void} onLocate
- */
-function missing({ name }, onLocate) {
-  const locate = h("button", { type: "button", "data-testid": `locate-${name}`, onclick: onLocate }, "Locate …");
+function missing(/** @type {Api.MissingRecording} */ { name }, /** @type {() => void} */ onLocate) {
+  const locate = button("Locate …", onLocate, { "data-testid": `locate-${name}` });
   return h(
     "div",
     { class: "row missing" },
@@ -252,18 +213,16 @@ function missing({ name }, onLocate) {
   );
 }
 
-/**
- * @param {string} name
- * @param {string} mode
- * @param {string} text
- * @param {boolean} [isPrimary]
- */
-function link(name, mode, text, isPrimary = false) {
+function link(
+  /** @type {string} */ name,
+  /** @type {string} */ mode,
+  /** @type {string} */ text,
+  /** @type {boolean} */ isPrimary = false,
+) {
   return h("a", { class: `button${isPrimary ? " strong" : ""}`, href: makeHash(name, mode) }, text);
 }
 
-/** @param {Record<string, number>} labels */
-function stateCounts(labels) {
+function stateCounts(/** @type {Record<string, number>} */ labels) {
   const known = STATES.filter((state) => labels[state] > 0);
   if (!known.length) return [h("span", { class: "muted" }, "no labels")];
   return known.map((state) =>

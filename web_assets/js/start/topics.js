@@ -24,11 +24,9 @@ const CHOICES = [
 /**
  * Shows the topics with a preview of the first frame. Returns the reader's options, or null if it was cancelled.
  *
- * @param {App} app
- * @param {Api.FolderEntry} entry
  * @returns {Promise<Record<string, string> | null>}
  */
-export async function chooseTopics(app, entry) {
+export async function chooseTopics(/** @type {App} */ app, /** @type {Api.FolderEntry} */ entry) {
   const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
   const rows = CHOICES.map(({ label }, index) =>
     h("label", { class: "row bag-topic" }, h("span", {}, label), selects[index]),
@@ -106,14 +104,12 @@ export async function chooseTopics(app, entry) {
   });
 }
 
-/** @param {Api.TopicReport} topic */
-function nameOf({ name, type, messages, rate_hz }) {
+function nameOf(/** @type {Api.TopicReport} */ { name, type, messages, rate_hz }) {
   const rate = rate_hz === null ? "" : `, ${rate_hz.toPrecision(3)} Hz`;
   return `${name} (${type}, ${count(messages, "message")}${rate})`;
 }
 
-/** @param {Api.BagChoice} answer */
-function describe({ frames, notes, problem, picture }) {
+function describe(/** @type {Api.BagChoice} */ { frames, notes, problem, picture }) {
   if (problem) {
     // the message names the options of the command line
     const text = CHOICES.reduce(

@@ -3,12 +3,11 @@
  * --json`.
  */
 
-import { createChart } from "../charts.js";
+import { createChart, duration, number, percent, section, table } from "../charts.js";
 import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
-import { duration, number, percent, section, table } from "./tables.js";
 
 /** How long to rest between two readings, relative to the time that one takes. */
 const REST = 20;
@@ -29,11 +28,7 @@ const ORIGINS = {
 /** Listed even without boxes: these compare proposals with drawing from scratch. */
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
   const secondsHost = h("div", { class: "chart" });
   const actionsHost = h("div", { class: "chart" });
@@ -113,11 +108,11 @@ export function mount(root, app) {
   };
 }
 
-/** @param {string} name */
-const originName = (name) => ORIGINS[name] ?? name;
+const originName = (/** @type {string} */ name) => ORIGINS[name] ?? name;
 
-/** @param {Api.ReportedStatistics} options */
-function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, progress }) {
+function tilesOf(
+  /** @type {Api.ReportedStatistics} */ { effort, accepted_untouched, iou_proposal_to_final, labels, progress },
+) {
   const { earliest, latest } = progress.pace;
   const { hours_left, boxes_an_hour, frames_left, frames_done } = progress.forecast;
   const change =
@@ -150,16 +145,14 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, pr
   );
 }
 
-/** @param {Api.ReportedStatistics} known */
-function tablesOf(known) {
+function tablesOf(/** @type {Api.ReportedStatistics} */ known) {
   const { progress } = known;
   const common = [effortTable(known), countTable(known), ...valueTable(known), projectTable(known)];
   if (progress.days.length === 0) return common;
   return [peopleTable(progress), qualityTable(progress), rangeTable(progress), ...common, dayTable(progress)];
 }
 
-/** @param {Api.ReportedStatistics} options */
-function effortTable({ effort }) {
+function effortTable(/** @type {Api.ReportedStatistics} */ { effort }) {
   const shown = Object.entries(effort.by_origin).filter(([name, entry]) => entry.boxes > 0 || ALWAYS.includes(name));
   const rows = shown.map(([name, entry]) => [
     originName(name),
@@ -174,8 +167,7 @@ function effortTable({ effort }) {
   );
 }
 
-/** @param {Api.ReportedStatistics} options */
-function countTable({ labels }) {
+function countTable(/** @type {Api.ReportedStatistics} */ { labels }) {
   const classes = labels.by_class_and_state ?? null;
   if (!classes) {
     const rows = [
@@ -193,8 +185,7 @@ function countTable({ labels }) {
   return section("Boxes by class and state", table(["Class", ...STATES, "All"], rows, "stats-states"));
 }
 
-/** @param {Api.ReportedStatistics} options */
-function valueTable({ attributes, without_value }) {
+function valueTable(/** @type {Api.ReportedStatistics} */ { attributes, without_value }) {
   const rows = Object.entries(attributes).map(([name, values]) => [
     name,
     valueList(values),
@@ -204,15 +195,11 @@ function valueTable({ attributes, without_value }) {
   return rows.length ? [section("Values of attributes", table(heads, rows, "stats-attributes"))] : [];
 }
 
-/** @param {string} value */
-const shortened = (value) => (value.length > MOST_CHARACTERS ? `${value.slice(0, MOST_CHARACTERS - 1)}…` : value);
+const shortened = (/** @type {string} */ value) =>
+  value.length > MOST_CHARACTERS ? `${value.slice(0, MOST_CHARACTERS - 1)}…` : value;
 
-/**
- * The values with their numbers, the most frequent first.
- *
- * @param {Record<string, number>} values
- */
-function valueList(values) {
+/** The values with their numbers, the most frequent first. */
+function valueList(/** @type {Record<string, number>} */ values) {
   // objects list keys like "3" in their own order
   const entries = Object.entries(values).sort(([, a], [, b]) => b - a);
   const texts = entries.slice(0, MOST_VALUES).map(([value, times]) => `${shortened(value)}: ${number(times, 0)}`);
@@ -220,8 +207,7 @@ function valueList(values) {
   return texts.join(", ") || "none";
 }
 
-/** @param {Api.ReportedStatistics} known */
-function projectTable(known) {
+function projectTable(/** @type {Api.ReportedStatistics} */ known) {
   /** @type {[string, number][]} */
   const rows = [
     ["Recordings", known.recordings],
@@ -242,23 +228,19 @@ function projectTable(known) {
   );
 }
 
-/**
- * @param {Api.ReportedStatistics} known
- * @returns {[string, number][]}
- */
-function suggestedRows({ suggested }) {
+/** @returns {[string, number][]} */
+function suggestedRows(/** @type {Api.ReportedStatistics} */ { suggested }) {
   return Object.entries(suggested).flatMap(([detector, { as_suggested, corrected }]) => [
     [`Boxes accepted as suggested by ${detector}`, as_suggested],
     [`Boxes suggested by ${detector} and corrected`, corrected],
   ]);
 }
 
-/**
- * @param {Api.ReportedStatistics | null} known
- * @param {"seconds_a_box" | "actions_a_box"} key
- * @param {string} color
- */
-function effortChart(known, key, color) {
+function effortChart(
+  /** @type {Api.ReportedStatistics | null} */ known,
+  /** @type {"seconds_a_box" | "actions_a_box"} */ key,
+  /** @type {string} */ color,
+) {
   const entries = Object.entries(known?.effort.by_origin ?? {}).filter(([, entry]) => entry.boxes > 0);
   const names = entries.map(([name]) => originName(name).replace(", ", ",<br>"));
   return {
@@ -267,11 +249,7 @@ function effortChart(known, key, color) {
   };
 }
 
-/**
- * @param {Api.ReportedStatistics | null} known
- * @param {Record<string, string>} colors
- */
-function stateChart(known, colors) {
+function stateChart(/** @type {Api.ReportedStatistics | null} */ known, /** @type {Record<string, string>} */ colors) {
   const classes = known?.labels.by_class_and_state ?? null;
   if (classes) {
     const names = Object.keys(classes);
@@ -300,11 +278,9 @@ function stateChart(known, colors) {
   };
 }
 
-/** @param {number[]} values */
-const sum = (values) => values.reduce((total, value) => total + value, 0);
+const sum = (/** @type {number[]} */ values) => values.reduce((total, value) => total + value, 0);
 
-/** @param {ModeApp} app */
-function nothingYet(app) {
+function nothingYet(/** @type {ModeApp} */ app) {
   return h(
     "div",
     { class: "empty" },

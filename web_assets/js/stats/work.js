@@ -1,9 +1,8 @@
 /** The work on a project: who labelled how much, whether it gets faster, and where proposals are good. */
 
-import { createChart, plain } from "../charts.js";
+import { createChart, duration, number, percent, plain, section, table } from "../charts.js";
 import { colorIn } from "../colors.js";
 import { count, h } from "../dom.js";
-import { duration, number, percent, section, table } from "./tables.js";
 
 /** Classes with a line of their own in the chart of distances, those with most boxes. */
 const MOST_CLASSES = 6;
@@ -13,12 +12,11 @@ export function createWork() {
   let known = null;
   /** @type {ReturnType<typeof createChart>[]} */
   const drawn = [];
-  /**
-   * @param {string} title
-   * @param {string} testid
-   * @param {(progress: Api.Progress, colors: Record<string, string>) => Chart} make
-   */
-  const figure = (title, testid, make) => {
+  const figure = (
+    /** @type {string} */ title,
+    /** @type {string} */ testid,
+    /** @type {(progress: Api.Progress, colors: Record<string, string>) => Chart} */ make,
+  ) => {
     const host = h("div", { class: "chart", "data-testid": testid });
     const chart = createChart(host, (colors) => (known ? make(known, colors) : { traces: [], layout: {} }));
     drawn.push(chart);
@@ -42,8 +40,7 @@ export function createWork() {
 
   return {
     element,
-    /** @param {Api.Progress} progress */
-    show(progress) {
+    show(/** @type {Api.Progress} */ progress) {
       known = progress;
       element.hidden = progress.days.length === 0;
       if (element.hidden) return;
@@ -55,15 +52,13 @@ export function createWork() {
   };
 }
 
-/** @param {Api.Progress} progress */
-const peopleOf = ({ days }) => [...new Set(days.map(({ person }) => person))].sort();
+const peopleOf = (/** @type {Api.Progress} */ { days }) => [...new Set(days.map(({ person }) => person))].sort();
 
 /** @param {string} day as 2026-01-05 */
 const dayName = (day) =>
   new Date(`${day}T12:00`).toLocaleDateString("en", { weekday: "short", day: "numeric", month: "short" });
 
-/** @param {Api.Progress} progress */
-function dayChart(progress) {
+function dayChart(/** @type {Api.Progress} */ progress) {
   const people = peopleOf(progress);
   return {
     traces: people.map((person) => {
@@ -84,24 +79,19 @@ function dayChart(progress) {
 
 const DAY_MS = 86_400_000;
 
-/**
- * A tick for each day while they are few: a library that divides a day itself writes it several times.
- *
- * @param {Api.Progress} progress
- */
-function everyDay({ days }) {
+/** A tick for each day while they are few: a library that divides a day itself writes it several times. */
+function everyDay(/** @type {Api.Progress} */ { days }) {
   const times = days.map(({ day }) => Date.parse(day));
   return Math.max(...times) - Math.min(...times) < 10 * DAY_MS ? { dtick: DAY_MS } : {};
 }
 
 const forBoxes = { yaxis: { rangemode: "tozero" }, showlegend: true };
 
-/**
- * @param {Api.Progress} progress
- * @param {"seconds_a_box" | "actions_a_box"} key
- * @param {string} color
- */
-function paceChart({ pace }, key, color) {
+function paceChart(
+  /** @type {Api.Progress} */ { pace },
+  /** @type {"seconds_a_box" | "actions_a_box"} */ key,
+  /** @type {string} */ color,
+) {
   return {
     traces: [line(pace.groups, (group) => group[key], "", color, ".1f")],
     layout: { yaxis: { rangemode: "tozero" }, ...OVER_BOXES },
@@ -112,11 +102,7 @@ const OVER_BOXES = {
   margin: { l: 34, r: 6, t: 24, b: 40 },
 };
 
-/**
- * @param {Api.Progress} progress
- * @param {Record<string, string>} colors
- */
-function trendChart({ pace }, colors) {
+function trendChart(/** @type {Api.Progress} */ { pace }, /** @type {Record<string, string>} */ colors) {
   return {
     traces: [
       line(pace.groups, (group) => group.iou_proposal_to_final, "IoU with the final box", colors.accent, ".2f"),
@@ -147,14 +133,13 @@ function line(groups, value, name, color, format) {
   };
 }
 
-/** @param {Api.RangeQuality} range */
-const rangeName = ({ from_m, to_m }) => (to_m === null ? `over ${from_m} m` : `${from_m}–${to_m} m`);
+const rangeName = (/** @type {Api.RangeQuality} */ { from_m, to_m }) =>
+  to_m === null ? `over ${from_m} m` : `${from_m}–${to_m} m`;
 
-/** @param {Api.Quality} quality */
-const countOf = ({ untouched, corrected, rejected, missed }) => untouched + corrected + rejected + missed;
+const countOf = (/** @type {Api.Quality} */ { untouched, corrected, rejected, missed }) =>
+  untouched + corrected + rejected + missed;
 
-/** @param {Api.Progress} progress */
-function rangeChart({ proposals }) {
+function rangeChart(/** @type {Api.Progress} */ { proposals }) {
   const classes = Object.keys(proposals.by_class);
   const common = [...classes].sort((a, b) => countOf(proposals.by_class[b]) - countOf(proposals.by_class[a]));
   return {
@@ -179,11 +164,7 @@ function rangeChart({ proposals }) {
   };
 }
 
-/**
- * @param {Api.Progress} progress
- * @param {Record<string, string>} colors
- */
-function classChart({ proposals }, colors) {
+function classChart(/** @type {Api.Progress} */ { proposals }, /** @type {Record<string, string>} */ colors) {
   const names = Object.keys(proposals.by_class);
   /** @type {["untouched" | "corrected" | "rejected" | "missed", string][]} */
   const parts = [
@@ -204,8 +185,7 @@ function classChart({ proposals }, colors) {
   };
 }
 
-/** @param {Api.Progress} progress */
-export function peopleTable(progress) {
+export function peopleTable(/** @type {Api.Progress} */ progress) {
   const rows = peopleOf(progress).map((person) => [
     person,
     ...workCells(progress.days.filter((entry) => entry.person === person)),
@@ -215,8 +195,7 @@ export function peopleTable(progress) {
   return section("People", table(heads, rows, "stats-people"));
 }
 
-/** @param {Api.WorkOfDay[]} entries */
-function workCells(entries) {
+function workCells(/** @type {Api.WorkOfDay[]} */ entries) {
   const [boxes, hours] = [total(entries, "boxes"), total(entries, "hours")];
   return [
     number(new Set(entries.map(({ day }) => day)).size, 0),
@@ -228,18 +207,13 @@ function workCells(entries) {
   ];
 }
 
-/**
- * @param {Api.WorkOfDay[]} entries
- * @param {"boxes" | "rejected" | "hours" | "actions"} key
- */
-const total = (entries, key) => entries.reduce((sum, entry) => sum + entry[key], 0);
+const total = (
+  /** @type {Api.WorkOfDay[]} */ entries,
+  /** @type {"boxes" | "rejected" | "hours" | "actions"} */ key,
+) => entries.reduce((sum, entry) => sum + entry[key], 0);
 
-/**
- * A row for each day, the newest first.
- *
- * @param {Api.Progress} progress
- */
-export function dayTable(progress) {
+/** A row for each day, the newest first. */
+export function dayTable(/** @type {Api.Progress} */ progress) {
   const people = peopleOf(progress);
   const days = [...new Set(progress.days.map(({ day }) => day))].reverse();
   const rows = days.map((day) => {
@@ -250,12 +224,10 @@ export function dayTable(progress) {
   return section("Boxes and time per day", table(["Day", ...people, "All"], rows, "stats-days"));
 }
 
-/** @param {Api.WorkOfDay[]} entries */
-const boxesAndTime = (entries) =>
+const boxesAndTime = (/** @type {Api.WorkOfDay[]} */ entries) =>
   entries.length ? `${number(total(entries, "boxes"), 0)} in ${duration(total(entries, "hours"))}` : "–";
 
-/** @param {Api.Progress} progress */
-export function qualityTable({ proposals }) {
+export function qualityTable(/** @type {Api.Progress} */ { proposals }) {
   const rows = Object.entries(proposals.by_class).map(([name, quality]) => {
     const { untouched, corrected, rejected, missed } = quality;
     const share = untouched / (untouched + corrected + rejected);
@@ -266,11 +238,9 @@ export function qualityTable({ proposals }) {
   return section("Proposals and what became of them", table(heads, rows, "stats-quality"));
 }
 
-/** @param {Api.Progress} progress */
-export function rangeTable({ proposals }) {
+export function rangeTable(/** @type {Api.Progress} */ { proposals }) {
   const ranges = proposals.by_range;
-  /** @param {Api.RangeQuality[]} entries */
-  const cells = (entries) =>
+  const cells = (/** @type {Api.RangeQuality[]} */ entries) =>
     ranges.map(({ from_m }) => number(entries.find((entry) => entry.from_m === from_m)?.iou_proposal_to_final, 2));
   const rows = Object.entries(proposals.by_class_and_range).map(([name, entries]) => [name, ...cells(entries)]);
   if (rows.length > 1) rows.push(["All", ...cells(ranges)]);

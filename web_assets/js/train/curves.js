@@ -15,8 +15,7 @@ const NAMES = {
   dfl_loss: "edge loss",
 };
 
-/** @param {HTMLElement} host */
-export function createCurves(host) {
+export function createCurves(/** @type {HTMLElement} */ host) {
   const quality = h("div", { class: "chart", "data-testid": "curves-quality" });
   const losses = h("div", { class: "chart", "data-testid": "curves-losses" });
   const box = h(
@@ -41,8 +40,7 @@ export function createCurves(host) {
   let drawn = "";
 
   return {
-    /** @param {Api.CurvePoint[]} fresh */
-    show(fresh) {
+    show(/** @type {Api.CurvePoint[]} */ fresh) {
       points = fresh;
       box.hidden = points.length === 0;
       const key = JSON.stringify(points);
@@ -56,12 +54,11 @@ export function createCurves(host) {
   };
 }
 
-/**
- * @param {Api.CurvePoint[]} points
- * @param {Record<string, string>} colors
- * @param {(name: string) => boolean} wanted
- */
-function traces(points, colors, wanted) {
+function traces(
+  /** @type {Api.CurvePoint[]} */ points,
+  /** @type {Record<string, string>} */ colors,
+  /** @type {(name: string) => boolean} */ wanted,
+) {
   /** @type {Map<string, { role: Api.DetectorKind, name: string, x: number[], y: number[] }>} */
   const series = new Map();
   for (const { role, epoch, metrics } of points) {

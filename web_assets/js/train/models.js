@@ -1,7 +1,7 @@
 /** The trained models: training data, quality, which one is in use, and validation pictures. */
 
 import { openDialog } from "../dialogs.js";
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const HELD_OUT_HELP =
@@ -14,12 +14,11 @@ const COLUMNS = [
   ["recall", "Recall"],
 ];
 
-/**
- * @param {HTMLElement} host
- * @param {App} app
- * @param {() => Promise<void>} reload
- */
-export function createModelList(host, app, reload) {
+export function createModelList(
+  /** @type {HTMLElement} */ host,
+  /** @type {App} */ app,
+  /** @type {() => Promise<void>} */ reload,
+) {
   const pictures = h("div", { class: "thumbs", "data-testid": "validation-pictures" });
   const table = h("div", { class: "scroll-x" });
   const body = h("div", { class: "body stack" }, pictures, table);
@@ -27,8 +26,7 @@ export function createModelList(host, app, reload) {
   /** @type {number | null} */
   let shown = null;
 
-  /** @param {Api.ModelDetails} model */
-  async function use(model) {
+  async function use(/** @type {Api.ModelDetails} */ model) {
     try {
       await app.api.post(app.path("models", model.id, "activate"));
       app.toast(`Model ${model.id} is in use now.`, "good");
@@ -48,8 +46,7 @@ export function createModelList(host, app, reload) {
     }
   }
 
-  /** @param {"in use" | "available"} state */
-  function baseRow(state) {
+  function baseRow(/** @type {"in use" | "available"} */ state) {
     const isUsed = state === "in use";
     return h(
       "tr",
@@ -65,14 +62,13 @@ export function createModelList(host, app, reload) {
         {},
         isUsed
           ? h("span", { class: "chip state-accepted" }, "in use")
-          : h("button", { type: "button", "data-testid": "use-base", onclick: useBase }, "Use this one"),
+          : button("Use this one", useBase, { "data-testid": "use-base" }),
       ),
       h("td", {}),
     );
   }
 
-  /** @param {Api.ModelDetails} model */
-  function row(model) {
+  function row(/** @type {Api.ModelDetails} */ model) {
     const made = new Date(model.created_ns / 1e6);
     return h(
       "tr",
@@ -99,26 +95,18 @@ export function createModelList(host, app, reload) {
         {},
         model.active
           ? h("span", { class: "chip state-accepted" }, "in use")
-          : h("button", { type: "button", "data-testid": "use-model", onclick: () => use(model) }, "Use this one"),
+          : button("Use this one", () => use(model), { "data-testid": "use-model" }),
       ),
-      h(
-        "td",
-        {},
-        model.pictures.length
-          ? h("button", { type: "button", class: "quiet", onclick: () => choose(model) }, "Pictures")
-          : null,
-      ),
+      h("td", {}, model.pictures.length ? button("Pictures", () => choose(model), { class: "quiet" }) : null),
     );
   }
 
-  /** @param {Api.ModelDetails} model */
-  function choose(model) {
+  function choose(/** @type {Api.ModelDetails} */ model) {
     shown = model.id;
     showPictures(model);
   }
 
-  /** @param {Api.ModelDetails | undefined} model */
-  function showPictures(model) {
+  function showPictures(/** @type {Api.ModelDetails | undefined} */ model) {
     const isHidden = !model || model.pictures.length === 0;
     pictures.hidden = isHidden;
     if (isHidden) return;
@@ -132,25 +120,18 @@ export function createModelList(host, app, reload) {
         "div",
         { class: "row thumbs-row" },
         model.pictures.map((url, i) =>
-          h(
-            "button",
-            {
-              type: "button",
-              class: "thumb",
-              title: "Enlarge",
-              "aria-label": `Validation picture ${i + 1}`,
-              onclick: () => enlarge(url, i),
-            },
-            h("img", { src: url, alt: "", loading: "lazy" }),
-          ),
+          button(h("img", { src: url, alt: "", loading: "lazy" }), () => enlarge(url, i), {
+            class: "thumb",
+            title: "Enlarge",
+            "aria-label": `Validation picture ${i + 1}`,
+          }),
         ),
       ),
     );
   }
 
   return {
-    /** @param {Api.ModelList} list */
-    show({ models, base }) {
+    show(/** @type {Api.ModelList} */ { models, base }) {
       if (models.length === 0 && !base) {
         pictures.hidden = true;
         table.replaceChildren(h("p", { class: "muted" }, "No model has been trained yet."));
@@ -194,14 +175,12 @@ export function createModelList(host, app, reload) {
   };
 }
 
-/** @param {Api.ModelDetails} model */
-function heldOut({ decision }) {
+function heldOut(/** @type {Api.ModelDetails} */ { decision }) {
   if (!decision || decision.mean_iou === null) return "–";
   return `${decision.mean_iou.toFixed(2)} (${count(decision.objects, "object", "objects")})`;
 }
 
-/** @param {Api.ModelDetails | undefined} model */
-function decisionLine(model) {
+function decisionLine(/** @type {Api.ModelDetails | undefined} */ model) {
   const decision = model?.decision;
   if (!decision) return "";
   const figures = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
@@ -210,22 +189,14 @@ function decisionLine(model) {
   return h("p", { class: "muted", "data-testid": "decision" }, `Latest round: ${decision.outcome}.${measured}`);
 }
 
-/**
- * What a model was compared with, and the outcome.
- *
- * @param {Api.ModelDetails} model
- */
-function comparison({ decision }) {
+/** What a model was compared with, and the outcome. */
+function comparison(/** @type {Api.ModelDetails} */ { decision }) {
   if (!decision) return HELD_OUT_HELP;
   const others = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
   return [decision.started_from, ...others, decision.outcome].join("\n");
 }
 
-/**
- * @param {string} url
- * @param {number} i
- */
-function enlarge(url, i) {
+function enlarge(/** @type {string} */ url, /** @type {number} */ i) {
   return openDialog({
     title: `Validation picture ${i + 1}`,
     content: [h("img", { src: url, alt: `Validation picture ${i + 1} with predicted boxes`, class: "enlarged" })],

@@ -1,24 +1,16 @@
 /** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
-import { count, h } from "../dom.js";
+import { button, count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 import { importBoxes } from "../start/boxes_file.js";
 
-/**
- * @param {HTMLElement} host
- * @param {ModeApp} app
- */
-export function createPropose(host, app) {
+export function createPropose(/** @type {HTMLElement} */ host, /** @type {ModeApp} */ app) {
   const line = createJobLine(app, "propose");
   const liftLine = createJobLine(app, "lift");
   const boxesLine = createJobLine(app, "boxes");
-  const importButton = h(
-    "button",
-    { type: "button", "data-testid": "import-boxes", onclick: () => void addBoxes() },
-    "Import boxes …",
-  );
+  const importButton = button("Import boxes …", () => void addBoxes(), { "data-testid": "import-boxes" });
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
   const limit = h("input", {
     type: "number",
@@ -47,11 +39,10 @@ export function createPropose(host, app) {
     problem,
   );
   const liftText = h("span", { class: "grow" });
-  const liftStart = h(
-    "button",
-    { type: "button", class: "primary", "data-testid": "lift-start", onclick: () => void startLift() },
-    "Propose 3D boxes from these",
-  );
+  const liftStart = button("Propose 3D boxes from these", () => void startLift(), {
+    class: "primary",
+    "data-testid": "lift-start",
+  });
   const lift = h("div", { class: "row", hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
     h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), importButton, review),
@@ -96,8 +87,7 @@ export function createPropose(host, app) {
     }
   }
 
-  /** @param {Api.ProjectInfo} project */
-  function showLift({ detectors }) {
+  function showLift(/** @type {Api.ProjectInfo} */ { detectors }) {
     liftLine.show();
     boxesLine.show();
     const running = latestJob(app, "lift");
@@ -144,12 +134,8 @@ export function createPropose(host, app) {
 
   return {
     show,
-    /**
-     * Sets the number of frames with 2D boxes on the image, but no 3D box.
-     *
-     * @param {number} frames
-     */
-    setToLift(frames) {
+    /** Sets the number of frames with 2D boxes on the image, but no 3D box. */
+    setToLift(/** @type {number} */ frames) {
       toLift = frames;
       show();
     },

@@ -17,11 +17,7 @@ const ROLES = [
   ["view", "View detector", "finds their edges on pseudo-views"],
 ];
 
-/**
- * @param {HTMLElement} root
- * @param {ModeApp} app
- */
-export function mount(root, app) {
+export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ app) {
   const material = h("div", { class: "cards" });
   const line = createJobLine(app, "train");
   const curvesHost = h("div", {});
@@ -111,12 +107,8 @@ export function mount(root, app) {
   };
 }
 
-/**
- * The switch "Learn while I label".
- *
- * @param {ModeApp} app
- */
-function createLearning(app) {
+/** The switch "Learn while I label". */
+function createLearning(/** @type {ModeApp} */ app) {
   const box = h("input", { type: "checkbox", "data-testid": "learn-switch" });
   const every = h("input", {
     type: "number",
@@ -171,8 +163,7 @@ function createLearning(app) {
     get changes() {
       return changes;
     },
-    /** @param {number | null} now */
-    show(now) {
+    show(/** @type {number | null} */ now) {
       if (now === stored) return;
       stored = now;
       fill();
@@ -180,8 +171,7 @@ function createLearning(app) {
   };
 }
 
-/** @param {ModeApp} app */
-function createForm(app) {
+function createForm(/** @type {ModeApp} */ app) {
   const roles = ROLES.map(([role]) =>
     h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` }),
   );
@@ -266,8 +256,7 @@ function createForm(app) {
     more,
     problem,
   );
-  /** @param {HTMLInputElement} input */
-  const number = (input) => (input.value === "" ? null : input.valueAsNumber);
+  const number = (/** @type {HTMLInputElement} */ input) => (input.value === "" ? null : input.valueAsNumber);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     problem.hidden = true;
@@ -294,11 +283,10 @@ function createForm(app) {
   return { form, start };
 }
 
-/**
- * @param {(typeof ROLES)[number]} options
- * @param {Api.ModelList} options2
- */
-function materialCard([role, label, what], { models, material }) {
+function materialCard(
+  /** @type {(typeof ROLES)[number]} */ [role, label, what],
+  /** @type {Api.ModelList} */ { models, material },
+) {
   const active = models.find((model) => model.role === role && model.active);
   const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box", "boxes")) : "nothing yet";
   return h(
@@ -325,8 +313,7 @@ function materialCard([role, label, what], { models, material }) {
   );
 }
 
-/** @param {ModeApp} app */
-function nothingYet(app) {
+function nothingYet(/** @type {ModeApp} */ app) {
   return h(
     "div",
     { class: "empty" },
@@ -335,13 +322,8 @@ function nothingYet(app) {
   );
 }
 
-/**
- * Curves of the running training, or else of the active models.
- *
- * @param {Api.Job | null} job
- * @param {Api.ModelList | null} known
- */
-function curvesOf(job, known) {
+/** Curves of the running training, or else of the active models. */
+function curvesOf(/** @type {Api.Job | null} */ job, /** @type {Api.ModelList | null} */ known) {
   if (job && (isActive(job) || job.curves.length > 0) && job.state !== "done") return job.curves;
   const active = known?.models.filter((model) => model.active) ?? [];
   const kept = active.flatMap((model) => model.curves);

@@ -1,0 +1,345 @@
+// The state of the page without its display: the open frame, the queue, unsaved boxes, and what is loaded ahead.
+
+import assert from "node:assert/strict";
+import { beforeEach, mock, test } from "node:test";
+import { ApiError } from "../../web_assets/js/errors.js";
+import { createFrameState } from "../../web_assets/js/frame_state.js";
+import { createOrder } from "../../web_assets/js/label/frames.js";
+import { createDesk } from "../../web_assets/js/review/desk.js";
+import { createPreload } from "../../web_assets/js/review/preload.js";
+import { createQueue } from "../../web_assets/js/review/queue.js";
+import { copiedText } from "../../web_assets/js/review/tracks.js";
+import { makeHash, parseHash } from "../../web_assets/js/router.js";
+import { followImports } from "../../web_assets/js/jobs.js";
+import { fakeApp, frameState, freshStorage, held, settled } from "./fakes.js";
+
+beforeEach(() => {
+  freshStorage();
+});
+
+// -- the open frame
+
+test("an older answer never replaces a newer state", async () => {
+  let answer = frameState(3);
+  const app = fakeApp({ get: async () => answer });
+  const frames = createFrameState(app);
+  const isNow = (revision, isBehind) =>
+    assert.deepEqual([app.state.frame.frame.revision, frames.isBehind], [revision, isBehind]);
+
+  await frames.open(1);
+  isNow(3, false);
+  assert.equal(frames.take(frameState(2)), false);
+  assert.equal(frames.take(frameState(5, [], 1, "another")), false, "of the same number in another project");
+  isNow(3, false);
+  assert.equal(frames.take(frameState(5)), true);
+  frames.hear({ frame: 1, revision: 6 });
+  frames.hear({ frame: 2, revision: 9 });
+  isNow(5, true);
+  answer = frameState(6);
+  await frames.refresh(() => false);
+  isNow(5, true);
+  await frames.refresh();
+  isNow(6, false);
+  answer = frameState(4);
+  await frames.open(1);
+  isNow(6, false);
+  frames.miss();
+  isNow(6, true);
+  answer = frameState(6);
+  await frames.refresh();
+  isNow(6, false);
+  // read again, since an event has named a newer revision
+  const later = [frameState(8, [], 2), frameState(9, [], 2)];
+  app.api.get = async () => later.shift();
+  await frames.open(2);
+  isNow(9, false);
+});
+
+test("a change of another camera's frame may change the outlines in this one", async () => {
+  const app = fakeApp({ get: async () => ({ ...frameState(1), siblings: [7] }) });
+  const frames = createFrameState(app);
+  await frames.open(1);
+  frames.hear({ frame: 8, revision: 2 });
+  assert.equal(frames.isBehind, false);
+  frames.hear({ frame: 7, revision: 2 });
+  assert.equal(frames.isBehind, true);
+  // one that is changed while this frame is read anew: the answer may be older, although it has the same revision
+  const answers = [held(), held()];
+  let reads = 0;
+  app.api.get = () => answers[reads++].promise;
+  const opened = frames.open(1);
+  frames.hear({ frame: 7, revision: 3 });
+  for (const answer of answers) answer.resolve({ ...frameState(1), siblings: [7] });
+  await opened;
+  assert.deepEqual([reads, frames.isBehind], [2, false]);
+});
+
+test("a frame that could not be read again is still behind", async () => {
+  const app = fakeApp({ get: async () => frameState(1) });
+  const frames = createFrameState(app);
+  await frames.open(1);
+  frames.miss();
+  app.api.get = async () => Promise.reject(new ApiError(0, "", "no answer"));
+  await assert.rejects(frames.refresh());
+  assert.equal(frames.isBehind, true);
+});
+
+// -- the queue
+
+const item = (uid, frame = 1) => ({ uid, frame });
+
+function queueOf(items, remaining = items.length) {
+  const asked = [];
+  const answer = { items, remaining };
+  const get = async (url) => {
+    asked.push(url);
+    return url.includes("sources") ? {} : answer;
+  };
+  const app = fakeApp({ get });
+  const queue = createQueue(app, () => {});
+  return { queue, asked, answer, app, reads: () => asked.filter((url) => !url.includes("sources")).length };
+}
+
+test("the next item is the one after this one, and at the end the first one that was left", async () => {
+  const { queue } = queueOf(["a", "b", "c"].map((uid) => item(uid)));
+  await queue.load();
+  assert.equal(queue.after("a").uid, "b");
+  assert.equal(queue.after("c").uid, "a");
+  queue.visit("b");
+  // "b" is accepted
+  queue.settle(
+    frameState(2, [
+      { uid: "a", state: "proposed" },
+      { uid: "c", state: "proposed" },
+    ]),
+  );
+  assert.deepEqual([queue.items.map(({ uid }) => uid), queue.remaining], [["a", "c"], 2]);
+  assert.equal(queue.after("b").uid, "c", "goes on from the same place");
+});
+
+test("items of other frames stay, and an undo reads the queue again", async () => {
+  mock.timers.enable({ apis: ["setTimeout"] });
+  const { queue, reads } = queueOf([item("a"), item("b", 2)]);
+  await queue.load();
+  queue.settle(frameState(2, []));
+  assert.deepEqual(
+    queue.items.map(({ uid }) => uid),
+    ["b"],
+  );
+  queue.settle(frameState(3, [{ uid: "a", state: "proposed" }]));
+  assert.equal(reads(), 1);
+  mock.timers.tick(2000);
+  assert.equal(reads(), 2);
+  mock.timers.reset();
+});
+
+test("the queue is read again while changes keep coming", async () => {
+  // as when an object is followed: a frame changes several times a second
+  mock.timers.enable({ apis: ["setTimeout"] });
+  const { queue, reads } = queueOf([], 37);
+  for (let i = 0; i < 5; i += 1) {
+    mock.timers.tick(400);
+    queue.reloadSoon();
+  }
+  mock.timers.tick(0);
+  assert.equal(reads(), 1);
+  queue.end();
+  mock.timers.tick(5000);
+  assert.equal(reads(), 1);
+  mock.timers.reset();
+});
+
+test("a filter asks the server, and the order is kept in the browser", async () => {
+  const kept = freshStorage({ "queue-order": "time" });
+  const { queue, asked } = queueOf([]);
+  assert.equal(queue.order, "time");
+  await queue.choose({ order: "class", value: { attribute: "pose", value: "sitting" }, source: "theirs" });
+  assert.equal(asked[0], "queue?order=class&attribute=pose&value=sitting&source=theirs");
+  assert.equal(kept.get("queue-order"), "class");
+  assert.equal(queue.isFiltered, true);
+});
+
+// -- boxes that are not saved yet
+
+const BOX = {
+  center: [0, 0, 3],
+  size: [1, 1, 1],
+  rotation: [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ],
+};
+const LONGER = { ...BOX, size: [2, 1, 1] };
+
+function deskOf(change) {
+  const app = fakeApp({
+    change,
+    state: { frame: frameState(3, [{ uid: "a", label: "person", box: BOX, track_id: null }]) },
+  });
+  app.frames.take = (frame) => (app.state.frame = frame);
+  const desk = createDesk(app);
+  desk.settle();
+  desk.select("a");
+  return { app, desk };
+}
+
+test("a new box is stored once, even if it is accepted again before the answer", async () => {
+  const [answer, sent] = [held(), []];
+  const { desk } = deskOf((_, { changes }) => {
+    sent.push(...changes.map(({ kind }) => kind));
+    return answer.promise;
+  });
+  desk.add({ label: "person", box: BOX, image_box: {} });
+  const { uid } = desk;
+  const decisions = [desk.decide("accept", uid), desk.decide("accept", uid)];
+  answer.resolve(frameState(4, [{ uid: "a" }, { uid: "stored" }]));
+  await Promise.all(decisions);
+  assert.deepEqual(sent, ["create"]);
+  assert.deepEqual(
+    desk.labels().map((label) => label.uid),
+    ["a", "stored"],
+  );
+  assert.equal(desk.uid, "stored");
+});
+
+test("a draft that could not be saved is kept with its reason until it is saved or reverted", async () => {
+  let isRefused = true;
+  const { app, desk } = deskOf(async (_, { changes: [{ box }] }) => {
+    if (isRefused) throw new ApiError(0, "", "The server does not respond");
+    return frameState(4, [{ uid: "a", label: "person", box, track_id: null }]);
+  });
+  assert.equal(await desk.edit({ box: LONGER }), false);
+  desk.select(null);
+  assert.equal(desk.problemOf("a"), "The server does not respond");
+  assert.match(desk.unsaved.text, /1 changed box\. The server does not respond/);
+  isRefused = false;
+  assert.equal(await desk.retry("a"), true);
+  assert.equal(desk.unsaved, null);
+  assert.deepEqual(app.state.frame.labels[0].box.size, LONGER.size);
+  assert.deepEqual(desk.formerBox("a").size, BOX.size);
+  isRefused = true;
+  desk.select("a");
+  await desk.edit({ box: BOX });
+  desk.revert();
+  assert.equal(desk.unsaved, null);
+});
+
+test("the frame is changed by one request after the other, each with the newest revision", async () => {
+  const [answers, sent] = [[held(), held()], []];
+  const { desk } = deskOf((_, { revision, changes: [{ kind }] }) => {
+    sent.push([revision, kind]);
+    return answers[sent.length - 1].promise;
+  });
+  const labels = [{ uid: "a", label: "person", box: LONGER, track_id: null }];
+  const both = [desk.edit({ box: LONGER }), desk.decide("accept", "a")];
+  await settled();
+  assert.deepEqual(sent, [[3, "edit"]]);
+  answers[0].resolve(frameState(4, labels));
+  await settled();
+  assert.deepEqual(sent, [
+    [3, "edit"],
+    [4, "accept"],
+  ]);
+  answers[1].resolve(frameState(5, labels));
+  assert.deepEqual(await Promise.all(both), [true, true]);
+});
+
+test("another track is no new review of the box, and a box that others have deleted is told", async () => {
+  const sent = [];
+  const { app, desk } = deskOf(async (_, { changes: [change] }) => {
+    sent.push(change.kind);
+    return frameState(4, [{ uid: "a", label: "person", box: BOX, track_id: 7 }]);
+  });
+  await desk.edit({ track_id: 7 });
+  assert.deepEqual(sent, ["track"]);
+  desk.preview({ box: LONGER });
+  app.state.frame = frameState(5, []);
+  desk.settle();
+  assert.deepEqual(app.told, ["Another operator has deleted the box that you were changing."]);
+  assert.equal(desk.uid, null);
+});
+
+// -- other things that are waited for
+
+test("nothing is loaded ahead while a sheet is open", async () => {
+  globalThis.Image = class {};
+  const asked = [];
+  const get = async (path) => {
+    asked.push(path);
+    return frameState(1, [], 2);
+  };
+  const app = fakeApp({ get, state: { frame: frameState(1) } });
+  const preload = createPreload(app, { uid: "now", stored: () => null }, { after: () => item("next", 2) });
+  const release = preload.hold();
+  await preload.start();
+  assert.deepEqual(asked, []);
+  release();
+  await settled();
+  assert.deepEqual(asked, ["frames/2"]);
+});
+
+test("a long import is polled less and less often", async () => {
+  const waits = [];
+  const job = { id: "1", kind: "import", state: "running", project: "room" };
+  const plain = globalThis.setTimeout;
+  globalThis.setTimeout = (fn, ms) => {
+    waits.push(Math.round(ms));
+    return plain(fn, 0);
+  };
+  try {
+    const get = async () => ({ jobs: waits.length < 9 ? [job] : [{ ...job, state: "done" }] });
+    const app = fakeApp({ get, state: { jobs: [job] } });
+    await new Promise((resolve) => followImports(app, resolve));
+  } finally {
+    globalThis.setTimeout = plain;
+  }
+  assert.equal(waits.length, 9);
+  assert.deepEqual([waits[0], waits[8]], [700, 5000]);
+  assert.deepEqual(
+    waits,
+    waits.toSorted((a, b) => a - b),
+  );
+});
+
+test("copies with few points are counted", () => {
+  for (const [points, says] of [
+    [[5], "1 box copied from the previous frame, to be reviewed."],
+    [[0], "It holds no points here: move or delete it."],
+    [[4], "It holds hardly any points here: move or delete it."],
+    [[0, 9, 0], "2 copies hold no points here: move or delete them."],
+    [[0, 9, 1], "2 copies hold hardly any points here: move or delete them."],
+  ]) {
+    const [text, kind] = copiedText(points.map((count) => ({ points: count })));
+    assert.ok(text.endsWith(says), text);
+    assert.equal(kind, says.startsWith("1 box") ? "good" : "warn");
+  }
+});
+
+test("the most useful frame that was not seen is next, or the next in time", async () => {
+  const queue = { items: [4, 2, 5].map((frame) => ({ frame })), remaining: 3 };
+  const app = fakeApp({ get: async () => queue });
+  const order = createOrder(app);
+  const open = (id) => {
+    app.state.frame = { frame: { id, previous: id - 1, next: id + 1 } };
+    order.opened(id);
+  };
+  open(4);
+  assert.equal(await order.next(), 2);
+  open(2);
+  assert.equal(await order.next(), 5);
+  open(5);
+  assert.equal(await order.next(), 4, "all were seen: not the same again");
+  assert.equal(order.previous(), 2, "the one before, not the one before in time");
+  order.by = "time";
+  assert.deepEqual([await order.next(), order.previous()], [6, 4]);
+});
+
+test("addresses name a project, a mode and a frame", () => {
+  const hash = makeHash("a b", "review", 3, { uid: "x", empty: null });
+  assert.equal(hash, "#/a%20b/review/3?uid=x");
+  const { project, mode, frame, query } = parseHash(hash);
+  assert.deepEqual([project, mode, frame, query.get("uid")], ["a b", "review", 3, "x"]);
+  assert.deepEqual([parseHash("#/").mode, parseHash("#/room/nonsense/x").mode], ["start", "label"]);
+  assert.equal(parseHash("#/room/label/x").frame, null);
+});
