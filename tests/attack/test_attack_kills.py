@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 from attacks import Killer, Labels, content_of, labels_in, require_sound
-from benchmarks.backup import fill
+from filled import fill
 from live_server import PATIENCE_S, wait_until
 from store_samples import NEXT, NOW, use_next, version_of
 from test_kill_server import EDITS_BEFORE_KILL, Editor, server

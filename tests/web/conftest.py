@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from queue import Queue
 from typing import Any
 
 import pytest
+from job_threads import WorkerThread
 from live_server import PATIENCE_S, wait_until
 from room_server import live, live_of_file, own_live, projects_with_room, web_settings
 
 from annotator.types import BoxKind
 from annotator.web.jobs import runner
-from annotator.web.jobs.records import PAUSE, RESUME, STOP, Order, WorkerMessage
-from annotator.web.jobs.worker import Orders, run
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
@@ -37,33 +35,10 @@ def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
-class ThreadWorker:
-    """A worker in a thread, in place of a process, which takes a second to start."""
-
-    exit_code = 0
-
-    def __init__(self, order: Order, log: Path) -> None:
-        self._orders, self._messages = Orders(), Queue[WorkerMessage | None]()
-        threading.Thread(target=self._run, args=(order,), daemon=True).start()
-
-    def _run(self, order: Order) -> None:
-        run(order, self._messages.put, self._orders)
-        self._messages.put(None)
-
-    def messages(self) -> Iterator[WorkerMessage]:
-        yield from iter(self._messages.get, None)
-
-    def stop(self, grace_s: float = 0.0) -> None:
-        self._orders.take(STOP)
-
-    def pause(self, is_paused: bool) -> None:
-        self._orders.take(PAUSE if is_paused else RESUME)
-
-
 @pytest.fixture
 def in_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs run in threads of this process."""
-    monkeypatch.setattr(runner, "WorkerProcess", ThreadWorker)
+    monkeypatch.setattr(runner, "WorkerProcess", WorkerThread)
 
 
 @pytest.fixture

@@ -3,39 +3,28 @@
 from __future__ import annotations
 
 import threading
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
 
-from annotator.types.errors import AnnotatorError
-from annotator.web.jobs.records import (
-    PAUSE,
-    RESUME,
-    STOP,
-    WORKER_MESSAGE,
-    Failed,
-    Finished,
-    JobStoppedError,
-    Order,
-    Stopped,
-    WorkerMessage,
-)
-from annotator.web.jobs.worker import Orders, _work
+from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORKER_MESSAGE, Order, WorkerMessage
+from annotator.web.jobs.worker import Orders, run
 
 
 class WorkerThread:
     """In place of `WorkerProcess`."""
 
-    pid = 0
+    pid = exit_code = 0
 
     def __init__(self, order: Order, log: Path) -> None:
-        self.exit_code: int | None = None
-        self._orders = Orders()
-        self._sent: SimpleQueue[WorkerMessage | None] = SimpleQueue()
+        self._orders, self._sent = Orders(), SimpleQueue[WorkerMessage | None]()
         threading.Thread(target=self._run, args=(order,), daemon=True).start()
 
-    def send(self, message: WorkerMessage) -> None:
+    def _run(self, order: Order) -> None:
+        run(order, self._send, self._orders)
+        self._sent.put(None)
+
+    def _send(self, message: WorkerMessage) -> None:
         # as if it came from another process
         self._sent.put(WORKER_MESSAGE.validate_json(message.model_dump_json()))
 
@@ -47,16 +36,3 @@ class WorkerThread:
 
     def pause(self, is_paused: bool) -> None:
         self._orders.take(PAUSE if is_paused else RESUME)
-
-    def _run(self, order: Order) -> None:
-        try:
-            outcome = _work(order, self, self._orders)
-            self.send(Finished(message=outcome.message, result=outcome.result))
-        except JobStoppedError as error:
-            self.send(Stopped(message=str(error)))
-        except AnnotatorError as error:
-            self.send(Failed(message=str(error), is_fault=False))
-        except Exception:
-            self.send(Failed(message=traceback.format_exc(), is_fault=True))
-        self.exit_code = 0
-        self._sent.put(None)

@@ -25,7 +25,7 @@ from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.own_labels import import_own_labels, labels_from
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth, true_kitti_rows
 
 MakeProject = Callable[..., Project]
@@ -115,7 +115,7 @@ def test_imported_labels_are_shifted_by_the_calibration_beside_them(
         import_labels(make_project(generated / "people"), read_labels(BoxFormat.KITTI, folder))
     with pytest.raises(FormatError, match="training: 000000: a box must be within"):
         project = make_project(generated / "people")
-        boxes_from_3d(project, labels_from(project, read_labels(BoxFormat.KITTI, folder)))
+        boxes_from_3d(project, read_labels(BoxFormat.KITTI, folder))
 
     for text, problem in (
         ("P0: 1", "has no P2"),
