@@ -67,7 +67,7 @@ def test_the_base_detector_is_named_where_it_stands_in(
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert live("--limit", 1, "--rate", 2) == 0
-    assert f"view detector: {base_detector.TITLE}" in capsys.readouterr().err
+    assert f"view detector: {pretrained.TITLE}" in capsys.readouterr().err
     assert [page.get("view detector") for page in pages] == [None, pretrained.TITLE]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -178,7 +179,7 @@ def test_annotate_names_the_base_detector_where_it_stands_in(
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
-    assert said.startswith(f"view detector: {base_detector.TITLE}\n")
+    assert said.startswith(f"view detector: {pretrained.TITLE}\n")
 
 
 def test_annotate_with_a_bad_frame_returns_1(

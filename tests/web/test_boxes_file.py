@@ -22,7 +22,7 @@ from annotator.project import Project, WriteContext, create_project
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
-from annotator.types.errors import NotFoundError
+from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
 from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext

@@ -63,10 +63,9 @@ def test_a_detector_follows_classes_that_were_changed_after_its_training(people:
 # In a process of its own, because other tests call compiled functions, too. Functions called from Python have
 # signatures; private ones are called only by these.
 COMPILED = """
-import json, pkgutil
+import json
 from importlib import import_module
-from annotator.geometry import kernels as of_geometry
-from annotator.rcv import kernels as of_rcv
+from annotator.workflows.doctor.facts import KERNELS
 from annotator.workflows.warm_up import warm_up
 
 warm_up()

@@ -42,7 +42,7 @@ def test_a_new_project_can_be_created_filled_and_opened(
     # its boxes are imported in the background
     dialog.get_by_test_id("add-people").click()
     expect(dialog.get_by_test_id("added-recording")).to_have_text("people: 5 frames")
-    expect(dialog.get_by_test_id("job-import-text")).to_have_text("15 boxes imported")
+    expect(dialog.get_by_test_id("job-import-text")).to_have_text("imported as labels: 15 person in 5 frames")
     start.get_by_test_id("dialog-done").click()
     card = start.get_by_test_id("project-crowd")
     expect(card).to_contain_text("1 recording, 5 frames")

@@ -99,7 +99,7 @@ def test_values_that_the_project_cannot_hold_are_reported(make: Callable[[], Pro
     with project.store.write() as connection:
         connection.exec_driver_sql("DELETE FROM labels")
     done = import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert done.values == {
+    assert done.of(Note.VALUE) == {
         "helmet (not an attribute of the project)": 2,
         "occlusion must be a whole number from 0 to 2, not 3": 1,
     }
