@@ -42,7 +42,7 @@ from annotator.geometry.projection import project
 from annotator.recordings.kitti import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.evaluating.evaluate_files import box_rows, kitti_rows
+from annotator.workflows.evaluate import box_rows, kitti_rows
 from benchmarks.report import Table, finish, guarded
 
 # The reference's corners in our order: bottom at +l +w, +l -w, -l -w, -l +w, then the top.

@@ -26,8 +26,7 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluating.evaluate_files import Protocol, read_frame_names
-from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
+from annotator.workflows.evaluate import Choice, Measured, Protocol, evaluate_project, read_frame_names
 from annotator.workflows.importing import Note
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d, share_of

@@ -23,8 +23,8 @@ from annotator.recordings import Recording
 from annotator.synthetic import write_generated
 from annotator.types import Box2D, BoxKind, Frame, Label, OrientedBox, Proposal, Truth
 from annotator.types.errors import ArgumentError
-from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
-from annotator.workflows.evaluating.evaluate_files import evaluate_files as evaluate_protocol
+from annotator.workflows.evaluate import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
+from annotator.workflows.evaluate import evaluate_files as evaluate_protocol
 from annotator.workflows.importing import table
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.reading import load_truth

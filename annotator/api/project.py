@@ -36,8 +36,7 @@ from annotator.workflows.detectors import (
     trained_detectors,
     view_model,
 )
-from annotator.workflows.evaluating.evaluate_files import Protocol
-from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
+from annotator.workflows.evaluate import Choice, Measured, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, import_labels

@@ -42,7 +42,7 @@ from annotator.workflows.proposing.lift import (
 from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere
 from annotator.workflows.settings import editable, rcv_config
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.views.write_pictures import COCO, write_views
+from annotator.workflows.views import COCO, write_views
 from annotator.workflows.workbench.drawing_steps import to_draw_on
 from annotator.workflows.workbench.loaded_detectors import require_view
 

@@ -15,8 +15,16 @@ from rich.progress import TaskID
 
 from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
-from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
-from annotator.demo.trained import PROJECT, Progress, TrainedPlan, TrainedResult, run_trained
+from annotator.demo import (
+    PROJECT,
+    FirstDragPlan,
+    FirstDragResult,
+    Progress,
+    TrainedPlan,
+    TrainedResult,
+    run_first_drag,
+    run_trained,
+)
 from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError

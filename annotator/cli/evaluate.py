@@ -9,8 +9,16 @@ from annotator.cli.output import print_json, print_line
 from annotator.evaluation.report import Report
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
-from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
-from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
+from annotator.workflows.evaluate import (
+    Against,
+    Choice,
+    Measured,
+    Options,
+    Protocol,
+    evaluate_files,
+    evaluate_project,
+    read_frame_names,
+)
 
 # Width of tables where the output is not a terminal, so that nothing is cut.
 WIDTH = 160

@@ -31,7 +31,7 @@ from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.reading import has_masks, has_truth, is_labelled, load_mask, load_truth
-from annotator.workflows.views.pairs import geometry_of
+from annotator.workflows.views import geometry_of
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
 from annotator.workflows.workbench.loaded_detectors import ready_view
 

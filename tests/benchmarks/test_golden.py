@@ -54,7 +54,7 @@ def test_curve_counts_equal_those_of_the_devkit(shared: Path) -> None:
     """Compares the number of objects, first matches and samples of every curve, not only the area."""
     from annotator.evaluation.kitti import DIFFICULTIES, evaluate_kitti
     from annotator.formats.kitti_objects import read_kitti_folder
-    from annotator.workflows.evaluating.evaluate_files import kitti_rows
+    from annotator.workflows.evaluate import kitti_rows
 
     folder = shared / "golden"
     with (folder / golden.KITTI).open(newline="") as file:

@@ -21,7 +21,7 @@ from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.evaluating.evaluate_files import Protocol, evaluate_files
+from annotator.workflows.evaluate import Protocol, evaluate_files
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import paper, paper_protocol

@@ -13,8 +13,7 @@ from annotator.cli import annotate as annotate_command
 from annotator.cli import demo as demo_command
 from annotator.cli.annotate import SHOWN_FAILURES, summary_lines
 from annotator.cli.main import main
-from annotator.demo.first_drag import FirstDragPlan
-from annotator.demo.trained import TrainedPlan
+from annotator.demo import FirstDragPlan, TrainedPlan
 from annotator.detection import pretrained
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv

@@ -11,9 +11,18 @@ from typing import Any
 
 import pytest
 
-from annotator.demo import first_drag
-from annotator.demo.first_drag import GOOD_IOU, SAME_IOU, FirstDragPlan, Reviewed, SimulatedOperator, run_first_drag
-from annotator.demo.trained import add_recording, generate, new_project
+from annotator import demo
+from annotator.demo import (
+    GOOD_IOU,
+    SAME_IOU,
+    FirstDragPlan,
+    Reviewed,
+    SimulatedOperator,
+    add_recording,
+    generate,
+    new_project,
+    run_first_drag,
+)
 from annotator.detection import pretrained
 from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
@@ -29,8 +38,8 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 @pytest.fixture
 def clusters(monkeypatch: pytest.MonkeyPatch) -> None:
     view = ReadyDetector(NearestCluster("hand"), BoxKind.SILHOUETTE, Lock())
-    monkeypatch.setattr(first_drag, "require_view", lambda _: view)
-    monkeypatch.setattr(first_drag, "has_base", lambda: True)
+    monkeypatch.setattr(demo, "require_view", lambda _: view)
+    monkeypatch.setattr(demo, "has_base", lambda: True)
 
 
 @pytest.mark.usefixtures("clusters")

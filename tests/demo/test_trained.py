@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from annotator.demo import trained
-from annotator.demo.trained import TrainedPlan, run_trained
+from annotator import demo
+from annotator.demo import TrainedPlan, run_trained
 from annotator.formats.rcv import read_rcv
 from annotator.project import BoxRotation, open_project
 from annotator.recordings import open_recording
@@ -27,7 +27,7 @@ def tiny(plan: TrainedPlan) -> TrainPlan:
     return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
 
 
-TRAINING = trained._training
+TRAINING = demo._training
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ TRAINING = trained._training
 def test_the_demo_runs_all_stages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
 ) -> None:
-    monkeypatch.setattr(trained, "_training", tiny)
+    monkeypatch.setattr(demo, "_training", tiny)
     told: dict[str, list[float]] = {}
     plan = TrainedPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
     result = run_trained(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
@@ -77,7 +77,7 @@ def test_the_demo_runs_all_stages(
 
 
 def test_trainings_have_the_given_lengths() -> None:
-    plan = trained._training(TrainedPlan(image_pictures=11, view_pictures=22))
+    plan = demo._training(TrainedPlan(image_pictures=11, view_pictures=22))
     assert (plan.image.pictures_seen, plan.view.pictures_seen) == (11, 22)
 
 

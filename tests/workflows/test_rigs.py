@@ -19,8 +19,7 @@ from annotator.recordings import ReaderOptions, open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import add_recordings
-from annotator.workflows.evaluating.evaluate_files import Protocol
-from annotator.workflows.evaluating.evaluate_project import evaluate_project
+from annotator.workflows.evaluate import Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.importing import Note

@@ -33,7 +33,7 @@ from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource, Rigs
-from annotator.workflows.views.pairs import ViewPlace, drawn_of, outlines, write_places
+from annotator.workflows.views import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.
 MIN_SIDE_PX = 1.0

@@ -42,8 +42,7 @@ from annotator.workflows.importing.placing import (
 )
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.values import ImageValues
-from annotator.workflows.views.pairs import ViewPlace, read_places
-from annotator.workflows.views.write_pictures import view_followers
+from annotator.workflows.views import ViewPlace, read_places, view_followers
 
 
 def import_image_boxes(

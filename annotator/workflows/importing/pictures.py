@@ -30,7 +30,7 @@ from annotator.types import Box2D, BoxKind, Camera, Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.placing import Matched, Place, Renamed, match
-from annotator.workflows.views.pairs import ViewPlace
+from annotator.workflows.views import ViewPlace
 
 
 class FlatFormat(StrEnum):

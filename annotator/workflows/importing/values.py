@@ -25,7 +25,7 @@ from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import FlatFormat, OnImage, PictureLabels, read_pictures
 from annotator.workflows.importing.placing import AUTHOR, Importer
 from annotator.workflows.importing.report import ImportReport, Note
-from annotator.workflows.views.pairs import drawn_of, outlines
+from annotator.workflows.views import drawn_of, outlines
 
 # Texts that repeat are a choice, if there are at most so many different ones.
 MOST_CHOICES = 20

@@ -25,7 +25,7 @@ from annotator.workflows.importing.placing import NO_NAMES, renamed_class
 from annotator.workflows.importing.report import Become, ImportReport, Note, by_class
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.views.pairs import geometry_of
+from annotator.workflows.views import geometry_of
 
 FrameName = tuple[str, str]
 """Recording and key."""

@@ -33,7 +33,7 @@ from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
 from annotator.workflows.training.base_detector import generated_views
-from annotator.workflows.views.pairs import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
+from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 

@@ -26,7 +26,7 @@ from annotator.types import Box2D, Frame, ReviewState
 from annotator.types.errors import InputError, MissingExtraError
 from annotator.workflows.frame_source import OtherLabel
 from annotator.workflows.inspect import bag_topics
-from annotator.workflows.views.pairs import ObjectViews, front_and_side, outlines, views_by_object
+from annotator.workflows.views import ObjectViews, front_and_side, outlines, views_by_object
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
 from annotator.workflows.workbench.review_queue import doubt
 

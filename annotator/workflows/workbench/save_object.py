@@ -25,8 +25,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, why_left_out
-from annotator.workflows.views.pairs import geometry_of
-from annotator.workflows.views.write_pictures import changes_kind, image_follower, view_followers
+from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import (
     MAX_BOXES,
     VIEWS_PER_STEP,

@@ -12,7 +12,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox, ReviewState
-from annotator.workflows.evaluating.evaluate_project import score_project
+from annotator.workflows.evaluate import score_project
 from annotator.workflows.recorded.reading import load_truth
 
 

@@ -14,8 +14,16 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
-from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
+from annotator.workflows.evaluate import (
+    Against,
+    Choice,
+    Measured,
+    Options,
+    Protocol,
+    evaluate_files,
+    evaluate_project,
+    read_frame_names,
+)
 from annotator.workflows.exporting import ExportFilter, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.own_labels import import_own_labels

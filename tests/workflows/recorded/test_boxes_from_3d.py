@@ -23,7 +23,7 @@ from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, sh
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
-from annotator.workflows.views.pairs import spans_m
+from annotator.workflows.views import spans_m
 
 
 def beside(project: Project) -> RecordedLabels:

@@ -29,8 +29,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
 from annotator.workflows.training.samples import drawn_objects, gather, taught_by_drags
-from annotator.workflows.views.pairs import read_places
-from annotator.workflows.views.write_pictures import write_views
+from annotator.workflows.views import read_places, write_views
 
 CONFIG = RcvConfig()
 SIZE = (320, 240)

@@ -1,1 +1,0 @@
-"""The demo: the whole loop on a generated recording, labelled by a simulated operator."""

@@ -1,1 +1,0 @@
-"""Evaluates boxes against true boxes."""

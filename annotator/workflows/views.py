@@ -1,0 +1,440 @@
+"""Pseudo-views as image files, and relations between the stored ones.
+
+Views are written in two rounds, to be labelled with any 2D tool and imported again as COCO: the first step's come from
+the boxes on camera images, the second step's from the boxes drawn on the first step's. `views.json` beside the images
+holds the geometry of each, which the import needs.
+
+Detectors must not learn from withdrawn labels. So the image box is removed with the label drawn from it, and the boxes
+on pseudo-views are removed with their image box.
+
+After a correction of a recording's calibration, its cloud has other colours, and a frustum holds other points. The drawn
+boxes stay on their objects, because the views have moved with the cloud. So a picture is drawn anew in the window that
+is stored, of the points that the view would show today.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from scipy.optimize import linear_sum_assignment
+
+from annotator.files import TABLE_BYTES, new_folder, read_file
+from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.json_file import write_text
+from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
+from annotator.geometry.projection import in_frustum
+from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
+from annotator.project.log.event_types import (
+    ImageBoxesSet,
+    LabelAccepted,
+    LabelDeleted,
+    LabelEdited,
+    LabelRejected,
+    Payload,
+    ViewBoxesRemoved,
+    ViewBoxesSet,
+)
+from annotator.project.log.records import Rotation3
+from annotator.project.overview import FramePage
+from annotator.rcv.axes import frame_with_normals
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.known_objects import first_views, next_views
+from annotator.rcv.measure import box_iou, make_pair
+from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_axes
+from annotator.rcv.recursion import cut_cloud
+from annotator.rcv.teach import MIN_POINTS
+from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView, ReviewState
+from annotator.types.errors import ConfigError, FormatError, FrameError
+from annotator.workflows.frame_source import FrameSource, orientation_for
+
+
+SIDECAR = "views.json"
+
+
+class ViewPlace(BaseModel):
+    """The origin of a pseudo-view image.
+
+    Attributes:
+        file_name: of the image.
+        recording, frame: its frame; None for an image from elsewhere, which is used for training only.
+        step: of the recursion, from 0; None if unknown.
+        geometry: the view's position and axes in space; None if unknown.
+        labelled: True if it was reviewed: without boxes it then shows no object.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    file_name: str
+    recording: str | None
+    frame: str | None
+    step: int | None
+    geometry: ViewGeometry | None
+    labelled: bool = False
+
+
+_PLACES: TypeAdapter[tuple[ViewPlace, ...]] = TypeAdapter(tuple[ViewPlace, ...])
+
+
+def write_places(pictures: Path, places: Sequence[ViewPlace]) -> None:
+    """Writes `views.json` into a folder of images."""
+    write_text(pictures / SIDECAR, _PLACES.dump_json(tuple(places), indent=1).decode())
+
+
+def read_places(pictures: Path) -> dict[str, ViewPlace]:
+    """Reads `views.json` of a folder of images, by file name; empty if there is none."""
+    file = pictures / SIDECAR
+    if not file.is_file():
+        return {}
+    try:
+        return {place.file_name: place for place in _PLACES.validate_json(read_file(file, TABLE_BYTES))}
+    except OSError as error:
+        raise FormatError(file, f"cannot be read ({error.strerror})") from error
+    except ValidationError as error:
+        raise FormatError(file, f"is damaged: {error.errors()[0]['msg']}; write the views again") from error
+
+
+def geometry_of(view: PseudoView, image_box: Box2D) -> ViewGeometry:
+    """Returns the geometry of a pseudo-view for the store.
+
+    Args:
+        image_box: the box on the camera image whose frustum the view shows.
+    """
+    return ViewGeometry.of(view).model_copy(update={"image_box": image_box})
+
+
+def spans_m(view: ViewBoxes) -> np.ndarray:
+    """Returns the span of the first box on a stored view, view coordinates in metres, (2, 2): rows x, y; columns low,
+    high."""
+    assert view.geometry is not None  # callers pass only views with known geometry
+    box, scale = view.boxes[0], view.geometry.metres_per_px
+    edges = np.array([[box.x_min, box.x_max], [box.y_min, box.y_max]])
+    return np.array(view.geometry.origin_m)[:, None] + edges * scale
+
+
+# Tolerance for axes that a file has rounded; the store returns them exactly.
+SAME_AXES = 1e-6
+
+ObjectViews = dict[tuple[int, Box2D], dict[int, list[ViewBoxes]]]
+
+
+def views_by_object(views: Iterable[ViewBoxes]) -> ObjectViews:
+    """Groups views with boxes and known geometry by (frame, image box), then by step."""
+    grouped: ObjectViews = defaultdict(lambda: defaultdict(list))
+    for view in views:
+        image_box = None if view.geometry is None else view.geometry.image_box
+        if view.frame_id is not None and view.step is not None and image_box is not None and view.boxes:
+            grouped[view.frame_id, image_box][view.step].append(view)
+    return grouped
+
+
+def front_and_side(views: Sequence[ViewBoxes]) -> tuple[ViewBoxes, ViewBoxes] | None:
+    """Returns the pair that was labelled last, front view first; None if no two views are a pair.
+
+    Views may have been labelled in any order, and may include those of an earlier attempt.
+
+    Args:
+        views: of one object and step, in the order of their labelling.
+    """
+    for later in range(len(views) - 1, 0, -1):
+        for earlier in range(later - 1, -1, -1):
+            for front, side in ((views[earlier], views[later]), (views[later], views[earlier])):
+                if _is_pair(front, side):
+                    return front, side
+    return None
+
+
+def _is_pair(front: ViewBoxes, side: ViewBoxes) -> bool:
+    if front.geometry is None or side.geometry is None:
+        return False
+    return _are_beside(front.geometry.axes, side.geometry.axes)
+
+
+@lru_cache(maxsize=1024)
+def _are_beside(front: Rotation3, side: Rotation3) -> bool:
+    return bool(np.allclose(side_axes(np.array(front)), side, atol=SAME_AXES))
+
+
+# 2D IoU from which a drawn box and an outline of the same class belong to the same object. Low, because the drawn box
+# of a half hidden object is much smaller than its outline.
+SAME_IOU = 0.2
+
+
+def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_SIDE_PX) -> dict[str, Box2D]:
+    """Returns the image box of each label by uid; labels outside the image are left out.
+
+    Args:
+        min_side_px: boxes with a shorter side are left out.
+    """
+    pairs = [(label.uid, box_on_image(camera, label.box, label.label, min_side_px)) for label in labels]
+    return {uid: box for uid, box in pairs if box is not None}
+
+
+def undrawn(
+    camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
+) -> dict[str, Box2D]:
+    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one.
+
+    Args:
+        min_side_px: as for `outlines`.
+    """
+    boxes = outlines(camera, labels, min_side_px)
+    matched = drawn_of(boxes, drawn)
+    return {uid: box for uid, box in boxes.items() if uid not in matched}
+
+
+def drawn_of(boxes: Mapping[str, Box2D], drawn: Sequence[Box2D]) -> dict[str, int]:
+    """Returns which drawn box belongs to an outline, by the outline's uid: those that overlap most, one to one."""
+    if not boxes or not drawn:
+        return {}
+    uids = list(boxes)
+    overlap = np.array([[box_iou(box, boxes[uid]) * (box.label == boxes[uid].label) for box in drawn] for uid in uids])
+    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return {uids[row]: column for row, column in pairs if overlap[row, column] >= SAME_IOU}
+
+
+Steps = Mapping[int, Sequence[ViewBoxes]]
+SizePx = Callable[[ViewBoxes], tuple[int, int]]
+
+
+def redrawn(
+    frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx, config: RcvConfig
+) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The picture that a stored view shows of a frame; None if its drawn boxes enclose hardly a point.
+
+    Args:
+        view: with geometry and image box.
+        steps: all views of the same object, by step.
+        size_px: gives the width and height of a view's picture.
+        config: how views are drawn; their size is that of the picture.
+    """
+    geometry = view.geometry
+    assert geometry is not None and geometry.image_box is not None
+    frustum = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, geometry.image_box))
+    width_px, height_px = size_px(view)
+    axes, drawn = np.array(geometry.axes), frustum
+    if view.step:
+        drawn = _cut(frustum, steps, size_px, config)
+        keep = drawn_points(len(drawn), config.view.model_copy(update={"size_px": max(width_px, height_px)}))
+        drawn = drawn if keep is None else drawn.select(keep)
+    if view.boxes:
+        low, high = spans_m(view).T
+        on_view = drawn.xyz_m @ axes[:2].T
+        if np.count_nonzero(((on_view >= low) & (on_view <= high)).all(axis=1)) < MIN_POINTS:
+            return None
+    window = Window(np.array(geometry.origin_m), geometry.metres_per_px, width_px, height_px)
+    return render_window(drawn, axes, window, config.view.max_splat_px)
+
+
+def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx, config: RcvConfig) -> PointCloud:
+    """The points in the boxes of the first step, as in `rcv.known_objects.next_views`; all if these boxes are gone."""
+    pair = front_and_side(steps.get(0, ()))
+    if pair is None:
+        return frustum
+    views = [
+        view.geometry.view(np.zeros((*size_px(view)[::-1], 3), np.uint8)) for view in pair if view.geometry is not None
+    ]
+    front, side = ([replace(view.boxes[0], score=1.0)] for view in pair)
+    both = views[0], views[1]
+    box = make_pair(both[0].axes, both, front, side, 0, 0).box
+    return cut_cloud(frustum, box, both, config)
+
+
+COCO = "coco.json"
+
+
+@dataclass(frozen=True)
+class WrittenViews:
+    """Number of images written, and the labelled frames that could not be read, as `key: reason`."""
+
+    pictures: int
+    unreadable: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    stored: StoredFrame
+    number: int
+    step: int
+    image_box: Box2D
+    views: tuple[PseudoView, PseudoView]
+
+
+def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> WrittenViews:
+    """Writes the pseudo-views of one step for every object that has the boxes it needs. The folder is written whole or
+    not at all.
+
+    Args:
+        out: a new folder for PNG images, `views.json`, and a `coco.json` that lists the images without boxes.
+        step: 1 (from the boxes on camera images) or 2 (from those on the first step's views).
+
+    Raises:
+        ConfigError: the folder exists, there is no such step, or no object has the boxes it needs.
+        FormatError: the folder cannot be written.
+    """
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise ConfigError(f"{out}: exists already; choose a new folder for the images")
+    if step not in (1, 2):
+        raise ConfigError(f"there is no step {step}; choose 1 or 2")
+    frames = _Frames(project, config)
+    images: list[CocoImage] = []
+    places: list[ViewPlace] = []
+    with new_folder(out, lambda _: False) as folder:
+        for drawn in _first(frames) if step == 1 else _second(frames):
+            for side, view in zip(("front", "side"), drawn.views, strict=True):
+                place = _place(frames, drawn, side, view)
+                _write_image(folder / place.file_name, view)
+                images.append(CocoImage(place.file_name, view.rgb.shape[1], view.rgb.shape[0], ()))
+                places.append(place)
+        if not images:
+            needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"
+            unreadable = "".join(f"\n  unreadable: {line}" for line in frames.unreadable)
+            raise ConfigError(f"project {project.config.name} has no object with {needed} yet{unreadable}")
+        write_places(folder, places)
+        write_coco(folder / COCO, images, project.config.classes)
+    return WrittenViews(len(images), tuple(frames.unreadable))
+
+
+def _place(frames: _Frames, drawn: _Drawn, side: str, view: PseudoView) -> ViewPlace:
+    recording = frames.source.stored(drawn.stored.recording_id).name
+    stem = re.sub(r"[^\w.-]+", "_", f"{recording}_{drawn.stored.key}_{drawn.number:02d}_step{drawn.step}_{side}")
+    return ViewPlace(
+        file_name=f"{stem}.png",
+        recording=recording,
+        frame=drawn.stored.key,
+        step=drawn.step - 1,
+        geometry=geometry_of(view, drawn.image_box),
+    )
+
+
+def _write_image(path: Path, view: PseudoView) -> None:
+    _, data = cv2.imencode(".png", np.ascontiguousarray(view.rgb[:, :, ::-1]))
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise FormatError(path, f"cannot be written ({error.strerror}); no files were kept") from error
+
+
+class _Frames:
+    """Reads labelled frames, and collects the errors of those that cannot be read."""
+
+    def __init__(self, project: Project, config: RcvConfig) -> None:
+        self.project, self.config = project, config
+        self.source = FrameSource(project)
+        self.unreadable: list[str] = []
+
+    def read(self, frame_id: int) -> tuple[StoredFrame, Frame, RcvConfig] | None:
+        """Returns a frame with the settings for its views; None if it cannot be read."""
+        stored = self.project.frames.get(frame_id)
+        try:
+            frame = self.source.read(stored)
+        except FrameError as error:
+            self.unreadable.append(f"{stored.key}: {error}")
+            return None
+        orientation = orientation_for(self.project.config.settings.rotation, frame)
+        return stored, frame, self.config.model_copy(update={"orientation": orientation})
+
+
+def _first(frames: _Frames) -> Iterator[_Drawn]:
+    for boxes in frames.project.boxes.on_images():
+        read = frames.read(boxes.frame_id) if boxes.boxes else None
+        if read is None:
+            continue
+        stored, frame, settings = read
+        for number, box in enumerate(boxes.boxes):
+            views = first_views(frame, box, settings)
+            if views is not None:
+                yield _Drawn(stored, number, 1, box, views)
+
+
+def _second(frames: _Frames) -> Iterator[_Drawn]:
+    by_frame: dict[int, list[tuple[Box2D, tuple[ViewBoxes, ViewBoxes]]]] = defaultdict(list)
+    for (frame_id, image_box), steps in views_by_object(frames.project.boxes.on_views()).items():
+        pair = front_and_side(steps[0])
+        if pair is not None:
+            by_frame[frame_id].append((image_box, pair))
+    for frame_id, objects in by_frame.items():
+        read = frames.read(frame_id)
+        if read is None:
+            continue
+        stored, frame, settings = read
+        frame = frame_with_normals(frame, [image_box for image_box, _ in objects], settings)
+        for number, (image_box, pair) in enumerate(objects):
+            spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
+            following = next_views(frame, image_box, spans, settings)
+            if following is not None:
+                yield _Drawn(stored, number, 2, image_box, following)
+
+
+def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSet | None:
+    """Returns the boxes on the image after a review of labels; None if they do not change.
+
+    A drawn label that is deleted or rejected removes its box on the image. A rejected label that is accepted or edited
+    restores it, so that detectors do not learn the object as background.
+
+    Args:
+        page: the frame before the change.
+        payloads: the changes to its labels.
+    """
+    if page.image_boxes is None:
+        return None
+    drawn = {stored.label.uid: stored for stored in page.labels if stored.image_box is not None}
+    boxes = list(page.image_boxes.boxes)
+    for payload in payloads:
+        match payload:
+            case LabelDeleted(uid=uid) | LabelRejected(uid=uid) if uid in drawn:
+                boxes = [box for box in boxes if box != drawn[uid].image_box]
+            case LabelAccepted(uid=uid) | LabelEdited(uid=uid) if uid in drawn:
+                box = drawn[uid].image_box
+                if box is not None and box not in boxes and drawn[uid].label.state is ReviewState.REJECTED:
+                    boxes.append(box)
+    if boxes == list(page.image_boxes.boxes):
+        return None
+    return ImageBoxesSet(boxes=tuple(boxes), box_kind=page.image_boxes.box_kind)
+
+
+def changes_kind(page: FramePage, on_image: ImageBoxesSet) -> bool:
+    """Returns True if `on_image` changes the box kind of the frame."""
+    return page.image_boxes is not None and page.image_boxes.box_kind is not on_image.box_kind
+
+
+def view_followers(
+    page: FramePage, on_image: ImageBoxesSet, *, redrawn: Box2D | None = None, kept: Collection[str] = ()
+) -> list[Payload]:
+    """Returns the events that keep the boxes on views consistent with those on the image.
+
+    Boxes on views are removed with their image box, since the views are no longer a step of any object. If the box kind
+    of the frame changes, that of the views changes as well.
+
+    Args:
+        page: the frame before the change.
+        on_image: the new boxes on the image.
+        redrawn: the image box of an object that is being stored: all its views except `kept` are removed.
+        kept: ids of views that are not changed.
+    """
+    events: list[Payload] = []
+    for (_, image_box), steps in views_by_object(page.view_boxes).items():
+        is_gone = image_box not in on_image.boxes or image_box == redrawn
+        for view in (view for views in steps.values() for view in views if view.view_id not in kept):
+            if is_gone:
+                events.append(ViewBoxesRemoved(view=view.view_id))
+            elif changes_kind(page, on_image) and view.box_kind is not on_image.box_kind:
+                events.append(
+                    ViewBoxesSet(
+                        view=view.view_id,
+                        boxes=view.boxes,
+                        box_kind=on_image.box_kind,
+                        step=view.step,
+                        geometry=view.geometry,
+                    )
+                )
+    return events

@@ -1,1 +1,0 @@
-"""Pseudo-views as image files, and relations between the stored ones."""
