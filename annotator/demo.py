@@ -54,7 +54,6 @@ from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
-
 RECORDING, PROJECT = "recording", "demo"
 LABELS = {"people": "person", "hands": "hand", "objects": "object"}
 # People and objects stand upright; hands may be turned in any way.

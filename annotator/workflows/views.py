@@ -56,7 +56,6 @@ from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView,
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 
-
 SIDECAR = "views.json"
 
 

@@ -19,7 +19,6 @@ from annotator.project.progress.pace import Forecast, Pace, forecast, pace_of, r
 from annotator.project.progress.reviewed import ReviewedBox, read_reviewed
 from annotator.project.recordings import removed_recordings
 
-
 # Distances from the camera, metres: from a hand in front of a camera to a car before a LiDAR.
 RANGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
 
