@@ -7,9 +7,9 @@ holds the geometry of each, which the import needs.
 Detectors must not learn from withdrawn labels. So the image box is removed with the label drawn from it, and the boxes
 on pseudo-views are removed with their image box.
 
-After a correction of a recording's calibration, its cloud has other colours, and a frustum holds other points. The drawn
-boxes stay on their objects, because the views have moved with the cloud. So a picture is drawn anew in the window that
-is stored, of the points that the view would show today.
+After a correction of a recording's calibration, its cloud has other colours, and a frustum holds other points. The
+drawn boxes stay on their objects, because the views have moved with the cloud. So a picture is drawn anew in the window
+that is stored, of the points that the view would show today.
 """
 
 from __future__ import annotations
