@@ -78,7 +78,7 @@ START_DISTANCE_RAD = float(np.deg2rad(10))
 RIDGE = 1e-9
 
 # The views of an object repeat each other's mistakes, so all measured ends together count as this many independent
-# ones. Chosen on five sets of boxes (docs/base_detector.md).
+# ones. Chosen on five sets of boxes.
 INDEPENDENT_ENDS = 8
 # Standard deviation of a Gaussian variable, in medians of its absolute value.
 SIGMAS_PER_MEDIAN = 1.4826

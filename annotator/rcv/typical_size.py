@@ -39,7 +39,7 @@ OUTWARD = np.array([-1.0, 1.0, -1.0, 1.0])
 # Limit of an edge's error, a side's deviation and a measured end's error, standard deviations.
 FURTHEST = 4.0
 # Weights of the score; the geometric ones in the order of the terms. Chosen on generated frames and on several
-# recordings (docs/base_detector.md).
+# recordings.
 WEIGHTS = np.array([0.5, 0.6, 0.6, -0.2, -0.12])
 MEASURED_WEIGHT = -0.33
 # How many of the best candidates may be right, and how much more probable one is for a score that is higher by 1 (log).

@@ -33,7 +33,7 @@ from annotator.types.errors import DetectionError, FormatError
 #
 # OpenVINO keeps the layers after the last convolutions in single precision, and also layers that are marked as
 # precise. The changes made here reduce the error of box edges to a third and that of scores to two thirds, at almost
-# no cost in time (docs/detector_backends.md).
+# no cost in time (docs/notebook.md).
 
 
 LOG = logging.getLogger("annotator.detectors")

@@ -1,7 +1,7 @@
 """A network on OpenVINO, the fastest backend on x86 processors. Only this module imports it; its telemetry is off.
 
 The network is compiled for each canvas size on first use, for single images and for batches. Compiled once with
-dynamic sizes, it takes about 1.5 times as long per image (docs/detector_backends.md), and a detector uses few sizes.
+dynamic sizes, it takes about 1.5 times as long per image (docs/notebook.md), and a detector uses few sizes.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ def settings_hash(config: TrainingConfig) -> str:
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=192, pictures_seen=2800)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
-# Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
+# Share of generated views among the training views of a class-agnostic detector (docs/notebook.md).
 GENERATED_SHARE = 0.2
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
