@@ -7,8 +7,8 @@ Proposals are sorted by their doubt:
 Each d comes from one signal (`FORMULA`) and grows linearly from 0 (good) to `MAX_DOUBT`, reached at the signal's bad
 value. So one bad signal is enough to bring a proposal forward, and several add up. Signals without a value are left
 out. Rank correlation (Spearman) of the doubt without the last signal with 1 - IoU to truth over 27 proposals on a
-generated recording, detectors 1 and 8 % off: 0.66 (boxes 0.79, silhouettes 0.50). Of the single signals, the last change (0.69) and the image (0.39) correlate most;
-the lost share hardly correlates, so its bad value is high.
+generated recording, detectors 1 and 8 % off: 0.66 (boxes 0.79, silhouettes 0.50). Of the single signals, the last
+change (0.69) and the image (0.39) correlate most; the lost share hardly correlates, so its bad value is high.
 """
 
 from __future__ import annotations
