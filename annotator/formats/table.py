@@ -155,6 +155,29 @@ class ExportFormat(StrEnum):
     SUSTECHPOINTS = "sustechpoints"
 
 
+class BoxFormat(StrEnum):
+    """Formats of 3D boxes."""
+
+    BOXES = "boxes"
+    RCV = "rcv"
+    KITTI = "kitti"
+    KITTI_TRACKING = "kitti-tracking"
+    SUNRGBD = "sunrgbd"
+    OPENLABEL = "openlabel"
+    LABELCLOUD = "labelcloud"
+    NUSCENES = "nuscenes"
+    SUSTECHPOINTS = "sustechpoints"
+    ARGOVERSE2 = "argoverse2"
+    BOX_CSV = "box-csv"
+
+
+class FlatFormat(StrEnum):
+    """Formats of 2D boxes."""
+
+    COCO = "coco"
+    YOLO = "yolo"
+
+
 WRITERS: dict[ExportFormat, Format] = {format: FORMATS[format] for format in ExportFormat}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 from annotator.files import open_file
@@ -13,6 +12,7 @@ from annotator.formats.attributes import Values
 from annotator.formats.coco import dataset_folder, read_coco_dataset
 from annotator.formats.frame_names import FrameOrigin, read_frames
 from annotator.formats.reading import read_picture
+from annotator.formats.table import FlatFormat
 from annotator.formats.yolo import YoloPicture, read_yolo
 from annotator.image_bytes import (
     PNG_SIGNATURE,
@@ -31,13 +31,6 @@ from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.placing import Matched, Place, Renamed, match
 from annotator.workflows.views import ViewPlace
-
-
-class FlatFormat(StrEnum):
-    """Formats of 2D boxes."""
-
-    COCO = "coco"
-    YOLO = "yolo"
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,14 +210,14 @@ def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> li
     if sample is None or T is None:
         return []
     boxes = _samples(path, recording.tables, recording.samples)[sample]
-    return [Truth(each.label, each.box.transformed(T), each.track_id, attributes=each.attributes) for each in boxes]
+    return [replace(each, box=each.box.transformed(T)) for each in boxes]
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a sweep that the image shows."""
     T = frame.T_camera_label
     rows = () if T is None else _annotations(path).get(int(key), ())
-    return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
+    return _seen([replace(each, box=each.box.transformed(T)) for each in rows], frame)
 
 
 def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
@@ -286,7 +286,7 @@ def _samples(path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tup
 
 
 @_until_changed
-def _annotations(path: Path) -> dict[int, list[argoverse.ArgoverseBox]]:
+def _annotations(path: Path) -> dict[int, list[Truth]]:
     """The annotations of an Argoverse log, in the ego frame."""
     return argoverse.read_argoverse(path)
 
