@@ -40,7 +40,7 @@ from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_proble
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled, to_number
-from annotator.types import Camera, Frame, OrientedBox, PointCloud
+from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
 

@@ -1,7 +1,8 @@
 """The table of label formats. A new format is a module and a row here.
 
-The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), and the tests of
-round trips. The readers of a format are functions of its module, which return plain frames of boxes.
+The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), the tests of
+round trips, and what imports and checks recognise (`recognising`). The readers of a format are functions of its module,
+which return plain frames of boxes; `annotator.workflows.importing.readers` places these on a project's frames.
 """
 
 from __future__ import annotations

@@ -116,9 +116,7 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
     return pose
 
 
-def labelcloud_labels(
-    path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault
-) -> PlacedBoxes:
+def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
     """Reads a labelCloud project.
 
     Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
@@ -232,7 +230,9 @@ class NuScenesResults(_SampleBoxes):
 
 def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
     """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
-    return NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
+    return (
+        NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
+    )
 
 
 class ArgoverseLabels(_SampleBoxes):
@@ -256,9 +256,7 @@ class ArgoverseLabels(_SampleBoxes):
 def argoverse_labels(path: Path) -> ArgoverseLabels:
     """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
     file = path / ANNOTATIONS if path.is_dir() else path
-    return ArgoverseLabels(
-        path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items())
-    )
+    return ArgoverseLabels(path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items()))
 
 
 def rcv_labels(path: Path) -> PlacedBoxes:

@@ -45,16 +45,17 @@ def format_of(path: Path) -> AnyFormat:
     missing = why_missing(path)
     if missing is not None:
         raise FormatError(path, missing)
-    if path.is_dir():
-        fitting = marked(path) or _of_files_in(path) or _of_images_in(path)
-    else:
-        fitting = _of_file(path)
+    fitting = _of_folder(path) if path.is_dir() else _of_file(path)
     if len(fitting) == 1:
         return fitting[0]
     every = "|".join((*FlatFormat, *BoxFormat))
     if not fitting:
         raise FormatError(path, f"no format of boxes was recognised; if it has one of these, name it: --format {every}")
     raise FormatError(path, f"could be {' or '.join(fitting)}; choose one with --format")
+
+
+def _of_folder(folder: Path) -> list[AnyFormat]:
+    return marked(folder) or _of_files_in(folder) or _of_images_in(folder)
 
 
 def marked(folder: Path) -> list[AnyFormat]:
@@ -80,8 +81,9 @@ def _format(name: str) -> AnyFormat:
 def _has_yolo_labels(folder: Path) -> bool:
     if (folder / DATA_YAML).is_file():
         return True
-    labels = folder / "labels" if (folder / "labels").is_dir() else folder
-    for file in islice((each for each in labels.rglob("*.txt") if each.name != CLASSES), LOOK_AT):
+    # files in other folders may be calibrations, whose numbers can look like YOLO's polygons
+    files = (folder / "labels").rglob("*.txt") if (folder / "labels").is_dir() else folder.glob("*.txt")
+    for file in islice((each for each in files if each.name != CLASSES), LOOK_AT):
         # its reader says what is wrong
         with suppress(FormatError):
             if _of_file(file) == [FlatFormat.YOLO]:
