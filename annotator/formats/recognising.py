@@ -64,11 +64,7 @@ def marked(folder: Path) -> list[AnyFormat]:
     `classes.txt` alone is no mark of YOLO where another format fits: exports to formats whose classes are single words
     list the others there. Label files with YOLO's rows show that it is one.
     """
-    found = [
-        _format(name)
-        for name, format in FORMATS.items()
-        if any(next(folder.glob(mark), None) is not None for mark in format.marks)
-    ]
+    found = [_format(name) for name, format in FORMATS.items() if format.is_marked(folder)]
     if len(found) > 1 and FlatFormat.YOLO in found and not _has_yolo_labels(folder):
         found.remove(FlatFormat.YOLO)
     return found

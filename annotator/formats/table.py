@@ -89,6 +89,7 @@ FORMATS: dict[str, Format] = {
         loses=FLAT_LOSES,
         values=(),
         marks=(yolo.DATA_YAML, yolo.CLASSES),
+        is_ours=yolo.is_yolo_export,
         pictures=yolo.YoloWriter,
         options=("images", "boxes-on"),
     ),

@@ -166,6 +166,7 @@ def test_an_export_that_lists_its_classes_is_no_yolo_dataset(tmp_path: Path, nam
     write(name, out, [make_item([make_label(label="traffic cone")])], classes=("traffic cone",))
     assert "traffic cone" in (out / "classes.txt").read_text(encoding="utf-8")
     assert format_of(out) == name
+    assert FORMATS[name].may_replace(out) and not FORMATS["yolo"].may_replace(out)
     (out / "labels").mkdir()
     (out / "labels" / "0.txt").write_text("0 0.5 0.5 0.1 0.1\n", encoding="utf-8")
     with pytest.raises(FormatError, match=f"could be {name} or yolo"):

@@ -17,13 +17,12 @@ from jaxtyping import Float64
 
 from annotator.files import open_file, read_file
 from annotator.formats import sustechpoints
-from annotator.formats.coco import is_coco_dataset
 from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault
 from annotator.formats.recognising import AnyFormat, format_of
-from annotator.formats.table import BoxFormat, FlatFormat
+from annotator.formats.table import FORMATS, BoxFormat, FlatFormat
 from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
@@ -87,7 +86,7 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
         )
     if (path / sustechpoints.CLOUDS).is_dir() and any((path / sustechpoints.LABELS).glob("*.json")):
         return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_boxes, BoxFormat.SUSTECHPOINTS))
-    if is_coco_dataset(path):
+    if FORMATS[FlatFormat.COCO].is_marked(path):
         return OtherSoftwareDataset(path, "COCO boxes", True, partial(_boxes, FlatFormat.COCO))
     if _is_yolo(path):
         return OtherSoftwareDataset(path, "YOLO boxes", True, partial(_boxes, FlatFormat.YOLO))
