@@ -21,12 +21,10 @@ from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE
 from annotator.formats.reading import text_rows
 from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
-from annotator.formats.table import FORMATS, BoxFormat, FlatFormat
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, named_format
 from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE
 from annotator.text import decoded
 from annotator.types.errors import FormatError
-
-AnyFormat = FlatFormat | BoxFormat
 
 # What is read of a large JSON file.
 PEEK_BYTES = 2**20
@@ -64,14 +62,10 @@ def marked(folder: Path) -> list[AnyFormat]:
     `classes.txt` alone is no mark of YOLO where another format fits: exports to formats whose classes are single words
     list the others there. Label files with YOLO's rows show that it is one.
     """
-    found = [_format(name) for name, format in FORMATS.items() if format.is_marked(folder)]
+    found = [named_format(name) for name, format in FORMATS.items() if format.is_marked(folder)]
     if len(found) > 1 and FlatFormat.YOLO in found and not _has_yolo_labels(folder):
         found.remove(FlatFormat.YOLO)
     return found
-
-
-def _format(name: str) -> AnyFormat:
-    return FlatFormat(name) if FORMATS[name].flat else BoxFormat(name)
 
 
 def _has_yolo_labels(folder: Path) -> bool:

@@ -180,6 +180,14 @@ class FlatFormat(StrEnum):
     YOLO = "yolo"
 
 
+AnyFormat = FlatFormat | BoxFormat
+
+
+def named_format(name: str) -> AnyFormat:
+    """Returns the format of this name in `FORMATS`."""
+    return FlatFormat(name) if FORMATS[name].flat else BoxFormat(name)
+
+
 WRITERS: dict[ExportFormat, Format] = {format: FORMATS[format] for format in ExportFormat}
 
 

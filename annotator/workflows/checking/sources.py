@@ -21,8 +21,8 @@ from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault
-from annotator.formats.recognising import AnyFormat, format_of
-from annotator.formats.table import FORMATS, BoxFormat, FlatFormat
+from annotator.formats.recognising import format_of
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
 from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.formats import argoverse
-from annotator.formats.boxes_json import read_boxes
+from annotator.formats.boxes_json import PLACES, read_boxes
 from annotator.formats.frame_names import read_frames
 from annotator.formats.kitti_objects import read_kitti_file
 from annotator.formats.kitti_rows import (
@@ -325,7 +325,7 @@ def _looked_for(recording: Recording) -> str:
 
 
 _PLACES = {
-    "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
+    "rgbd_folder": PLACES,
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
     "kitti_raw": ("tracklet_labels.xml",),
