@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.files import open_file, read_file
+from annotator.files import read_file
 from annotator.formats import sustechpoints
 from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
+from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault
 from annotator.formats.recognising import format_of
@@ -35,7 +36,6 @@ from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, La
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.readers import READERS
 
-SNIFFED_BYTES = 256
 # Formats of labels that open as a recording with their images and clouds.
 OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
 
@@ -78,7 +78,7 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
         return None
     if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
         return OtherSoftwareDataset(path, "nuScenes tables", False, partial(_boxes, BoxFormat.NUSCENES))
-    if any(_is_openlabel(file) for file in path.glob("*.json")):
+    if any(is_document(file) for file in path.glob("*.json")):
         return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
     if _is_labelcloud(path):
         return OtherSoftwareDataset(
@@ -115,12 +115,6 @@ def _boxes(format: AnyFormat, path: Path, on_fault: OnFault) -> Iterator[Sequenc
             yield [(truth.label, truth.box.size_m) for truth in truths]
 
 
-def _is_openlabel(file: Path) -> bool:
-    with suppress(OSError), open_file(file) as stream:
-        return b'"openlabel"' in stream.read(SNIFFED_BYTES)
-    return False
-
-
 def _is_labelcloud(path: Path) -> bool:
     """True for a project folder (or a part of one): JSON beside clouds, or with labelCloud's `_classes.json`."""
     labels = path / LABELS
@@ -146,7 +140,7 @@ def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
     """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
     for file in sorted(path.glob("*.json")):
         try:
-            if _is_openlabel(file):
+            if is_document(file):
                 yield from _boxes(BoxFormat.OPENLABEL, file, on_fault)
             else:
                 read_json(file)
