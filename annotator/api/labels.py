@@ -15,6 +15,7 @@ from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
 from annotator.formats.boxes_json import write_boxes
+from annotator.formats.table import BoxFormat
 from annotator.formats.units import AngleUnit
 from annotator.geometry.oriented_box import EDGES, box_corners
 from annotator.geometry.outline import heading_px
@@ -25,7 +26,7 @@ from annotator.types import Box2D, BoxKind, Frame, Label, OrientedBox, Proposal,
 from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluate import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
 from annotator.workflows.evaluate import evaluate_files as evaluate_protocol
-from annotator.workflows.importing import table
+from annotator.workflows.importing import readers
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.reading import load_truth
 
@@ -33,7 +34,7 @@ Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
 
-def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES, angles: str | None = None) -> LabelSet:
+def read_labels(path: str | Path, format: str = BoxFormat.BOXES, angles: str | None = None) -> LabelSet:
     """The 3D labels in a file or folder, read and checked as a whole.
 
     Args:
@@ -51,7 +52,7 @@ def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES, angles: s
         FormatError: a file does not follow the format; the message names file and line.
     """
     unit = None if angles is None else choice("angles", angles, AngleUnit)
-    return table.read_labels(choice("format", format, table.BoxFormat), Path(path), unit)
+    return readers.read_labels(choice("format", format, BoxFormat), Path(path), unit)
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:

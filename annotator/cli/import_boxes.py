@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed, open_named
 from annotator.cli.output import counted, print_line
+from annotator.formats.table import named_format
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind
@@ -112,7 +113,7 @@ def run(
         )
     with open_named(project, projects) as opened:
         names = {} if classes is None else class_names(classes, opened)
-        found = None if path is None else format_of(path) if format is None else _format(format)
+        found = None if path is None else format_of(path) if format is None else named_format(format)
         if isinstance(found, FlatFormat):
             assert path is not None
             if as_ is not Become.LABELS:
@@ -156,10 +157,6 @@ def run(
             print_line(f"next: annotator train {project}")
         elif as_ is Become.PROPOSALS and report.boxes:
             print_line(f"next: annotator serve, to review {opened.config.name}")
-
-
-def _format(name: str) -> FlatFormat | BoxFormat:
-    return FlatFormat(name) if name in FLAT else BoxFormat(name)
 
 
 def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:

@@ -6,7 +6,6 @@ in the ego frame of the sweep's time; `track_uuid` names the object. Tracks are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.feather import FeatherError, Kind, read_feather
 from annotator.geometry.transforms import Quaternions
-from annotator.types import OrientedBox
+from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
 ANNOTATIONS = "annotations.feather"
@@ -23,30 +22,12 @@ COLUMNS: dict[str, Kind] = {
     "timestamp_ns": "int",
     "track_uuid": "text",
     "category": "text",
-    "num_interior_pts": "int",
     **dict.fromkeys(NUMBERS, "float"),
 }
 
 
-@dataclass(frozen=True, eq=False)
-class ArgoverseBox:
-    """One row.
-
-    Attributes:
-        label: the category.
-        box: ego frame of the sweep's time.
-        track: number of its object.
-        points: points of the sweep inside it, as counted by the data set's authors.
-    """
-
-    label: str
-    box: OrientedBox
-    track: int
-    points: int
-
-
-def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
-    """Returns the boxes of each sweep, by its time in nanoseconds.
+def read_argoverse(path: Path) -> dict[int, list[Truth]]:
+    """Returns the boxes of each sweep, by its time in nanoseconds, in the ego frame of this time.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
@@ -62,17 +43,15 @@ def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
     quaternions.add(rows[:, 3:7].ravel().tolist())
     quaternions.require(path)
     tracks: dict[str, int] = {}
-    boxes: dict[int, list[ArgoverseBox]] = {}
-    texts = zip(
-        table["category"].tolist(), table["track_uuid"].tolist(), table["num_interior_pts"].tolist(), strict=True
-    )
-    for index, (time_ns, (label, uuid, points)) in enumerate(zip(table["timestamp_ns"].tolist(), texts, strict=True)):
+    boxes: dict[int, list[Truth]] = {}
+    texts = zip(*(table[name].tolist() for name in ("timestamp_ns", "category", "track_uuid")), strict=True)
+    for index, (time_ns, label, uuid) in enumerate(texts):
         track = tracks.setdefault(uuid, len(tracks))
         try:
             box = _box(rows[index])
         except ValueError as error:
             raise FormatError(path, f"row {index}: {error}") from error
-        boxes.setdefault(time_ns, []).append(ArgoverseBox(label, box, track, points))
+        boxes.setdefault(time_ns, []).append(Truth(label, box, track))
     return boxes
 
 

@@ -423,11 +423,6 @@ def dataset_folder(path: Path) -> Path:
     return path.parent.parent if path.parent.name == ANNOTATIONS else path.parent
 
 
-def is_coco_dataset(folder: Path) -> bool:
-    """True for a folder with COCO annotations in `CocoWriter`'s layout."""
-    return any(_FILE.fullmatch(file.name) for file in (folder / ANNOTATIONS).glob("*.json"))
-
-
 def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[tuple[Path, list[CocoImage]]]:
     """Returns the image folder and the images of each annotation file."""
     return [(pictures, read_coco(file, on_fault)) for file, pictures in coco_files(path)]

@@ -174,11 +174,13 @@ class Format:
         is_held = Lost.STATE not in self.loses
         return (*((ReviewState.PROPOSED,) if is_held else ()), ReviewState.ACCEPTED, ReviewState.EDITED)
 
+    def is_marked(self, folder: Path) -> bool:
+        """True for a folder that has one of the marks."""
+        return any(next(folder.glob(mark), None) is not None for mark in self.marks)
+
     def may_replace(self, folder: Path) -> bool:
         """True for a folder that annotator has exported in this format."""
-        if self.is_ours is not None:
-            return self.is_ours(folder)
-        return has_frames(folder) and any(next(folder.glob(mark), None) is not None for mark in self.marks)
+        return has_frames(folder) and self.is_marked(folder) if self.is_ours is None else self.is_ours(folder)
 
 
 def write_dataset(

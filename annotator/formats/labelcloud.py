@@ -40,7 +40,7 @@ from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_proble
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled, to_number
-from annotator.types import Camera, Frame, OrientedBox, PointCloud
+from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
 
@@ -350,11 +350,11 @@ class LabelCloudFrame:
     """The boxes of one cloud.
 
     Attributes:
-        boxes: class and box, in the cloud's frame.
+        objects: in the cloud's frame.
         T_camera_cloud: from the cloud's frame to the camera; None without a calibration.
     """
 
-    boxes: tuple[tuple[str, OrientedBox], ...]
+    objects: tuple[Truth, ...]
     T_camera_cloud: RigidTransform | None
 
 
@@ -384,7 +384,7 @@ def read_labelcloud_file(file: Path) -> LabelCloudFrame:
     content = read_model(file, LabelFile)
     degrees = _degrees(file.parent, {file: content})
     try:
-        return LabelCloudFrame(tuple((entry.name, box_of(entry, degrees)) for entry in content.objects), None)
+        return LabelCloudFrame(tuple(Truth(entry.name, box_of(entry, degrees)) for entry in content.objects), None)
     except ValueError as error:
         raise FormatError(file, str(error)) from error
 
@@ -412,27 +412,27 @@ def _read_folder(folder: Path, angles: AngleUnit | None, on_fault: OnFault) -> I
             on_fault(fault)
     degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
     for file, content in files.items():
-        boxes = []
+        objects = []
         for number, entry in enumerate(content.objects):
             try:
-                boxes.append((entry.name, box_of(entry, degrees)))
+                objects.append(Truth(entry.name, box_of(entry, degrees)))
             except ValueError as error:
                 on_fault(FormatError(file, f"objects.{number}: {error}"))
         pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
-            T_camera_cloud = _pose_for(boxes, pose) if pose.is_file() else None
+            T_camera_cloud = _pose_for(objects, pose) if pose.is_file() else None
         except FormatError as fault:
             on_fault(fault)
             continue
-        yield normal(file.stem), LabelCloudFrame(tuple(boxes), T_camera_cloud)
+        yield normal(file.stem), LabelCloudFrame(tuple(objects), T_camera_cloud)
 
 
-def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:
+def _pose_for(objects: Sequence[Truth], file: Path) -> RigidTransform:
     """Returns T_camera_cloud of a calibration; raises FormatError if it moves a box of the cloud out of range."""
     T = read_calibration_pose(file)
-    for number, (_, box) in enumerate(boxes):
+    for number, truth in enumerate(objects):
         try:
-            box.transformed(T)
+            truth.box.transformed(T)
         except ValueError as error:
             raise FormatError(file, f"moves objects.{number} of its cloud out of range: {error}") from error
     return T

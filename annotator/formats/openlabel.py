@@ -15,6 +15,7 @@ from __future__ import annotations
 import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -270,8 +271,8 @@ def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
     return tuple(FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
 
 
-# Exported documents have the key "openlabel" within these first bytes.
-_HEAD_BYTES = 64
+# Documents have the key "openlabel" within these first bytes.
+_HEAD_BYTES = 256
 
 
 class OpenLabelWriter(DatasetWriter):
@@ -308,12 +309,14 @@ def dump(document: Document) -> str:
 def is_openlabel_export(folder: Path) -> bool:
     """True for an export of annotator; no other folder is overwritten."""
     documents = [*folder.glob("*.json"), *folder.glob("*/*.json")]
-    return has_frames(folder) and bool(documents) and all(map(_is_document, documents))
+    return has_frames(folder) and bool(documents) and all(map(is_document, documents))
 
 
-def _is_document(path: Path) -> bool:
-    with open_file(path) as stream:
+def is_document(file: Path) -> bool:
+    """True for a file that begins as a document; False for one that cannot be read."""
+    with suppress(OSError), open_file(file) as stream:
         return b'"openlabel"' in stream.read(_HEAD_BYTES)
+    return False
 
 
 @dataclass(frozen=True, eq=False)

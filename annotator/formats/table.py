@@ -1,7 +1,8 @@
 """The table of label formats. A new format is a module and a row here.
 
-The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), and the tests of
-round trips. The readers of a format are functions of its module, which return plain frames of boxes.
+The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), the tests of
+round trips, and what imports and checks recognise (`recognising`). The readers of a format are functions of its module,
+which return plain frames of boxes; `annotator.workflows.importing.readers` places these on a project's frames.
 """
 
 from __future__ import annotations
@@ -88,6 +89,7 @@ FORMATS: dict[str, Format] = {
         loses=FLAT_LOSES,
         values=(),
         marks=(yolo.DATA_YAML, yolo.CLASSES),
+        is_ours=yolo.is_yolo_export,
         pictures=yolo.YoloWriter,
         options=("images", "boxes-on"),
     ),
@@ -153,6 +155,37 @@ class ExportFormat(StrEnum):
     LABELCLOUD = "labelcloud"
     NUSCENES = "nuscenes"
     SUSTECHPOINTS = "sustechpoints"
+
+
+class BoxFormat(StrEnum):
+    """Formats of 3D boxes."""
+
+    BOXES = "boxes"
+    RCV = "rcv"
+    KITTI = "kitti"
+    KITTI_TRACKING = "kitti-tracking"
+    SUNRGBD = "sunrgbd"
+    OPENLABEL = "openlabel"
+    LABELCLOUD = "labelcloud"
+    NUSCENES = "nuscenes"
+    SUSTECHPOINTS = "sustechpoints"
+    ARGOVERSE2 = "argoverse2"
+    BOX_CSV = "box-csv"
+
+
+class FlatFormat(StrEnum):
+    """Formats of 2D boxes."""
+
+    COCO = "coco"
+    YOLO = "yolo"
+
+
+AnyFormat = FlatFormat | BoxFormat
+
+
+def named_format(name: str) -> AnyFormat:
+    """Returns the format of this name in `FORMATS`."""
+    return FlatFormat(name) if FORMATS[name].flat else BoxFormat(name)
 
 
 WRITERS: dict[ExportFormat, Format] = {format: FORMATS[format] for format in ExportFormat}

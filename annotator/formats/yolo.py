@@ -42,6 +42,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.files import why_missing
 from annotator.formats.dataset_writing import LabelledPicture
+from annotator.formats.frame_names import has_frames
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
@@ -294,6 +295,11 @@ READABLE = (".png", ".jpg", ".jpeg")
 # Image types that Ultralytics also reads; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
+
+
+def is_yolo_export(folder: Path) -> bool:
+    """True for a folder that annotator has exported in this format; those of other formats may have a `classes.txt`."""
+    return has_frames(folder) and (folder / DATA_YAML).is_file()
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,13 @@ from pathlib import Path, PurePosixPath
 from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.coco import ANNOTATIONS
+from annotator.formats.recognising import format_of, marked
+from annotator.formats.table import AnyFormat, BoxFormat, FlatFormat
 from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.project import Project
 from annotator.text import is_within
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web.security import UPLOAD_LIMIT
-from annotator.workflows.importing import BoxFormat, FlatFormat, format_of
 
 FOLDER = ".uploads"
 # Number of uploads kept per project: those that nobody has imported.
@@ -44,7 +45,7 @@ class Upload:
 
     id: str
     path: Path
-    format: FlatFormat | BoxFormat
+    format: AnyFormat
 
 
 def add_upload(project: Project, name: str, content: bytes, in_use: Collection[str] = ()) -> Upload:
@@ -98,7 +99,7 @@ def find_upload(project: Project, upload_id: str) -> Upload:
     return Upload(upload_id, path, format)
 
 
-def _format_of(file: Path) -> FlatFormat | BoxFormat:
+def _format_of(file: Path) -> AnyFormat:
     try:
         return format_of(file)
     except FormatError:
@@ -143,14 +144,12 @@ def _is_wanted(entry: PurePosixPath) -> bool:
     return entry.suffix.lower() in TEXTS and not entry.name.startswith(".") and "__MACOSX" not in entry.parts
 
 
-def _dataset(folder: Path) -> tuple[Path, FlatFormat | BoxFormat]:
+def _dataset(folder: Path) -> tuple[Path, AnyFormat]:
     """Finds the dataset in an unpacked folder: on the highest level that has one."""
     levels = sorted([folder, *(path for path in folder.rglob("*") if path.is_dir())], key=lambda path: len(path.parts))
     for level in levels:
-        if (level / DATA_YAML).is_file() or (level / CLASSES).is_file():
-            return level, FlatFormat.YOLO
-        if any((level / ANNOTATIONS).glob("instances_*.json")):
-            return level, FlatFormat.COCO
+        if flat := [format for format in marked(level) if isinstance(format, FlatFormat)]:
+            return level, flat[-1]
     files = [path for path in folder.rglob("*.json") if path.is_file()]
     files = files or [path for path in folder.rglob("*.csv") if is_box_csv(path)]
     if len(files) == 1 and (format := _format_of(files[0])) not in OF_FRAMES:

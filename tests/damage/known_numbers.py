@@ -24,13 +24,14 @@ from dataset_samples import make_item, make_label
 from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
 
+from annotator.formats.table import BoxFormat, FlatFormat
 from annotator.geometry.oriented_box import box_corners
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.types import Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError
-from annotator.workflows.importing.pictures import FlatFormat, read_pictures
-from annotator.workflows.importing.table import BoxFormat, read_labels
+from annotator.workflows.importing.pictures import read_pictures
+from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
 from benchmarks.bag_writer import BagWriter, structured
 

@@ -46,13 +46,13 @@ from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
 from annotator.formats.nuscenes import read_results  # noqa: E402
-from annotator.formats.table import FORMATS  # noqa: E402
+from annotator.formats.table import FORMATS, BoxFormat, FlatFormat  # noqa: E402
 from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
 from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
-from annotator.workflows.importing.pictures import FlatFormat, read_pictures  # noqa: E402
-from annotator.workflows.importing.table import BoxFormat, read_labels  # noqa: E402
+from annotator.workflows.importing.pictures import read_pictures  # noqa: E402
+from annotator.workflows.importing.readers import read_labels  # noqa: E402
 from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
 from benchmarks.bag_writer import BagWriter  # noqa: E402
 

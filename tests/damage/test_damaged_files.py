@@ -10,11 +10,10 @@ from search import examine, one_damaged
 from targets import TARGETS, Target
 from time_limit import time_limit
 
+from annotator.formats.table import BoxFormat, FlatFormat
 from annotator.recordings import detect_format
 from annotator.recordings.open import READERS
 from annotator.types.errors import RecordingError
-from annotator.workflows.importing.pictures import FlatFormat
-from annotator.workflows.importing.table import BoxFormat
 
 FEW = 4
 

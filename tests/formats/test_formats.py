@@ -19,7 +19,7 @@ from annotator.types import Camera, PointCloud, ReviewState, Truth
 from annotator.types.errors import FormatError, FrameError
 from annotator.types.label import Said
 from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
-from annotator.workflows.importing.table import WITH_ANGLES
+from annotator.workflows.importing.readers import READERS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs/formats.md"
 SOLID = [name for name, format in WRITERS.items() if not format.flat]
@@ -156,8 +156,21 @@ def test_the_table_names_all_formats_and_is_that_of_the_documentation() -> None:
     assert set(FORMATS) == {*BoxFormat, *FlatFormat}
     written = {name for name, format in FORMATS.items() if format.writer or format.pictures}
     assert written == set(ExportFormat) == {name for name, format in FORMATS.items() if format.summary}
-    assert {name for name, format in FORMATS.items() if format.angles} == set(WITH_ANGLES)
+    assert set(READERS) == set(BoxFormat)
     assert documented() in DOCS.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["kitti", "kitti-tracking", "sunrgbd"])
+def test_an_export_that_lists_its_classes_is_no_yolo_dataset(tmp_path: Path, name: str) -> None:
+    out = tmp_path / "out"
+    write(name, out, [make_item([make_label(label="traffic cone")])], classes=("traffic cone",))
+    assert "traffic cone" in (out / "classes.txt").read_text(encoding="utf-8")
+    assert format_of(out) == name
+    assert FORMATS[name].may_replace(out) and not FORMATS["yolo"].may_replace(out)
+    (out / "labels").mkdir()
+    (out / "labels" / "0.txt").write_text("0 0.5 0.5 0.1 0.1\n", encoding="utf-8")
+    with pytest.raises(FormatError, match=f"could be {name} or yolo"):
+        format_of(out)
 
 
 @pytest.mark.parametrize("name", SOLID)

@@ -84,7 +84,7 @@ def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:
     np.testing.assert_allclose(points, T.apply(item.frame.cloud.xyz_m), atol=1e-6)
     (frame,) = read_labelcloud(tmp_path / "out").values()
     assert frame.T_camera_cloud is not None
-    assert_same_box(frame.boxes[0][1].transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
+    assert_same_box(frame.objects[0].box.transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
 
 
 GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi / 2, 0.3]).as_rotvec()), (4, 2, 1))
@@ -131,10 +131,10 @@ def test_the_unit_of_the_angles_is_detected(
 ) -> None:
     found = read_labelcloud(foreign(tmp_path, form, *(entry(*each) for each in angles)))
     for number, each in enumerate(angles):
-        ((name, box),) = found[f"00000{number}"].boxes
+        (truth,) = found[f"00000{number}"].objects
         want = Rotation.from_euler("ZYX", each[::-1], degrees=degrees)
-        assert name == "cart" and found[f"00000{number}"].T_camera_cloud is None
-        np.testing.assert_allclose(box.rotation, want.as_matrix(), atol=1e-12)
+        assert truth.label == "cart" and found[f"00000{number}"].T_camera_cloud is None
+        np.testing.assert_allclose(truth.box.rotation, want.as_matrix(), atol=1e-12)
 
 
 SKEW = {

@@ -12,10 +12,11 @@ import pytest
 import yaml
 
 from annotator.formats.dataset_writing import LabelledPicture
+from annotator.formats.table import FlatFormat
 from annotator.formats.yolo import YoloBox, YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing.pictures import FlatFormat, PictureLabels, read_pictures
+from annotator.workflows.importing.pictures import PictureLabels, read_pictures
 
 NAMES = {0: "person", 1: "hand"}
 NUMBERS = {"person": 0, "hand": 1}

@@ -246,6 +246,14 @@ def read(project: Project, name: str, content: bytes) -> Preview:
         ({"a/mine.csv": "image,class,cx,cy,cz,l,w,h,yaw,score\nKEY,person,0,3,0,1,1,1,0,0.25\n"}, {"person": 1}),
         ({"KEY.json": PSR}, {"person": 1}),
         ({"data/room/label/KEY.json": PSR}, {"person": 1}),
+        # an export whose class names have spaces lists them in a file of this name, as YOLO does
+        (
+            {
+                "set/classes.txt": "tall_person tall person\n",
+                "set/training/label_2/KEY.txt": "person 0 0 0.1 10 10 50 50 1.8 0.5 0.5 0 1 3 0.1\n",
+            },
+            {"person": 1},
+        ),
         # of macOS, with labels beside the images
         (
             {
@@ -258,7 +266,7 @@ def read(project: Project, name: str, content: bytes) -> Preview:
             {"person": 1},
         ),
     ],
-    ids=["yolo", "csv", "one frame", "scene", "macos"],
+    ids=["yolo", "csv", "one frame", "scene", "kitti", "macos"],
 )
 def test_packed_folders(room: Project, files: dict[str, str], boxes: dict[str, int]) -> None:
     key = room.frames.of()[0].key

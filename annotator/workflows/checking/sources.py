@@ -15,27 +15,27 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.files import open_file, read_file
+from annotator.files import read_file
 from annotator.formats import sustechpoints
-from annotator.formats.coco import is_coco_dataset, read_coco_dataset
 from annotator.formats.json_file import read_json
-from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS, read_labelcloud
-from annotator.formats.nuscenes import read_nuscenes
-from annotator.formats.openlabel import read_openlabel
+from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
+from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault
-from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES, YoloBox, read_yolo
+from annotator.formats.recognising import format_of
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
+from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Box2D, Frame, ReviewState, Truth
+from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, frame_names, label_files
-from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
+from annotator.workflows.importing.pictures import read_pictures
+from annotator.workflows.importing.readers import READERS
 
-SNIFFED_BYTES = 256
 # Formats of labels that open as a recording with their images and clouds.
 OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
 
@@ -77,17 +77,19 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
     if not path.is_dir() or (path / MANIFEST).is_file():
         return None
     if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
-        return OtherSoftwareDataset(path, "nuScenes tables", False, _nuscenes)
-    if any(_is_openlabel(file) for file in path.glob("*.json")):
+        return OtherSoftwareDataset(path, "nuScenes tables", False, partial(_boxes, BoxFormat.NUSCENES))
+    if any(is_document(file) for file in path.glob("*.json")):
         return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
     if _is_labelcloud(path):
-        return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud, "cloud_folder")
+        return OtherSoftwareDataset(
+            path, "labelCloud labels", True, partial(_boxes, BoxFormat.LABELCLOUD), "cloud_folder"
+        )
     if (path / sustechpoints.CLOUDS).is_dir() and any((path / sustechpoints.LABELS).glob("*.json")):
-        return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_imported, BoxFormat.SUSTECHPOINTS))
-    if is_coco_dataset(path):
-        return OtherSoftwareDataset(path, "COCO boxes", True, _coco)
+        return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_boxes, BoxFormat.SUSTECHPOINTS))
+    if FORMATS[FlatFormat.COCO].is_marked(path):
+        return OtherSoftwareDataset(path, "COCO boxes", True, partial(_boxes, FlatFormat.COCO))
     if _is_yolo(path):
-        return OtherSoftwareDataset(path, "YOLO boxes", True, _yolo)
+        return OtherSoftwareDataset(path, "YOLO boxes", True, partial(_boxes, FlatFormat.YOLO))
     return None
 
 
@@ -99,23 +101,18 @@ def labels_alone(path: Path) -> OtherSoftwareDataset | None:
         return None
     if format in OF_RECORDINGS:
         return None
+    what = "boxes" if isinstance(format, FlatFormat) else "labels"
+    return OtherSoftwareDataset(path, f"{format} {what}", False, partial(_boxes, format))
+
+
+def _boxes(format: AnyFormat, path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    """Reads labels as imports do; the caller judges their sizes."""
     if isinstance(format, FlatFormat):
-        return OtherSoftwareDataset(path, f"{format} boxes", False, _coco if format is FlatFormat.COCO else _yolo)
-    return OtherSoftwareDataset(path, f"{format} labels", False, partial(_imported, format))
-
-
-def _imported(format: BoxFormat, path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    """Reads labels as `annotator import` does."""
-    labels = read_labels(format, path)
-    sizes = iter(labels.sizes_m)
-    for name in labels.frames:
-        yield [(label, next(sizes, None)) for label in labels.classes(name)]
-
-
-def _is_openlabel(file: Path) -> bool:
-    with suppress(OSError), open_file(file) as stream:
-        return b'"openlabel"' in stream.read(SNIFFED_BYTES)
-    return False
+        for picture in read_pictures(format, path, on_fault=on_fault).pictures:
+            yield [(label, None) for label in picture.labels]
+    else:
+        for truths in READERS[format](path, None, on_fault).objects.values():
+            yield [(truth.label, truth.box.size_m) for truth in truths]
 
 
 def _is_labelcloud(path: Path) -> bool:
@@ -139,38 +136,16 @@ def _is_yolo(path: Path) -> bool:
     return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
 
 
-def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    return ([(box.label, box.box.size_m) for box in boxes] for boxes in read_nuscenes(path, on_fault).values())
-
-
 def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
     """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
     for file in sorted(path.glob("*.json")):
         try:
-            if _is_openlabel(file):
-                yield from (
-                    [(box.label, box.box.size_m) for box in each.boxes] for each in read_openlabel(file).values()
-                )
+            if is_document(file):
+                yield from _boxes(BoxFormat.OPENLABEL, file, on_fault)
             else:
                 read_json(file)
         except FormatError as fault:
             on_fault(fault)
-
-
-def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    return ([(label, box.size_m) for label, box in each.boxes] for each in read_labelcloud(path, on_fault).values())
-
-
-def _coco(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    return (_flat(image.boxes) for _, images in read_coco_dataset(path, on_fault) for image in images)
-
-
-def _yolo(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    return (_flat(picture.boxes) for picture in read_yolo(path, on_fault))
-
-
-def _flat(boxes: Sequence[Box2D | YoloBox]) -> list[Box]:
-    return [(box.label, None) for box in boxes]
 
 
 MOST_LEVELS = 4

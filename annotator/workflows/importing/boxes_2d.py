@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import read_file
+from annotator.formats.table import FlatFormat
 from annotator.project import FramePart, Project, WriteContext
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.project.log.records import storable
@@ -23,7 +24,6 @@ from annotator.project.overview import read_page
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, StaleRevisionError
 from annotator.workflows.importing.pictures import (
-    FlatFormat,
     OnImage,
     OnView,
     PictureLabels,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 from annotator.files import open_file
 from annotator.formats.attributes import Values
 from annotator.formats.coco import dataset_folder, read_coco_dataset
 from annotator.formats.frame_names import FrameOrigin, read_frames
-from annotator.formats.reading import read_picture
+from annotator.formats.reading import OnFault, raise_fault, read_picture
+from annotator.formats.table import FlatFormat
 from annotator.formats.yolo import YoloPicture, read_yolo
 from annotator.image_bytes import (
     PNG_SIGNATURE,
@@ -31,13 +31,6 @@ from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.placing import Matched, Place, Renamed, match
 from annotator.workflows.views import ViewPlace
-
-
-class FlatFormat(StrEnum):
-    """Formats of 2D boxes."""
-
-    COCO = "coco"
-    YOLO = "yolo"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +98,9 @@ class PictureSet:
     origins: dict[str, FrameOrigin]
 
 
-def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) -> PictureSet:
+def read_pictures(
+    format: FlatFormat, path: Path, folder: Path | None = None, on_fault: OnFault = raise_fault
+) -> PictureSet:
     """Reads the labelled images at `path`.
 
     Args:
@@ -129,12 +124,12 @@ def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) ->
                 image.attributes,
                 image.around,
             )
-            for image_folder, images in read_coco_dataset(path)
+            for image_folder, images in read_coco_dataset(path, on_fault)
             for image in images
         ]
     else:
         root = path if path.is_dir() else path.parent
-        pictures = [_of_yolo(picture, folder) for picture in read_yolo(path)]
+        pictures = [_of_yolo(picture, folder) for picture in read_yolo(path, on_fault)]
     return PictureSet(path, tuple(pictures), read_frames(root))
 
 

@@ -1,4 +1,7 @@
-"""Reads 3D boxes in each format as a `LabelSet`."""
+"""Reads 3D boxes in each format as a `LabelSet`, for imports, checks and the labels beside recordings.
+
+A new format needs a row in `annotator.formats.table`, and an entry in `READERS`.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,22 @@ from annotator.formats.kitti_rows import label_frame
 from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results, read_world_poses
-from annotator.formats.openlabel import OpenLabelBox, read_openlabel
+from annotator.formats.openlabel import read_openlabel
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.rcv import read_rcv
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.sunrgbd import read_extracted_folder
 from annotator.formats.sunrgbd_table import read_meta, upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
-from annotator.formats.units import Angles, AngleUnit
+from annotator.formats.table import FORMATS, BoxFormat
+from annotator.formats.units import Angles, AngleUnit, Lengths
 from annotator.project import Project
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import read_extracted_calibration
 from annotator.types import Frame, Label, Truth
-from annotator.types.errors import FormatError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, Pose, moved_in_world, transformed
 
@@ -111,12 +116,12 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
     return pose
 
 
-def labelcloud_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
     """Reads a labelCloud project.
 
     Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
     """
-    return of_labelcloud(path, read_labelcloud(path, angles=angles))
+    return of_labelcloud(path, read_labelcloud(path, on_fault, angles))
 
 
 def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBoxes:
@@ -126,21 +131,17 @@ def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBo
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
         return read().T_camera_label if (T := poses[name]) is None else T
 
-    objects = ((name, [Truth(label, box) for label, box in each.boxes]) for name, each in frames.items())
-    return PlacedBoxes(path, PackedTruths(objects), pose)
+    return PlacedBoxes(path, PackedTruths((name, each.objects) for name, each in frames.items()), pose)
 
 
-def nuscenes_tables(path: Path) -> PlacedBoxes:
+def nuscenes_tables(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
     """Reads the annotations of every camera's images in a folder of nuScenes tables.
 
     Raises FormatError: no such folder, or rows that do not follow the schema.
     """
-    objects = (
-        (name, [Truth(each.label, each.box, each.track_id, attributes=each.attributes) for each in boxes])
-        for name, boxes in read_nuscenes(path).items()
-    )
+    objects = PackedTruths(read_nuscenes(path, on_fault).items())
     poses = read_world_poses(path)
-    return PlacedBoxes(path, PackedTruths(objects), lambda name, read: moved_in_world(poses.get(name), read))
+    return PlacedBoxes(path, objects, lambda name, read: moved_in_world(poses.get(name), read))
 
 
 def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
@@ -227,14 +228,11 @@ class NuScenesResults(_SampleBoxes):
         return replace(self, places=places)
 
 
-def nuscenes_labels(path: Path) -> PlacedBoxes:
+def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
     """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
-    return nuscenes_results(path) if path.is_file() else nuscenes_tables(path)
-
-
-def nuscenes_results(path: Path) -> NuScenesResults:
-    """Reads a file of results of nuScenes' detection or tracking task. Raises FormatError as `read_results`."""
-    return NuScenesResults(path, PackedTruths(read_results(path)))
+    return (
+        NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
+    )
 
 
 class ArgoverseLabels(_SampleBoxes):
@@ -258,11 +256,7 @@ class ArgoverseLabels(_SampleBoxes):
 def argoverse_labels(path: Path) -> ArgoverseLabels:
     """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
     file = path / ANNOTATIONS if path.is_dir() else path
-    sweeps = (
-        (str(time_ns), [Truth(each.label, each.box, each.track) for each in boxes])
-        for time_ns, boxes in read_argoverse(file).items()
-    )
-    return ArgoverseLabels(path, PackedTruths(sweeps))
+    return ArgoverseLabels(path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items()))
 
 
 def rcv_labels(path: Path) -> PlacedBoxes:
@@ -287,6 +281,26 @@ def of_rcv(path: Path, key: str, labels: Sequence[Label]) -> PlacedBoxes:
     return _reviewed(path, {key: labels}, None, {})
 
 
+def _reviewed(
+    path: Path, frames: Mapping[str, Sequence[Label]], pose: Pose | None, values: Mapping[str, Values]
+) -> PlacedBoxes:
+    objects = ((name, [_truth(each) for each in labels]) for name, labels in frames.items())
+    states = {name: tuple(each.state for each in labels) for name, labels in frames.items()}
+    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)
+
+
+def _truth(label: Label) -> Truth:
+    return Truth(
+        label.label,
+        label.box,
+        label.track_id,
+        label.score,
+        box_kind=label.box_kind,
+        attributes=label.attributes,
+        said=label.said,
+    )
+
+
 def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads OpenLABEL documents.
 
@@ -298,31 +312,48 @@ def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes
         own = frames[name]
         return moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
 
-    boxes = {name: each.boxes for name, each in frames.items()}
-    return _reviewed(path, boxes, pose, {name: each.attributes for name, each in frames.items()})
-
-
-def _reviewed(
-    path: Path, frames: Mapping[str, Sequence[Label | OpenLabelBox]], pose: Pose | None, values: Mapping[str, Values]
-) -> PlacedBoxes:
-    """The formats whose boxes have a review state."""
-    objects = (
-        (
-            name,
-            [
-                Truth(
-                    each.label,
-                    each.box,
-                    each.track_id,
-                    each.score,
-                    box_kind=each.box_kind,
-                    attributes=each.attributes,
-                    said=each.said,
-                )
-                for each in boxes
-            ],
-        )
-        for name, boxes in frames.items()
+    return PlacedBoxes(
+        path,
+        PackedTruths((name, each.boxes) for name, each in frames.items()),
+        pose,
+        states={name: tuple(box.state for box in each.boxes) for name, each in frames.items()},
+        values={name: each.attributes for name, each in frames.items()},
     )
-    states = {name: tuple(each.state for each in boxes) for name, boxes in frames.items()}
-    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)
+
+
+Reader = Callable[[Path, AngleUnit | None, OnFault], PlacedBoxes]
+"""Reads all labels at a path. The second argument is the unit of angles (None: as the format says), the third takes
+faults of single boxes, which are skipped then; most readers raise at the first one."""
+
+READERS: dict[BoxFormat, Reader] = {
+    BoxFormat.RCV: lambda path, angles, on_fault: rcv_labels(path),
+    BoxFormat.KITTI: lambda path, angles, on_fault: kitti_labels(path, angles),
+    BoxFormat.KITTI_TRACKING: lambda path, angles, on_fault: kitti_tracking_labels(path, angles),
+    BoxFormat.SUNRGBD: lambda path, angles, on_fault: sunrgbd_labels(path),
+    BoxFormat.OPENLABEL: lambda path, angles, on_fault: openlabel_labels(path, angles),
+    BoxFormat.LABELCLOUD: labelcloud_labels,
+    BoxFormat.NUSCENES: lambda path, angles, on_fault: nuscenes_labels(path, on_fault),
+    BoxFormat.SUSTECHPOINTS: lambda path, angles, on_fault: sustechpoints_labels(path, angles),
+    BoxFormat.BOXES: lambda path, angles, on_fault: boxes_labels(path),
+    BoxFormat.ARGOVERSE2: lambda path, angles, on_fault: argoverse_labels(path),
+    BoxFormat.BOX_CSV: lambda path, angles, on_fault: box_csv_labels(path, angles),
+}
+
+
+def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> LabelSet:
+    """Reads and checks all labels at `path`.
+
+    Args:
+        angles: unit of the angles, if it is not what the format says, or if the labels do not show it.
+
+    Raises:
+        FormatError: they do not follow the format.
+        UnitError: they cannot be in the units that the format has.
+        ConfigError: `angles` for a format without angles.
+    """
+    if angles is not None and not FORMATS[format].angles:
+        with_angles = ", ".join(name for name, each in FORMATS.items() if each.angles)
+        raise ConfigError(f"{format} has no angles; leave out --angles (it is for {with_angles})")
+    dataset = READERS[format](path, angles, raise_fault)
+    Lengths(dataset.sizes_m).require(path)
+    return dataset

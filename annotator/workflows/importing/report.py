@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.formats.table import BoxFormat, FlatFormat
 from annotator.formats.units import Lengths
 from annotator.project import Project
 from annotator.rcv.config import TypicalSize, typical_size
 from annotator.types import Source
 from annotator.types.messages import amount, nearest
 from annotator.workflows.importing.label_set import ScoreRange
-from annotator.workflows.importing.pictures import FlatFormat, placed_pictures, read_pictures
+from annotator.workflows.importing.pictures import placed_pictures, read_pictures
 from annotator.workflows.importing.placing import Matched
-from annotator.workflows.importing.table import BoxFormat, read_labels
+from annotator.workflows.importing.readers import read_labels
 
 
 class Become(StrEnum):

@@ -12,6 +12,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from annotator.formats.attributes import typed_value
+from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
@@ -22,7 +23,7 @@ from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.pictures import FlatFormat, OnImage, PictureLabels, read_pictures
+from annotator.workflows.importing.pictures import OnImage, PictureLabels, read_pictures
 from annotator.workflows.importing.placing import AUTHOR, Importer
 from annotator.workflows.importing.report import ImportReport, Note
 from annotator.workflows.views import drawn_of, outlines

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from annotator.formats.table import FlatFormat
 from annotator.project import Project, StoredFrame
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
@@ -24,7 +25,7 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM, Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.importing.pictures import FlatFormat, checked_images, read_pictures
+from annotator.workflows.importing.pictures import checked_images, read_pictures
 from annotator.workflows.importing.placing import Renamed
 from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
+from annotator.formats.table import BoxFormat
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.sources import covered_by
 from annotator.recordings import Recording
@@ -15,8 +16,8 @@ from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.importing.boxes_3d import import_labels
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.placing import Importer, MatchedFrames
+from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.importing.report import Become, ImportReport, Note
-from annotator.workflows.importing.table import BoxFormat, read_labels
 from annotator.workflows.recorded.reading import has_truth, is_labelled, label_file, load_truth, one_file_a_frame
 
 # Boxes imported from other datasets have the author "import".

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.formats import argoverse
-from annotator.formats.boxes_json import read_boxes
+from annotator.formats.boxes_json import PLACES, read_boxes
 from annotator.formats.frame_names import read_frames
 from annotator.formats.kitti_objects import read_kitti_file
 from annotator.formats.kitti_rows import (
@@ -210,14 +210,14 @@ def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> li
     if sample is None or T is None:
         return []
     boxes = _samples(path, recording.tables, recording.samples)[sample]
-    return [Truth(each.label, each.box.transformed(T), each.track_id, attributes=each.attributes) for each in boxes]
+    return [replace(each, box=each.box.transformed(T)) for each in boxes]
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a sweep that the image shows."""
     T = frame.T_camera_label
     rows = () if T is None else _annotations(path).get(int(key), ())
-    return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
+    return _seen([replace(each, box=each.box.transformed(T)) for each in rows], frame)
 
 
 def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
@@ -286,7 +286,7 @@ def _samples(path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tup
 
 
 @_until_changed
-def _annotations(path: Path) -> dict[int, list[argoverse.ArgoverseBox]]:
+def _annotations(path: Path) -> dict[int, list[Truth]]:
     """The annotations of an Argoverse log, in the ego frame."""
     return argoverse.read_argoverse(path)
 
@@ -325,7 +325,7 @@ def _looked_for(recording: Recording) -> str:
 
 
 _PLACES = {
-    "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
+    "rgbd_folder": PLACES,
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
     "kitti_raw": ("tracklet_labels.xml",),

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from annotator.formats.table import FlatFormat
 from annotator.image_bytes import as_stored, box_as_stored, is_turned, orientation_of, turned, turned_size
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.importing.boxes_2d import import_image_boxes
-from annotator.workflows.importing.pictures import FlatFormat
 from annotator.workflows.recorded.reading import load_mask
 
 WIDTH, HEIGHT = 48, 32

@@ -1,16 +1,12 @@
-"""The table of import formats of boxes, and how each is recognised: by what its reader looks for first.
-
-A new format needs one row here and a function in `readers.py`.
-"""
+"""Recognises the format of the boxes at a path: a folder by the marks of the table, a file by its content."""
 
 from __future__ import annotations
 
 import re
 import zipfile
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from enum import StrEnum
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
@@ -20,78 +16,15 @@ from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
 from annotator.formats import kitti_objects, kitti_tracking
 from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
 from annotator.formats.box_csv import is_box_csv
-from annotator.formats.boxes_json import NAME, PLACES
-from annotator.formats.coco import ANNOTATIONS
+from annotator.formats.boxes_json import NAME
 from annotator.formats.json_file import read_json
-from annotator.formats.labelcloud import CLASSES_FILE, LABELS
-from annotator.formats.rcv import MANIFEST
+from annotator.formats.labelcloud import CLASSES_FILE
 from annotator.formats.reading import text_rows
 from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
-from annotator.formats.units import AngleUnit, Lengths
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, named_format
 from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE
 from annotator.text import decoded
-from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing import readers
-from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.pictures import FlatFormat
-
-
-class BoxFormat(StrEnum):
-    """Formats of 3D boxes."""
-
-    BOXES = "boxes"
-    RCV = "rcv"
-    KITTI = "kitti"
-    KITTI_TRACKING = "kitti-tracking"
-    SUNRGBD = "sunrgbd"
-    OPENLABEL = "openlabel"
-    LABELCLOUD = "labelcloud"
-    NUSCENES = "nuscenes"
-    SUSTECHPOINTS = "sustechpoints"
-    ARGOVERSE2 = "argoverse2"
-    BOX_CSV = "box-csv"
-
-
-READERS: dict[BoxFormat, Callable[[Path], LabelSet]] = {
-    BoxFormat.RCV: readers.rcv_labels,
-    BoxFormat.SUNRGBD: readers.sunrgbd_labels,
-    BoxFormat.NUSCENES: readers.nuscenes_labels,
-    BoxFormat.ARGOVERSE2: readers.argoverse_labels,
-    BoxFormat.BOXES: readers.boxes_labels,
-}
-# The formats that write angles, and their readers, which take the unit; None: as the format says.
-WITH_ANGLES: dict[BoxFormat, Callable[[Path, AngleUnit | None], LabelSet]] = {
-    BoxFormat.KITTI: readers.kitti_labels,
-    BoxFormat.KITTI_TRACKING: readers.kitti_tracking_labels,
-    BoxFormat.OPENLABEL: readers.openlabel_labels,
-    BoxFormat.LABELCLOUD: readers.labelcloud_labels,
-    BoxFormat.SUSTECHPOINTS: readers.sustechpoints_labels,
-    BoxFormat.BOX_CSV: readers.box_csv_labels,
-}
-
-
-def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> LabelSet:
-    """Reads and checks all labels at `path`.
-
-    Args:
-        angles: unit of the angles, if it is not what the format says, or if the labels do not show it.
-
-    Raises:
-        FormatError: they do not follow the format.
-        UnitError: they cannot be in the units that the format has.
-        ConfigError: `angles` for a format without angles.
-    """
-    if format in WITH_ANGLES:
-        dataset = WITH_ANGLES[format](path, angles)
-    elif angles is not None:
-        raise ConfigError(f"{format} has no angles; leave out --angles (it is for {', '.join(WITH_ANGLES)})")
-    else:
-        dataset = READERS[format](path)
-    Lengths(dataset.sizes_m).require(path)
-    return dataset
-
-
-Format = FlatFormat | BoxFormat
+from annotator.types.errors import FormatError
 
 # What is read of a large JSON file.
 PEEK_BYTES = 2**20
@@ -101,7 +34,7 @@ LOOK_AT = 50
 YOLO_FIELDS, KITTI_FIELDS, TRACK_FIELDS = (5,), (15, 16), (17, 18)
 
 
-def format_of(path: Path) -> Format:
+def format_of(path: Path) -> AnyFormat:
     """Returns the format of the boxes at `path`.
 
     Raises:
@@ -110,12 +43,7 @@ def format_of(path: Path) -> Format:
     missing = why_missing(path)
     if missing is not None:
         raise FormatError(path, missing)
-    if path.is_dir():
-        fitting = (
-            [format for format, fits in _FOLDERS.items() if fits(path)] or _of_files_in(path) or _of_images_in(path)
-        )
-    else:
-        fitting = _of_file(path)
+    fitting = _of_folder(path) if path.is_dir() else _of_file(path)
     if len(fitting) == 1:
         return fitting[0]
     every = "|".join((*FlatFormat, *BoxFormat))
@@ -124,25 +52,36 @@ def format_of(path: Path) -> Format:
     raise FormatError(path, f"could be {' or '.join(fitting)}; choose one with --format")
 
 
-def _has(*patterns: str) -> Callable[[Path], bool]:
-    return lambda folder: any(next(folder.glob(pattern), None) is not None for pattern in patterns)
+def _of_folder(folder: Path) -> list[AnyFormat]:
+    return marked(folder) or _of_files_in(folder) or _of_images_in(folder)
 
 
-_FOLDERS: dict[Format, Callable[[Path], bool]] = {
-    BoxFormat.RCV: _has(MANIFEST),
-    BoxFormat.NUSCENES: _has("sample_annotation.json", "v1.0-*/sample_annotation.json"),
-    BoxFormat.LABELCLOUD: _has(CLASSES_FILE, f"{LABELS}/{CLASSES_FILE}", f"*/{LABELS}/{CLASSES_FILE}"),
-    BoxFormat.KITTI_TRACKING: _has(f"training/{kitti_tracking.LABELS}/", f"{kitti_tracking.LABELS}/"),
-    BoxFormat.KITTI: _has(*kitti_objects.PLACES),
-    BoxFormat.SUNRGBD: _has("SUNRGBDMeta*.mat", "label/*.txt"),
-    BoxFormat.ARGOVERSE2: _has(ARGOVERSE_ANNOTATIONS),
-    BoxFormat.BOXES: _has(*PLACES),
-    FlatFormat.COCO: _has(f"{ANNOTATIONS}/instances_*.json"),
-    FlatFormat.YOLO: _has(DATA_YAML, CLASSES),
-}
+def marked(folder: Path) -> list[AnyFormat]:
+    """Returns the formats whose marks a folder has.
+
+    `classes.txt` alone is no mark of YOLO where another format fits: exports to formats whose classes are single words
+    list the others there. Label files with YOLO's rows show that it is one.
+    """
+    found = [named_format(name) for name, format in FORMATS.items() if format.is_marked(folder)]
+    if len(found) > 1 and FlatFormat.YOLO in found and not _has_yolo_labels(folder):
+        found.remove(FlatFormat.YOLO)
+    return found
 
 
-def _of_files_in(folder: Path) -> list[Format]:
+def _has_yolo_labels(folder: Path) -> bool:
+    if (folder / DATA_YAML).is_file():
+        return True
+    # files in other folders may be calibrations, whose numbers can look like YOLO's polygons
+    files = (folder / "labels").rglob("*.txt") if (folder / "labels").is_dir() else folder.glob("*.txt")
+    for file in islice((each for each in files if each.name != CLASSES), LOOK_AT):
+        # its reader says what is wrong
+        with suppress(FormatError):
+            if _of_file(file) == [FlatFormat.YOLO]:
+                return True
+    return False
+
+
+def _of_files_in(folder: Path) -> list[AnyFormat]:
     """The format of the first files that show it; labelCloud's labels may also be in a folder `labels`."""
     for pattern in ("*.txt", "*.json", "label/*.json", "*/*.json", "*/label/*.json", "*/*/label/*.json"):
         for file in islice(sorted(folder.glob(pattern)), LOOK_AT):
@@ -151,12 +90,12 @@ def _of_files_in(folder: Path) -> list[Format]:
     return []
 
 
-def _of_images_in(folder: Path) -> list[Format]:
+def _of_images_in(folder: Path) -> list[AnyFormat]:
     """SUN RGB-D as VoteNet extracts it, without labels: its reader says what to do."""
     return [BoxFormat.SUNRGBD] if all((folder / name).is_dir() for name in ("image", "calib")) else []
 
 
-def _of_file(file: Path) -> list[Format]:
+def _of_file(file: Path) -> list[AnyFormat]:
     match file.suffix.lower():
         case ".mat":
             return [BoxFormat.SUNRGBD]
@@ -180,7 +119,7 @@ def _of_file(file: Path) -> list[Format]:
     return []
 
 
-def _of_row(fields: list[str]) -> list[Format]:
+def _of_row(fields: list[str]) -> list[AnyFormat]:
     numbers = [re.fullmatch(r"-?\d+", field) is not None for field in fields[:2]]
     if numbers[:1] == [True] and _is_polygon(fields[1:]):
         return [FlatFormat.YOLO]
@@ -202,7 +141,7 @@ def _is_polygon(fields: list[str]) -> bool:
     return False
 
 
-def _of_archive(file: Path) -> list[Format]:
+def _of_archive(file: Path) -> list[AnyFormat]:
     try:
         with open_file(file) as stream, open_archive(stream) as archive:
             for info in _text_members(archive):
@@ -231,7 +170,7 @@ def _beginning(file: Path) -> object:
         return read_json(file)  # says what is wrong
 
 
-def _of_json(content: object) -> list[Format]:
+def _of_json(content: object) -> list[AnyFormat]:
     match content:
         case {"results": {}}:
             return [BoxFormat.NUSCENES]
