@@ -113,8 +113,8 @@ def choose_topics(browser: Browser, address: str) -> None:
 
 def write_bag(recordings: Path, name: str) -> None:
     """A bag of the recording `name`: two cameras, one of them with depth, and one whose cloud is turned a little."""
-    sys.path.append(str(REPOSITORY))
-    from benchmarks.bag_writer import BagWriter, structured
+    sys.path.append(str(REPOSITORY / "tests" / "recordings"))
+    from bag_writer import BagWriter, structured  # type: ignore[import-not-found]
 
     recording = open_recording(recordings / name)
     with BagWriter(recordings, "ros1") as bag:

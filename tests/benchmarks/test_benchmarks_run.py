@@ -191,11 +191,3 @@ def test_unusable_input_is_an_error_without_a_traceback(
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert "Traceback" not in said
-
-
-def test_bags_are_opened_and_read() -> None:
-    result, table = program("bags", "--gigabytes", "0.03", "--container", "mcap", "--frames", "2")
-    assert (result["bag"], result["frames"]) == ("mcap", 4)
-    assert min(result["open_s"], result["frame_median_s"], result["peak_mb"]) > 0
-    assert result["peak_mb"] >= result["imported_mb"]
-    assert any("frame, s" in line for line in table)
