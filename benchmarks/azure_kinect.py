@@ -12,7 +12,7 @@ import csv
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import numpy as np
 import tyro
@@ -22,14 +22,14 @@ from annotator.recordings import open_recording
 from annotator.recordings.kinect.calibration import MM_PER_M
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import ConfigError, FormatError
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program, require
 
 PIXEL, DEPTH = ("u_depth_px", "v_depth_px"), ("depth_mm",)
 IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), ("u_color_px", "v_color_px")
 
 
 @dataclass
-class Arguments:
+class Arguments(Options):
     """Compare a recording's geometry with the SDK's."""
 
     recording: tyro.conf.Positional[Path]
@@ -38,8 +38,6 @@ class Arguments:
     """The CSV file with the SDK's numbers."""
     repeats: int = 0
     """How often the first frame, with its coloured cloud, is read for the timing; 0 = no timing."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 def read_rows(path: Path) -> dict[str, np.ndarray]:
@@ -93,10 +91,9 @@ def frame_ms(recording: AzureKinect, repeats: int) -> float:
     return float(np.median(seconds) * 1e3)
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
-    if not 0 <= args.repeats <= 1_000_000:
-        raise ConfigError(f"--repeats must be 0 to 1000000, not {args.repeats}")
+    require(args, 0, 1_000_000, "repeats")
     recording = open_recording(args.recording)
     if not isinstance(recording, AzureKinect):
         raise ConfigError(f"{args.recording}: has the format {recording.format}; give an Azure Kinect's .mkv file")
@@ -108,12 +105,13 @@ def run(args: Arguments) -> dict[str, object]:
     return result
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("rows", "largest distance of a point, mm", "of a colour pixel, px", *["frame, ms"][: args.repeats])
-    table.add(*(f"{value:.5f}" if isinstance(value, float) else value for value in result.values()))
-    finish(result, args.json, table)
+def tables(args: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("rows", "largest distance of a point, mm", "of a colour pixel, px", *["frame, ms"][: args.repeats])
+    cells = [f"{value:.5f}" if isinstance(value, float) else value for value in result.values()]
+    return [Table(*heads, rows=[cells])]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -20,15 +20,15 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any, Literal
 
 from annotator.detection.config import Backend
+from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.detection.pretrained import base_weights, has_base
 from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
+from annotator.synthetic import write_generated
 from annotator.types import Box2D, BoxKind, Frame, Image
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
@@ -38,7 +38,8 @@ from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
-from benchmarks.report import Table, finish, guarded
+from annotator.workflows.recorded.reading import load_truth
+from benchmarks.report import Options, Table, guarded, program
 
 PRESET, LABEL = "people", "person"
 FOLDERS = {"color": ".jpg", "depth": ".png"}
@@ -46,12 +47,8 @@ FOLDERS = {"color": ".jpg", "depth": ".png"}
 
 @dataclass(frozen=True)
 class Repeating:
-    """A perfect detector for a recording that repeats its first frames; with 4, `000007` is the same as `000003`.
-
-    Attributes:
-        first: perfect detector of the first frames.
-        different: number of the first frames.
-    """
+    """A perfect detector for a recording that repeats its `different` first frames, of which `first` is the detector;
+    with 4, `000007` is the same as `000003`."""
 
     first: Any
     different: int
@@ -72,21 +69,10 @@ class Repeating:
 
 def perfect_detector(source: Path, different: int) -> Repeating:
     """The perfect detector for recordings that repeat the frames of `source`."""
-    from annotator.detection.perfect import PerfectDetector, Scene
-    from annotator.recordings import open_recording
-    from annotator.workflows.recorded.reading import load_truth
-
     recording = open_recording(source)
     frames = [recording.frame(index) for index in range(different)]
     scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
     return Repeating(PerfectDetector(scenes), different)
-
-
-def generate(folder: Path, different: int, width_px: int) -> None:
-    """Generates the frames that all recordings repeat."""
-    from annotator.synthetic import write_generated
-
-    write_generated(folder, PRESET, different, 0, width_px, width_px * 3 // 4)
 
 
 def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
@@ -108,7 +94,7 @@ PLAIN, ONE_CORE, BASE, PROJECT = "plain", "one core", "base detector", "loop"
 
 
 @dataclass
-class Arguments:
+class Arguments(Options):
     """Measure frames per second by engine and number of workers, relative to the plain loop."""
 
     project: Path | None = None
@@ -133,8 +119,6 @@ class Arguments:
     """Number of different frames that a generated recording repeats."""
     width: int = 640
     """Width of generated images, pixels."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +146,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         raise ConfigError("--frames, --repeats, --different and --workers must be 1 or more")
     config = RcvConfig(max_steps=args.steps)
     if args.project is None or args.recording is None:
-        generate(folder / "source", args.different, args.width)
+        write_generated(folder / "source", PRESET, args.different, 0, args.width, args.width * 3 // 4)
         lengthen(folder / "source", folder / "recording", args.frames, args.different)
         detector = perfect_detector(folder / "source", args.different)
         source: DetectorSource = GivenDetectors(Detectors(detector, detector))
@@ -190,7 +174,7 @@ def seconds(engine: Engine, job: Job) -> float:
     return done.seconds
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
@@ -208,6 +192,8 @@ def run(args: Arguments) -> dict[str, object]:
                 took = seconds(engine, job)
                 if turn > 0:  # the first turn is a warm-up
                     taken[row].append(took)
+    most = max(args.workers)
+    ray, local = taken.get((EngineName.RAY.value, most)), taken.get((EngineName.LOCAL.value, most))
     return {
         "frames": job.frames,
         "batch_frames": TASK_FRAMES,
@@ -222,7 +208,7 @@ def run(args: Arguments) -> dict[str, object]:
             }
             for (name, workers), took in taken.items()
         ],
-        "ray_against_local": _ray_against_local(taken, max(args.workers)),
+        "ray_against_local": _speed_up(local, ray) if ray and local else None,
     }
 
 
@@ -242,25 +228,20 @@ def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
     return engine
 
 
-def _ray_against_local(taken: dict[tuple[str, int], list[float]], workers: int) -> float | None:
-    ray, local = taken.get((EngineName.RAY.value, workers)), taken.get((EngineName.LOCAL.value, workers))
-    return _speed_up(local, ray) if ray and local else None
-
-
 def _speed_up(before_s: list[float], after_s: list[float]) -> float:
     """Median speed-up, compared turn by turn because the load of the machine may change between turns."""
     return statistics.median(before / after for before, after in zip(before_s, after_s, strict=True))
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("engine", "workers", "start s", "frames per second", "times the plain loop", "times one core")
-    for row in result["results"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
-    if not args.json and result["ray_against_local"] is not None:
-        print(f"Ray: {result['ray_against_local']:.2f} times the rate of local workers")
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("engine", "workers", "start s", "frames per second", "times the plain loop", "times one core")
+    table = Table(*heads, rows=(row.values() for row in result["results"]))
+    if result["ray_against_local"] is not None:
+        table.add("Ray, times the rate of local workers", "", "", result["ray_against_local"], "", "")
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

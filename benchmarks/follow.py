@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -23,11 +23,12 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types import Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
+from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower, Moment
 from annotator.workflows.workbench.review_queue import doubt
-from benchmarks.cold_start import check_orientation, orientation_of, with_up
-from benchmarks.report import Table, finish, guarded
+from benchmarks.cold_start import with_up
+from benchmarks.report import BoxOptions, Table, guarded, program
 
 # A box with at least this doubt is marked for the operator.
 MARKED = 0.8
@@ -35,19 +36,13 @@ WRONG_IOU = 0.25
 
 
 @dataclass
-class Arguments:
+class Arguments(BoxOptions):
     """Follow the first true box of each track to the track's end."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes and tracks, or with one object in each frame."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20
     """A track begins with its first box of at least so many points."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass
@@ -92,7 +87,7 @@ def follow_track(
         return Moment(index, with_up(recording.frame(index), [truth], args.upright), float(index))
 
     def settings(frame: Frame) -> RcvConfig:
-        return RcvConfig(orientation=orientation_of(frame, args.upright, args.free))
+        return RcvConfig(orientation=orientation_for(args.rotation, frame))
 
     score = TrackScore(label, [], [], 0)
     done: set[int] = set()
@@ -116,9 +111,8 @@ def _points(frame: Frame, box: OrientedBox) -> int:
     return int(contains(box, frame.cloud.xyz_m).sum())
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
-    check_orientation(args.upright, args.free)
     recording = open_recording(args.folder)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
@@ -147,15 +141,16 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    table = Table("class", "frames", "mean IoU", ">= 0.5", "stopped at", "because")
-    for row in result["tracks"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    table = Table(
+        "class", "frames", "mean IoU", ">= 0.5", "stopped at", "because", rows=(r.values() for r in result["tracks"])
+    )
     for name in ("mean_iou", "silent_errors", "marked"):
         table.add(name, "", result[name], "", "", "")
-    finish(result, args.json, table)
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 
 from annotator.detection.config import Backend
 from annotator.project import Project
@@ -39,9 +38,8 @@ from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.settings import rcv_config
 from benchmarks import loop
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program
 
-QUIET = Console(stderr=True)
 # Duration of the warm-up, in which the detectors compile the network for each new image size.
 WARM_UP_S = 5.0
 # Minimum number of shown frames for a measurement.
@@ -52,14 +50,14 @@ LEAST_RATE, FASTER_BY = 30.0, 1.25
 
 
 @dataclass
-class Arguments:
+class Arguments(Options):
     """Measure frames per second and latency of `annotator live`."""
 
     directory: Annotated[Path, tyro.conf.Positional]
     """A recording; training on it needs ground truth."""
     project: Path | None = None
     """Folder kept by `benchmarks.loop --project`, whose detectors are used; if missing, a new project is kept here."""
-    warm_start: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    warm_start: bool = False
     """Start the recursion from the boxes of the previous frame."""
     backend: Backend = "fastest"
     """Backend of the detectors; default: that of `annotator live`."""
@@ -75,11 +73,9 @@ class Arguments:
     """Frames per second of the source; None = 1.25 times the pipeline's rate, and at least 30."""
     epochs: int | None = None
     """Epochs of both training runs if needed; None = as many as show the default number of images."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
     if not args.seconds > 0:
         raise ConfigError(f"--seconds must be above 0, not {args.seconds:g}")
@@ -171,17 +167,11 @@ def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dic
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("measure", "value")
-    for name, value in result.items():
-        if isinstance(value, dict):
-            for part, each in value.items():
-                table.add(f"{name}: {part}", each)
-        else:
-            table.add(name, value)
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table.of_figures(result)]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
-from annotator.detection.training import TrainingProgress
 from annotator.files import new_folder
 from annotator.formats.json_file import write_text
 from annotator.formats.kitti_objects import read_kitti_file
@@ -35,6 +34,7 @@ from annotator.workflows.recorded.reading import TRACKING, frame_number, label_f
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import TrainPlan, train
 from benchmarks.paper_tables import Dataset, kitti_ap, sunrgbd_ap
+from benchmarks.report import print_epoch
 
 # By format: the folders with one file per frame, and the files that all frames share.
 LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -52,13 +52,10 @@ MOST_LIST_BYTES = 2**26
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """Frame keys for training and for testing.
+    """Sorted frame keys for training and for testing, which overlap only if the recording has a single frame.
 
-    Attributes:
-        train, val: sorted keys; they overlap only if the recording has a single frame.
-        source: where the split comes from, in words.
-        listed: number of frames in the lists; None without lists.
-        present: number of listed frames that the recording has; 0 without lists.
+    `source` says where the split comes from; `listed` is the number of frames in the lists, None without lists, and
+    `present` the number of those that the recording has.
     """
 
     train: tuple[str, ...]
@@ -195,14 +192,7 @@ Facts = Mapping[str, JsonValue]
 
 
 class StageRecord(BaseModel):
-    """A completed stage.
-
-    Attributes:
-        stage: name of the stage.
-        settings: everything on which the result depends; `after` is the key of the previous stage.
-        seconds: duration.
-        result: the stage's result.
-    """
+    """A completed stage; its settings are all on which the result depends, `after` is the key of the previous stage."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -218,11 +208,8 @@ class Stages:
 
     If a stage runs, all later stages run as well, even if they have a record.
 
-    Attributes:
-        folder: folder of the records, one JSON file per stage and settings.
-        log: called with a line of text when a stage starts, ends or is skipped.
-        done: the records so far, by stage.
-        skipped: stages that an earlier run completed.
+    `folder` has a record for each stage and settings, `done` those so far, `skipped` the stages that an earlier run
+    completed. `log` gets a line of text when a stage starts, ends or is skipped.
     """
 
     folder: Path
@@ -236,11 +223,8 @@ class Stages:
     ) -> Facts:
         """Runs a stage, or returns its result from an earlier run.
 
-        Args:
-            stage: name of the stage.
-            settings: everything on which the result depends besides the previous stages.
-            work: does the work. It must resume or restart after an interrupted run.
-            is_kept: returns whether the files or rows that an earlier result refers to still exist.
+        `settings` is all on which the result depends besides the previous stages. `work` must resume or restart after
+        an interrupted run. `is_kept` tells whether the files or rows that an earlier result refers to still exist.
         """
         all_settings = {**settings, "after": self._last}
         key = hashlib.sha256(json.dumps([stage, all_settings], sort_keys=True).encode()).hexdigest()[:12]
@@ -276,57 +260,27 @@ def _read(path: Path) -> StageRecord | None:
 TRAIN, VAL = "train", "val"
 
 
-@dataclass(frozen=True)
-class Place:
-    """The folders of one run.
-
-    Attributes:
-        work: the folder of all runs.
-        name: name of this run's project, frames and records.
-    """
-
-    work: Path
-    name: str
-
-    @property
-    def project(self) -> Path:
-        return self.work / "projects" / self.name
-
-    @property
-    def frames(self) -> Path:
-        return self.work / "frames" / self.name
-
-    @property
-    def records(self) -> Path:
-        return self.work / "stages" / self.name
-
-
 def import_frames(
-    recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int
+    recording: Recording, split: FrameSplit, project_path: Path, frames: Path, classes: tuple[str, ...], view_px: int
 ) -> Facts:
     """The stage `import`: creates two recordings of links to the frames, and a project with both.
 
-    Args:
-        view_px: longer side of the project's pseudo-views, pixels.
+    `view_px` is the longer side of the project's pseudo-views, pixels.
     """
     for side, keys in ((TRAIN, split.train), (VAL, split.val)):
-        link_frames(recording, keys, place.frames / side)
-    if not place.project.is_dir():
+        link_frames(recording, keys, frames / side)
+    if not project_path.is_dir():
         settings = ProjectSettings(rcv={"view": {"size_px": view_px}})
-        create_project(place.project.parent, place.name, classes, settings=settings).close()
-    with open_project(place.project) as project:
+        create_project(project_path.parent, project_path.name, classes, settings=settings).close()
+    with open_project(project_path) as project:
         for side in (TRAIN, VAL):
-            register_recording(project, open_recording(place.frames / side), name=side)
+            register_recording(project, open_recording(frames / side), name=side)
     return {"train": len(split.train), "val": len(split.val), "divided": split.source, "lists": split.coverage()}
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectStages:
-    """The stages after the import, in the project.
-
-    Attributes:
-        log: called with a line of text for each epoch.
-    """
+    """The stages after the import, in the project."""
 
     project: Project
     dataset: Dataset
@@ -335,7 +289,6 @@ class ProjectStages:
     plan: TrainPlan
     options: Facts
     stages: Stages
-    log: Callable[[str], None]
 
     def run(self) -> Facts:
         """Runs all stages; returns the result of the last, `kitti_ap` or `sunrgbd_ap`."""
@@ -380,7 +333,7 @@ class ProjectStages:
 
     def train(self, role: DetectorKind) -> Facts:
         """Trains one detector; resumes an interrupted training."""
-        (trained,) = train(self.project, self.plan, roles=(role,), progress=self._report)
+        (trained,) = train(self.project, self.plan, roles=(role,), progress=print_epoch)
         return {
             "model": trained.model.id,
             "pictures": {"train": trained.manifest.images["train"], "val": trained.manifest.images["val"]},
@@ -437,7 +390,3 @@ class ProjectStages:
         content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if proposals else {}
         true_classes = labelled_classes(open_recording(self.project.recordings.find(VAL).path))
         return kitti_ap(content, self.project.config.classes, true_classes)
-
-    def _report(self, role: DetectorKind, step: TrainingProgress) -> None:
-        if step.batch == step.batches:
-            self.log(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")

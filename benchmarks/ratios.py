@@ -17,11 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.perfect import PerfectDetector
@@ -40,7 +39,7 @@ from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import LiveDetection, Taken
 from annotator.workflows.warm_up import BOX, warm_frame
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program
 
 WORSE = 1
 POINTS = 50_000
@@ -61,24 +60,18 @@ def frustum(points: int, rng: np.random.Generator) -> PointCloud:
 
 
 @dataclass
-class Arguments:
+class Arguments(Options):
     """Compare the parts of the hot path with references."""
 
     rounds: int = 5
     """Maximum number of rounds for each ratio; the first round within the bound is enough."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """A piece of work, a reference, and the bound of the ratio of their times.
+    """A piece of work, a reference, and the upper bound of the ratio of their times.
 
-    Attributes:
-        name: name of the work and of the reference.
-        work, reference: functions that do the work once.
-        most: upper bound of the ratio.
-        repeats: runs of each per round, in turns; their medians are compared.
+    In a round both run `repeats` times in turns, and their medians are compared.
     """
 
     name: str
@@ -216,7 +209,7 @@ def _views() -> list[PseudoView]:
     return render_pairs(frustum(20_000, rng), near_axes(np.eye(3), None, config), config.view)
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
     cv2.setNumThreads(1)
     with TemporaryDirectory() as folder:
@@ -228,14 +221,12 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table("work / reference", "ratio", "at most", "worse", rows=(row.values() for row in result["ratios"]))]
+
+
 def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("work / reference", "ratio", "at most", "worse")
-    for row in result["ratios"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
-    if result["worse"]:
+    if program(Arguments, run, tables, __doc__)()["worse"]:
         sys.exit(WORSE)
 
 

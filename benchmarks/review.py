@@ -32,11 +32,11 @@ import tyro
 from rich.console import Console
 
 from annotator.detection.training import TrainingProgress
-from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
+from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import view_model
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import BoxOptions, Table, guarded
 from benchmarks.review_moves import Bill, shaky
 from benchmarks.review_operator import Operator
 from benchmarks.review_peers import copied, is_project, measured_by, peers, propose, teach, without_labels
@@ -48,7 +48,7 @@ QUIET = Console(stderr=True)
 
 
 @dataclass
-class Arguments:
+class Arguments(BoxOptions):
     """Measure what the review of a recording costs an operator."""
 
     path: Annotated[Path, tyro.conf.Positional]
@@ -61,23 +61,10 @@ class Arguments:
     """Rows to measure, separated by commas."""
     minutes: float | None = None
     """Length of the view detector's training, minutes; None = the default."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     keep: Path | None = None
     """Folder in which to keep the taught project, which PATH can name the next time."""
     seed: int = 0
     """Seed of the hand's errors."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
-
-    @property
-    def rotation(self) -> BoxRotation:
-        """The rotation of the boxes."""
-        if self.upright and self.free:
-            raise ConfigError("--upright and --free exclude each other; give at most one")
-        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
 
 
 def run(args: Arguments) -> dict[str, Any]:

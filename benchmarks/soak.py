@@ -20,18 +20,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import numpy as np
-import tyro
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from annotator.cli.main import main as annotator
 from annotator.project import open_project
 from annotator.types.errors import ConfigError
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, chosen, guarded, program
 from benchmarks.served import (
     LABEL,
     OPENS_WITHIN_S,
@@ -67,7 +66,7 @@ MOST_LABELS = 12
 
 
 @dataclass
-class Arguments:
+class Arguments(Options):
     """Let operators, browsers and jobs use one server for a long time."""
 
     minutes: float = 30.0
@@ -82,8 +81,6 @@ class Arguments:
     """Number of frames of the generated 640 x 480 recording."""
     seed: int = 0
     """Seed of the operators' choices."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass
@@ -112,14 +109,13 @@ class Seen:
 
 def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
-    kinds = [kind.strip() for kind in args.jobs.split(",") if kind.strip()]
-    if unknown := [kind for kind in kinds if kind not in JOBS]:
-        raise ConfigError(f"--jobs: unknown kind {unknown[0]!r}; the kinds are {', '.join(JOBS)}")
+    kinds = chosen("--jobs", args.jobs, JOBS)
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         projects = _make_project(Path(temporary), args.frames)
         frames = frames_of(projects, PROJECT)
         server = stack.enter_context(serving(projects))
-        pages = _open_pages(stack, server, frames, args.browsers)
+        browser = stack.enter_context(chromium()) if args.browsers else None
+        pages = [_Leafing(signed_in(browser, server, f"browser {n}"), frames) for n in range(args.browsers) if browser]
         memory, seen = _work(server, pages, frames, kinds, args)
         with open_project(projects / PROJECT) as project:
             seen.failures += project.problems()
@@ -139,20 +135,8 @@ def _make_project(folder: Path, frames: int) -> Path:
     return projects
 
 
-def _open_pages(stack: ExitStack, server: Server, frames: Sequence[int], number: int) -> list[_Leafing]:
-    if number == 0:
-        return []
-    browser = stack.enter_context(chromium())
-    return [_Leafing(signed_in(browser, server, f"browser {n}"), frames) for n in range(number)]
-
-
 class _Leafing:
-    """A page in Review that goes to the next frame every other second, and back at the end.
-
-    Attributes:
-        errors: messages of the page's errors.
-        shown: number of frames shown.
-    """
+    """A page in Review that goes to the next frame every other second, and back at the end."""
 
     def __init__(self, page: Page, frames: Sequence[int]) -> None:
         self._page, self._frames = page, len(frames)
@@ -340,14 +324,11 @@ def _figures(memory: Sequence[tuple[float, float]], seen: Seen, args: Arguments)
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("measure", "figure")
-    for name, value in result.items():
-        if name != "memory":
-            table.add(name, value)
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table.of_figures({name: value for name, value in result.items() if name != "memory"})]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

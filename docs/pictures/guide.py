@@ -14,6 +14,7 @@ from page import DOCS, REPOSITORY, chromium, corners_on_page, drag, save_jpeg, s
 from playwright.sync_api import Browser, Page
 from scenes import unlabelled_boxes
 from scipy.spatial.transform import Rotation
+from worked import Work, worked_project
 
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
@@ -73,9 +74,6 @@ def calibration() -> None:
 
 def statistics() -> None:
     """The statistics of a project on which three people have worked for two weeks."""
-    sys.path.insert(0, str(REPOSITORY))
-    from benchmarks.store import Work, worked_project
-
     with TemporaryDirectory() as folder:
         projects, recordings = Path(folder) / "projects", Path(folder) / "recordings"
         recordings.mkdir()
