@@ -110,10 +110,8 @@ def run(args: Arguments) -> dict[str, Any]:
     """Runs the whole protocol; returns what `--json` prints."""
     if args.limit is not None and args.limit < 1:
         raise ConfigError(f"--limit must be 1 or more, not {args.limit}")
-    plan, classes = (
-        TrainPlan(image=args.image_training, view=args.view_training),
-        classes_of(args.dataset, args.classes),
-    )
+    plan = TrainPlan(image=args.image_training, view=args.view_training)
+    classes = classes_of(args.dataset, args.classes)
     recording = open_recording(args.root)
     split = split_of(recording, args.seed).limited(args.limit, args.seed)
     QUIET.print(": ".join(filter(None, (split.source, split.coverage()))))

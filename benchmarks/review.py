@@ -29,14 +29,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 
-from annotator.detection.training import TrainingProgress
-from annotator.project import REVIEWED, Project, StoredFrame
-from annotator.types import DetectorKind, ReviewState
+from annotator.project import REVIEWED, Project
+from annotator.types import ReviewState
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import view_model
-from benchmarks.report import BoxOptions, Table, guarded
+from benchmarks.report import QUIET, BoxOptions, Table, chosen, guarded, print_epoch, program
 from benchmarks.review_moves import Bill, shaky
 from benchmarks.review_operator import Operator
 from benchmarks.review_peers import copied, is_project, measured_by, peers, propose, teach, without_labels
@@ -44,7 +42,6 @@ from benchmarks.review_peers import copied, is_project, measured_by, peers, prop
 PARTS = ("proposals", "base_detector", "from_nothing", "peers")
 # Whether contact sheets are used, by name.
 WAYS = {"frame_by_frame": False, "contact_sheets": True}
-QUIET = Console(stderr=True)
 
 
 @dataclass
@@ -69,9 +66,7 @@ class Arguments(BoxOptions):
 
 def run(args: Arguments) -> dict[str, Any]:
     """Runs the benchmark; returns what `--json` prints."""
-    parts = [part.strip() for part in args.only.split(",") if part.strip()]
-    if unknown := [part for part in parts if part not in PARTS]:
-        raise ConfigError(f"--only: unknown row {unknown[0]!r}; the rows are {', '.join(PARTS)}")
+    parts = chosen("--only", args.only, PARTS)
     if not 0 < args.quality < 1:
         raise ConfigError(f"--quality is an IoU between 0 and 1, not {args.quality}")
     with TemporaryDirectory() as temporary:
@@ -80,24 +75,22 @@ def run(args: Arguments) -> dict[str, Any]:
         if not is_project(project):
             kept = args.keep or folder / "taught"
             kept.mkdir(parents=True, exist_ok=True)
-            project = teach(args.path, kept, args.rotation, args.minutes, _report)
+            project = teach(args.path, kept, args.rotation, args.minutes, print_epoch)
         rows: dict[str, Any] = {}
         for part in (part for part in PARTS if part in parts):
             try:
                 rows[part] = _row(args, part, project, folder)
             except DetectionError as error:  # for proposals the project needs an image detector
-                QUIET.print(f"{part}: left out, because {error}", highlight=False)
+                QUIET.print(f"{part}: left out, because {error}")
         return rows
-
-
-def _report(role: DetectorKind, step: TrainingProgress) -> None:
-    if step.batch == step.batches and step.epoch % 10 == 0:
-        QUIET.print(f"{role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s", highlight=False)
 
 
 def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, Any]:
     if part == "peers":
-        return _peers(args, project, folder)
+        hand = shaky(np.random.default_rng(args.seed), args.error_px)
+        with copied(project, folder, "peers") as copy:
+            objects = [(thing.box, xyz_m) for each in _operators(args, copy) for thing, xyz_m in each.due_objects()]
+            return peers(objects, args.quality, hand)
     ways: dict[str, dict[str, Any]] = {}
     with _prepared(part, project, folder) as (prepared, detectors):
         for way in WAYS:
@@ -105,15 +98,6 @@ def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, A
                 ways[way] = _reviewed(args, copy, way)
     best = min(ways, key=lambda way: ways[way]["seconds_per_box"])
     return {"view_detectors": detectors, "way": best, **ways[best], "ways": ways}
-
-
-def _peers(args: Arguments, path: Path, folder: Path) -> dict[str, Any]:
-    """Draws the objects of the frames to review with other tools."""
-    with copied(path, folder, "peers") as project:
-        objects = [
-            (thing.box, xyz_m) for operator in _operators(args, project) for thing, xyz_m in operator.due_objects()
-        ]
-        return peers(objects, args.quality, shaky(np.random.default_rng(args.seed), args.error_px))
 
 
 @contextmanager
@@ -138,17 +122,16 @@ def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
         boxes, missed, wrong = boxes + left.boxes, missed + left.missed, wrong + left.wrong
         total = sum(operator.desk.bills.values(), total)
         due = Counter(thing.key for thing, _ in operator.due_objects())
-        tracks += [
-            {"label": key[0], "track": key[1], "boxes": due[key], **_effort(operator.desk.bills[key])}
-            for key in sorted(due)
-        ]
+        for label, track in sorted(due):
+            bill = operator.desk.bills[label, track]
+            effort = {"actions": bill.count, "seconds": bill.seconds}
+            tracks.append({"label": label, "track": track, "boxes": due[label, track], **effort})
     if not boxes:
         raise ConfigError(f"{args.path}: there is no visible object of the project's classes in the frames to review")
-    effort = _effort(total)
     return {
         "boxes": boxes,
-        "actions_per_box": effort["actions"] / boxes,
-        "seconds_per_box": effort["seconds"] / boxes,
+        "actions_per_box": total.count / boxes,
+        "seconds_per_box": total.seconds / boxes,
         "waiting_per_box": total.waiting_s / boxes,
         "looks_per_box": total.looks / boxes,
         "by_kind": total.by_kind,
@@ -163,22 +146,13 @@ def _operators(args: Arguments, project: Project) -> Iterator[Operator]:
     """An operator for each recording, with the frames that have no reviewed box."""
     done = project.labels.frames(states=REVIEWED)
     for recording in project.recordings.all():
-        frames = [f for f in project.frames.of([recording.id]) if _is_open(f) and f.id not in done]
+        stored = project.frames.of([recording.id])
+        frames = [f for f in stored if f.index is not None and not f.finalised and f.id not in done]
         if frames:
             yield Operator(project, frames, args.quality, args.error_px, args.seed)
 
 
-def _is_open(frame: StoredFrame) -> bool:
-    return frame.index is not None and not frame.finalised
-
-
-def _effort(bill: Bill) -> dict[str, float]:
-    return {"actions": bill.count, "seconds": bill.seconds}
-
-
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("row", "measured by", "way", "boxes", "actions a box", "s a box", "of it waiting", "failures")
     kinds = Table("row", "way", "what was done", "times")
     tracks = Table("row", "way", "class", "track", "boxes", "actions", "seconds")
@@ -194,7 +168,10 @@ def main() -> None:
                 kinds.add(part, way, kind, times)
             for track in figures["tracks"]:
                 tracks.add(part, way, *track.values())
-    finish(result, args.json, table, kinds, tracks)
+    return [table, kinds, tracks]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

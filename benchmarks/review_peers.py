@@ -17,7 +17,7 @@ tracking that some of them have, and the ways between frames.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +58,7 @@ from annotator.workflows.simulate import visible_objects
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.training.train import ProgressCallback, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.review_queue import Order, queue
+from benchmarks.review_desk import AUTHOR
 from benchmarks.review_moves import CLICK_S, DRAG_S, KEY_S, Bill, Hand, Move, P, moves, plan
 
 # Side of CVAT's first cube, metres. Keys or notches of the wheel for one correction in labelCloud, at least.
@@ -67,11 +68,8 @@ MOST_ACTIONS = 20
 
 @dataclass(frozen=True)
 class Tool:
-    """A tool: the first actions with their seconds, whether they fit the box to points, and the actions it offers.
-
-    Attributes:
-        seconds: of an action, by kind, where it is no drag.
-    """
+    """A tool: the first actions with their seconds, whether they fit the box to points, and the actions it offers, with
+    the seconds of those that are no drags."""
 
     first: tuple[tuple[str, float], ...]
     fits: bool
@@ -104,9 +102,8 @@ Seen = tuple[OrientedBox, np.ndarray]
 """A true box, and the points inside it, (n, 3)."""
 
 
-def peers(objects: Iterable[Seen], quality: float, hand: Hand) -> dict[str, dict[str, Any]]:
+def peers(seen: Sequence[Seen], quality: float, hand: Hand) -> dict[str, dict[str, Any]]:
     """Draws objects with each tool; returns the figures by tool."""
-    seen = list(objects)
     result = {}
     for name, tool in TOOLS.items():
         offered = [
@@ -148,7 +145,6 @@ def _draw(
     return iou_3d(box, truth) >= quality
 
 
-AUTHOR = "simulated operator"
 TAUGHT_FRAMES = 10
 
 
@@ -159,20 +155,20 @@ def is_project(path: Path) -> bool:
 
 @contextmanager
 def copied(project: Path, folder: Path, name: str) -> Iterator[Project]:
-    """A copy of a project, which the operator may change.
-
-    Args:
-        folder: where the copy is made.
-        name: of the copy's folder.
-    """
+    """A copy `folder/name` of a project, which the operator may change."""
     shutil.copytree(project, folder / name)
     with open_project(folder / name) as opened:
         yield opened
 
 
-@contextmanager
-def unlabelled(path: Path, folder: Path, rotation: BoxRotation) -> Iterator[Project]:
-    """A new project of a recording with true boxes, which are not in the project."""
+def teach(
+    path: Path, folder: Path, rotation: BoxRotation, minutes: float | None, progress: ProgressCallback | None = None
+) -> Path:
+    """Makes a project of a recording with true boxes in `folder`, and teaches its detectors with ten frames, as the
+    page orders them; returns the project's folder.
+
+    `minutes` is the length of the view detector's training; None = the default.
+    """
     recording = open_recording(path)
     if len(recording) < 2 * TAUGHT_FRAMES:
         raise ConfigError(
@@ -184,29 +180,11 @@ def unlabelled(path: Path, folder: Path, rotation: BoxRotation) -> Iterator[Proj
         raise ConfigError(f"{path}: has no true boxes to teach and to review against")
     with create_project(folder, "taught", classes, settings=ProjectSettings(rotation=rotation)) as project:
         register_recording(project, recording)
-        yield project
-
-
-def teach(
-    path: Path, folder: Path, rotation: BoxRotation, minutes: float | None, progress: ProgressCallback | None = None
-) -> Path:
-    """Makes a project of a recording, and teaches its detectors with ten frames, as the page orders them.
-
-    Args:
-        path: the recording, with true boxes.
-        folder: where the project is made.
-        minutes: length of the view detector's training; None = the default.
-
-    Returns:
-        The project's folder.
-    """
-    with unlabelled(path, folder, rotation) as project:
-        recording = open_recording(path)
         source = FrameSource(project)
         # the page's "Most useful first": far from each other
         for item in queue(project, Order.TEACH, most=TAUGHT_FRAMES).items:
             index = item.frame.index or 0
-            objects = visible_objects(recording, index, source.read(item.frame), project.config.classes)
+            objects = visible_objects(recording, index, source.read(item.frame), classes)
             new = [NewLabel(each.label, each.box) for each in objects]
             revision = item.frame.revision
             if new:
@@ -219,8 +197,7 @@ def teach(
 def propose(project: Project, *, with_base: bool) -> None:
     """Proposes boxes for all frames that are not finalised, and links them into tracks, as `annotate` and `track` do.
 
-    Args:
-        with_base: let the base detector measure them, in place of the project's own view detector.
+    `with_base` lets the base detector measure them, in place of the project's own view detector.
     """
     image = active_model(project, DetectorKind.IMAGE)
     view = base_model() if with_base else view_model(project)

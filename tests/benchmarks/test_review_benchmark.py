@@ -252,7 +252,7 @@ def test_peers_pay_for_each_box() -> None:
 
 
 def test_bad_arguments_say_what_is_possible(people: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown row 'all'; the rows are proposals, base_detector"):
+    with pytest.raises(ConfigError, match="unknown word 'all'; choose from proposals, base_detector"):
         run(Arguments(people, only="all"))
     with pytest.raises(ConfigError, match="has 5 frames; 10 of them teach"):
         run(Arguments(people))
