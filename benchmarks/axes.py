@@ -35,8 +35,6 @@ FALSE_IOU = 0.1
 
 @dataclass
 class Arguments(BoxOptions):
-    """Measure every axes strategy on a recording with true 3D boxes, with a perfect detector."""
-
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     jitter: float = 0.0
@@ -89,7 +87,6 @@ def false_share(best: Sequence[float]) -> float:
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     require(args, 0, math.inf, "jitter", "min_points", "seed")
     if not args.strategies:
         raise ConfigError(f"--strategies needs at least one of {', '.join(Strategy)}")

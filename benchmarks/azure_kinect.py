@@ -9,7 +9,6 @@ camera's frame (millimetres), and the colour pixel. Each of our stages starts fr
 from __future__ import annotations
 
 import csv
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from annotator.recordings import open_recording
 from annotator.recordings.kinect.calibration import MM_PER_M
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import ConfigError, FormatError
-from benchmarks.report import Options, Table, guarded, program, require
+from benchmarks.report import Options, Table, guarded, program, require, seconds_of
 
 PIXEL, DEPTH = ("u_depth_px", "v_depth_px"), ("depth_mm",)
 IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), ("u_color_px", "v_color_px")
@@ -30,8 +29,6 @@ IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), 
 
 @dataclass
 class Arguments(Options):
-    """Compare a recording's geometry with the SDK's."""
-
     recording: tyro.conf.Positional[Path]
     """The .mkv file."""
     rows: tyro.conf.Positional[Path]
@@ -80,19 +77,7 @@ def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float,
     return float(np.max(distances_mm)), float(np.linalg.norm(px - columns(COLOR_PIXEL), axis=1).max())
 
 
-def frame_ms(recording: AzureKinect, repeats: int) -> float:
-    """Median time to read the first frame, milliseconds, without the work that is done once per recording."""
-    recording.frame(0)
-    seconds = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        recording.frame(0)
-        seconds.append(time.perf_counter() - begin)
-    return float(np.median(seconds) * 1e3)
-
-
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     require(args, 0, 1_000_000, "repeats")
     recording = open_recording(args.recording)
     if not isinstance(recording, AzureKinect):
@@ -101,7 +86,9 @@ def run(args: Arguments) -> dict[str, Any]:
     max_point_mm, max_px = compare(recording, rows)
     result: dict[str, object] = {"rows": len(rows["depth_mm"]), "max_point_mm": max_point_mm, "max_px": max_px}
     if args.repeats:
-        result["frame_ms"] = frame_ms(recording, args.repeats)
+        recording.frame(0)  # the work that is done once per recording
+        seconds = [seconds_of(lambda: recording.frame(0)) for _ in range(args.repeats)]
+        result["frame_ms"] = float(np.median(seconds) * 1e3)
     return result
 
 

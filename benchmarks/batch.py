@@ -62,7 +62,9 @@ class Repeating:
         return f"{self.first.fingerprint}-{self.different}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        originals = [replace(i, key=_key(int(i.key) % self.different)) if isinstance(i, Frame) else i for i in images]
+        originals = [
+            replace(i, key=f"{int(i.key) % self.different:06d}") if isinstance(i, Frame) else i for i in images
+        ]
         boxes: list[list[Box2D]] = self.first.detect(originals)
         return boxes
 
@@ -80,14 +82,10 @@ def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
     for name, suffix in FOLDERS.items():
         (folder / name).mkdir(parents=True)
         for number in range(frames):
-            link = folder / name / (_key(number) + suffix)
-            os.link(source / name / (_key(number % different) + suffix), link)
+            link = folder / name / f"{number:06d}{suffix}"
+            os.link(source / name / f"{number % different:06d}{suffix}", link)
     for name in ("camera_intrinsic.json", "gravity.json"):
         os.link(source / name, folder / name)
-
-
-def _key(number: int) -> str:
-    return f"{number:06d}"
 
 
 PLAIN, ONE_CORE, BASE, PROJECT = "plain", "one core", "base detector", "loop"
@@ -95,8 +93,6 @@ PLAIN, ONE_CORE, BASE, PROJECT = "plain", "one core", "base detector", "loop"
 
 @dataclass
 class Arguments(Options):
-    """Measure frames per second by engine and number of workers, relative to the plain loop."""
-
     project: Path | None = None
     """A folder kept by `benchmarks.loop --project`."""
     recording: Path | None = None
@@ -123,11 +119,7 @@ class Arguments(Options):
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The work of every engine: a number of frames of a recording, with these detectors and settings.
-
-    Attributes:
-        base: the same image detector with the base detector; None if this installation has none.
-    """
+    """The work of every engine: frames of a recording. `base` has the base detector, if this installation has one."""
 
     source: DetectorSource
     base: DetectorSource | None
@@ -175,7 +167,6 @@ def seconds(engine: Engine, job: Job) -> float:
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         job = prepare_job(args, Path(temporary))

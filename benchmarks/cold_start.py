@@ -105,8 +105,6 @@ LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
 
 @dataclass
 class Arguments(BoxOptions):
-    """Measure 3D boxes from 2D boxes on the image, of classes of which nothing or little was taught."""
-
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     taught: tuple[int, ...] = (0,)
@@ -308,7 +306,6 @@ def rows(ious: Mapping[str, Sequence[float]], taught: int, seconds: float) -> li
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     if not args.taught or min(args.taught) < 0:
         raise ConfigError(f"--taught takes numbers of objects from 0 on, not {args.taught}")
     recording: Recording = open_recording(args.folder)

@@ -21,7 +21,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
-from annotator.types import Frame, OrientedBox, Truth
+from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
@@ -37,8 +37,6 @@ WRONG_IOU = 0.25
 
 @dataclass
 class Arguments(BoxOptions):
-    """Follow the first true box of each track to the track's end."""
-
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes and tracks, or with one object in each frame."""
     min_points: int = 20
@@ -56,6 +54,10 @@ class TrackScore:
     stopped_at: str | None = None
     stopped_because: str = "end of the recording"
 
+    @property
+    def all_ious(self) -> list[float]:
+        return self.ious + [0.0] * self.missing
+
 
 def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]:
     """The true boxes of each track by frame index; objects without ids are one track if no frame has two of a class."""
@@ -69,16 +71,14 @@ def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]
     return tracks
 
 
-def follow_track(
-    recording: Recording,
-    label: str,
-    boxes: dict[int, Truth],
-    args: Arguments,
-) -> TrackScore | None:
+def follow_track(recording: Recording, label: str, boxes: dict[int, Truth], args: Arguments) -> TrackScore | None:
     """Follows one track; None if no box has enough points, or only its last one."""
     indices = sorted(boxes)
-    firsts = (i for i in indices[:-1] if _points(recording.frame(i), boxes[i].box) >= args.min_points)
-    first = next(firsts, None)
+
+    def enough(index: int) -> bool:
+        return int(contains(boxes[index].box, recording.frame(index).cloud.xyz_m).sum()) >= args.min_points
+
+    first = next((i for i in indices[:-1] if enough(i)), None)
     if first is None:
         return None
 
@@ -90,7 +90,6 @@ def follow_track(
         return RcvConfig(orientation=orientation_for(args.rotation, frame))
 
     score = TrackScore(label, [], [], 0)
-    done: set[int] = set()
     follower = Follower(moment(first), boxes[first].box, label, None, settings)
     for index in range(first + 1, indices[-1] + 1):
         followed = follower.step(moment(index))
@@ -99,27 +98,21 @@ def follow_track(
             score.stopped_because = followed.stop.value if followed.stop is not None else ""
             score.stopped_because += f" ({followed.detail})" if followed.detail else ""
             break
-        done.add(index)
         if index in boxes:
             score.ious.append(iou_3d(followed.proposal.box, boxes[index].box))
             score.doubts.append(doubt(followed.proposal.quality, followed.proposal.score) or 0.0)
-    score.missing = len([index for index in indices if index > first and index not in done])
+    score.missing = sum(index > first for index in indices) - len(score.ious)
     return score
 
 
-def _points(frame: Frame, box: OrientedBox) -> int:
-    return int(contains(box, frame.cloud.xyz_m).sum())
-
-
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     recording = open_recording(args.folder)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
         score = follow_track(recording, label, boxes, args)
         if score is not None:
             scores.append(score)
-    ious = np.array([iou for score in scores for iou in [*score.ious, *[0.0] * score.missing]])
+    ious = np.array([iou for score in scores for iou in score.all_ious])
     stored = np.array([iou for score in scores for iou in score.ious])
     doubts = np.array([value for score in scores for value in score.doubts])
     wrong = stored < WRONG_IOU
@@ -127,9 +120,9 @@ def run(args: Arguments) -> dict[str, Any]:
         "tracks": [
             {
                 "label": score.label,
-                "frames": len(score.ious) + score.missing,
-                "mean_iou": float(np.mean([*score.ious, *[0.0] * score.missing])),
-                "share_50": float(np.mean(np.array([*score.ious, *[0.0] * score.missing]) >= 0.5)),
+                "frames": len(score.all_ious),
+                "mean_iou": float(np.mean(score.all_ious)),
+                "share_50": float(np.mean(np.array(score.all_ious) >= 0.5)),
                 "stopped_at": score.stopped_at,
                 "stopped_because": score.stopped_because,
             }

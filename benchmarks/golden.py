@@ -76,16 +76,7 @@ class Entry(BaseModel):
 
 @dataclass(frozen=True)
 class ConventionDifference:
-    """The largest differences of one label.
-
-    Attributes:
-        label: frame, line and class.
-        what: name of the quantity in pixels that differs most.
-        px: its difference, pixels.
-        corner_m: largest difference of the corners, metres.
-        center_lidar_m: difference of the centre in LiDAR coordinates, metres.
-        angle_rad: largest difference of alpha and heading, radians.
-    """
+    """The largest differences of one label, and the name of the quantity in pixels that differs most."""
 
     label: str
     what: str
@@ -172,8 +163,6 @@ CONTACT = 1e-12
 
 @dataclass
 class Arguments(Options):
-    """Compare our evaluation with the official evaluators' results."""
-
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of reference inputs and the official evaluators' results."""
 
@@ -305,7 +294,7 @@ def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("part", "largest difference", "where", "numbers compared")
     for part in PARTS:
         shown = "no such files" if result[part] is None else f"{result[part]:.2e}"
-        table.add(part, shown, result["worst"][part] or "", result["compared"][part])
+        table.add(part, shown, result["worst"][part], result["compared"][part])
     return [table]
 
 

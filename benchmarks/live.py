@@ -18,7 +18,6 @@ import tyro
 
 from annotator.detection.config import Backend
 from annotator.project import Project
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
@@ -51,8 +50,6 @@ LEAST_RATE, FASTER_BY = 30.0, 1.25
 
 @dataclass
 class Arguments(Options):
-    """Measure frames per second and latency of `annotator live`."""
-
     directory: Annotated[Path, tyro.conf.Positional]
     """A recording; training on it needs ground truth."""
     project: Path | None = None
@@ -76,7 +73,6 @@ class Arguments(Options):
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     if not args.seconds > 0:
         raise ConfigError(f"--seconds must be above 0, not {args.seconds:g}")
     recording = open_recording(args.directory)
@@ -86,19 +82,24 @@ def run(args: Arguments) -> dict[str, Any]:
         config = rcv_config(project)
         rotation = project.config.settings.rotation
         detection = LiveDetection(detectors, config, rotation, warm_start=args.warm_start)
-        return _measure(recording, detection, args) | _conditions(detectors, config, args)
+        return _measure(recording, detection, args) | {
+            "backend": detectors.backends[1] or args.backend,
+            "warm_start": args.warm_start,
+            "image_size_px": args.image_size,
+            "view_size_px": args.view_size,
+            "max_steps": config.max_steps,
+        }
 
 
 def _detectors(project: Project, args: Arguments) -> Detectors:
+    """The project's detectors, loaded again if the network gets another size."""
     detectors = active_detectors(project, backend=args.backend)
-    image = _resized(image_model(project), detectors.image, args.image_size, args.backend)
-    view = _resized(view_model(project), detectors.view, args.view_size, args.backend)
-    return replace(detectors, image=image, view=view)
 
+    def resized(model: UsedModel, detector: Detector, size_px: int | None) -> Detector:
+        return detector if size_px is None else load_detector(model.path, args.backend, size_px, names=model.names)
 
-def _resized(model: UsedModel, detector: Detector, size_px: int | None, backend: Backend) -> Detector:
-    """The detector, loaded again if its network gets another size."""
-    return detector if size_px is None else load_detector(model.path, backend, size_px, names=model.names)
+    image = resized(image_model(project), detectors.image, args.image_size)
+    return replace(detectors, image=image, view=resized(view_model(project), detectors.view, args.view_size))
 
 
 def _measure(recording: Recording, detection: LiveDetection, args: Arguments) -> dict[str, object]:
@@ -155,16 +156,6 @@ class _Run:
         self.objects += len(proposals)
         self.warm += sum(map(is_warm, proposals))
         self._page.show(detected)
-
-
-def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dict[str, object]:
-    return {
-        "backend": detectors.backends[1] or args.backend,
-        "warm_start": args.warm_start,
-        "image_size_px": args.image_size,
-        "view_size_px": args.view_size,
-        "max_steps": config.max_steps,
-    }
 
 
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:

@@ -51,13 +51,9 @@ class Scores:
     frame only counts as a frame without a proposal, since its number of objects is unknown. Without true boxes, masks
     are used instead, and IoU and average precision are NaN.
 
-    Attributes:
-        frames: number of frames with an object, plus the unreadable ones.
-        with_proposal: number of these with a proposal.
-        ious: IoU of each true object with its matched proposal.
-        recalls, precisions: share of an object's points inside proposals, and share of the points inside proposals that
-            belong to an object; one value per frame with a mask.
-        results: boxes of each frame, by class.
+    `frames` counts those with an object and the unreadable ones, `with_proposal` those of them with a proposal. `ious`
+    has a value for each true object; `recalls` (share of an object's points inside proposals) and `precisions` (share
+    of the points inside proposals that belong to an object) one for each frame with a mask.
     """
 
     recording: Recording
@@ -116,8 +112,6 @@ UNNAMED = "object"
 
 @dataclass
 class Arguments(BoxOptions):
-    """Label, train, propose and score, end to end."""
-
     train_dir: Annotated[Path, tyro.conf.Positional]
     """A recording with ground truth (boxes, or masks for the silhouette operator)."""
     test_dir: Annotated[Path | None, tyro.conf.Positional] = None
@@ -158,7 +152,6 @@ class Arguments(BoxOptions):
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     recording = open_recording(args.train_dir)
     test = recording if args.test_dir is None else open_recording(args.test_dir)
     if not (has_truth(test) or has_masks(test)):
@@ -231,13 +224,9 @@ def _project(args: Arguments, recording: Recording, temporary: Path) -> Project:
             require_boxes_for(args.operator, recording)
         settings = ProjectSettings(rotation=args.rotation)
         return create_project(root, NAME, _labels(args, recording), settings=settings)
-    project = open_project(root / NAME)
-    try:
+    with open_project(root / NAME) as project:
         _require_same(args, project)
-    except BaseException:
-        project.close()
-        raise
-    return project
+    return open_project(root / NAME)
 
 
 def _require_same(args: Arguments, project: Project) -> None:

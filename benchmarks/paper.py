@@ -44,8 +44,6 @@ from benchmarks.report import QUIET, Options, Table, guarded, program
 
 @dataclass
 class Arguments(Options):
-    """Reproduce one row of the paper's Tab. III (KITTI) or Tab. II (SUN RGB-D)."""
-
     dataset: Annotated[Dataset, tyro.conf.Positional]
     """The benchmark."""
     root: Path

@@ -162,15 +162,12 @@ def _own_lists(recording: Recording) -> tuple[Path, list[str], list[str]] | None
             return train, read_frame_names(train), read_frame_names(val)
         train, val = (folder / f"{side}_data_idx.txt" for side in ("train", "val"))
         if train.is_file() and val.is_file():
-            return train, _votenet_keys(train), _votenet_keys(val)
+            keys = [[number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)] for path in (train, val)]
+            return train, keys[0], keys[1]
         for path in (folder / "allsplit.mat", folder / "SUNRGBDtoolbox" / "traintestSUNRGBD" / "allsplit.mat"):
             if isinstance(recording, SunRgbdScenes) and path.is_file():
                 return (path, *_toolbox_lists(path))
     return None
-
-
-def _votenet_keys(path: Path) -> list[str]:
-    return [number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)]
 
 
 def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
@@ -296,13 +293,16 @@ class ProjectStages:
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
             settings: Facts = {"config": config.model_dump(mode="json")}
-            self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
+            self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self._has_weights)
         # a run with other settings may have activated its models
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             number = self.stages.done[f"train-{role.value}"].result["model"]
             assert isinstance(number, int)  # written by `train`
             self.project.models.activate(number)
-        self.stages.run("propose", self.options, self.propose, self.is_latest)
+        # a later run may have had other settings
+        self.stages.run(
+            "propose", self.options, self.propose, lambda result: result["run"] == self.project.jobs.all()[-1].id
+        )
         return self.stages.run("evaluate", {}, self.evaluate)
 
     def _recording(self, side: str) -> int:
@@ -312,11 +312,13 @@ class ProjectStages:
         """Creates 2D boxes from the 3D boxes on the training frames."""
         labels = RecordedLabels(self.project, [self._recording(TRAIN)], with_files=True)
         done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
+        # two objects with the same image box share the views of the first step
+        frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
         return {
             "frames": done.frames,
             "image_boxes": dict(done.boxes),
             "objects": dict(done.objects),
-            "views": self._views(),
+            "views": sum(view.frame_id in frames for view in self.project.boxes.on_views()),
             "view_boxes": done.view_boxes,
             "without_views": dict(done.of(Note.WITHOUT_VIEWS)),
             "outside": dict(done.of(Note.OUTSIDE)),
@@ -325,11 +327,6 @@ class ProjectStages:
             "drawn": done[Note.DRAWN],
             "unreadable": list(done.of(Note.UNREADABLE)),
         }
-
-    def _views(self) -> int:
-        """Number of pseudo-views with boxes; two objects with the same image box share the views of the first step."""
-        frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
-        return sum(view.frame_id in frames for view in self.project.boxes.on_views())
 
     def train(self, role: DetectorKind) -> Facts:
         """Trains one detector; resumes an interrupted training."""
@@ -344,8 +341,7 @@ class ProjectStages:
             "left_out": list(trained.left_out),
         }
 
-    def is_trained(self, result: Facts) -> bool:
-        """Whether the weights of a stored result still exist."""
+    def _has_weights(self, result: Facts) -> bool:
         return any(m.id == result["model"] and m.path.is_file() for m in self.project.models.all())
 
     def propose(self) -> Facts:
@@ -374,10 +370,6 @@ class ProjectStages:
             "proposals": sum(result.proposals for result in results.values()),
             "seconds_a_frame": sum(result.seconds for result in results.values()) / len(results),
         }
-
-    def is_latest(self, result: Facts) -> bool:
-        """Whether the stored result belongs to the latest run. A later run may have had other settings."""
-        return result["run"] == self.project.jobs.all()[-1].id
 
     def evaluate(self) -> Facts:
         """Scores the proposals against the ground truth."""

@@ -178,12 +178,8 @@ def sunrgbd_table(ours: Mapping[str, Mapping[str, JsonValue]], classes: Sequence
     for threshold, figures in ours.items():
         ap = figures["AP"]
         assert isinstance(ap, dict)  # built by `sunrgbd_ap`
-        table.add("ours", threshold, *(_cell(ap[label]) for label in classes), _cell(figures["mAP"]))
+        table.add("ours", threshold, *(ap[label] for label in classes), figures["mAP"])
     paper = dict(zip(SUNRGBD_CLASSES[Classes.PAPER], SUNRGBD_ROW, strict=True))
     mean = SUNRGBD_MAP if set(classes) == set(paper) else None
-    table.add("paper", "0.15", *(_cell(paper.get(label)) for label in classes), _cell(mean))
+    table.add("paper", "0.15", *(paper.get(label) for label in classes), mean)
     return table
-
-
-def _cell(value: object) -> object:
-    return "" if value is None else value

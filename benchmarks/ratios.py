@@ -12,7 +12,6 @@ at the same speed), so this benchmark is not part of `scripts/test`.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +38,7 @@ from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import LiveDetection, Taken
 from annotator.workflows.warm_up import BOX, warm_frame
-from benchmarks.report import Options, Table, guarded, program
+from benchmarks.report import Options, Table, guarded, program, seconds_of
 
 WORSE = 1
 POINTS = 50_000
@@ -61,8 +60,6 @@ def frustum(points: int, rng: np.random.Generator) -> PointCloud:
 
 @dataclass
 class Arguments(Options):
-    """Compare the parts of the hot path with references."""
-
     rounds: int = 5
     """Maximum number of rounds for each ratio; the first round within the bound is enough."""
 
@@ -106,15 +103,9 @@ def measured(ratio: Ratio, rounds: int) -> Outcome:
 
 def _round(ratio: Ratio) -> float:
     ratio.work(), ratio.reference()
-    seconds = np.array([[_timed(ratio.work), _timed(ratio.reference)] for _ in range(ratio.repeats)])
+    seconds = np.array([[seconds_of(ratio.work), seconds_of(ratio.reference)] for _ in range(ratio.repeats)])
     work, reference = np.median(seconds, axis=0)
     return float(work / reference)
-
-
-def _timed(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
 
 
 def cpu_ratios() -> list[Ratio]:
@@ -210,7 +201,6 @@ def _views() -> list[PseudoView]:
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     cv2.setNumThreads(1)
     with TemporaryDirectory() as folder:
         ratios = [*cpu_ratios(), *detector_ratios(Path(folder))]

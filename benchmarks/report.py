@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -18,7 +19,6 @@ from annotator.project import BoxRotation
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError
 
-UNUSABLE_INPUT = 2
 QUIET = Console(stderr=True, highlight=False, markup=False)
 
 
@@ -66,6 +66,13 @@ def chosen(flag: str, words: str, known: Iterable[str]) -> list[str]:
     return parts
 
 
+def seconds_of(work: Callable[[], object]) -> float:
+    """How long some work takes."""
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
 def print_epoch(role: DetectorKind, step: TrainingProgress) -> None:
     """Reports the progress of a training on stderr."""
     if step.batch == step.batches and step.epoch % 5 == 0:
@@ -73,7 +80,7 @@ def print_epoch(role: DetectorKind, step: TrainingProgress) -> None:
 
 
 class Table:
-    """A printed table; floats are rounded to three decimals."""
+    """A printed table; floats are rounded to three decimals, and None is empty."""
 
     def __init__(self, *heads: str, rows: Iterable[Iterable[object]] = ()) -> None:
         self._table = RichTable(*heads)
@@ -93,7 +100,7 @@ class Table:
         return table
 
     def add(self, *cells: object) -> None:
-        self._table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
+        self._table.add_row(*("" if c is None else f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
 
     def show(self) -> None:
         # without a terminal, wide enough for all columns
@@ -136,7 +143,7 @@ def guarded(main: Callable[[], object]) -> None:
         if debug:
             raise
         sys.stderr.write(f"error: {error}\n")
-        sys.exit(UNUSABLE_INPUT)
+        sys.exit(2)
 
 
 def _plain(value: object) -> object:

@@ -10,7 +10,7 @@ the frames without reviewed boxes are. The rows are
   the base detector in use, and the row equals the next one,
 - `base_detector`: the same with the base detector in place of the project's view detector,
 - `from_nothing`: no proposals and no taught detector: each object is drawn, and followed,
-- `peers`: boxes drawn with other tools, walked through (`review_peers`).
+- `peers`: boxes drawn with other tools, walked through (`review_moves`).
 
 Each row is reviewed frame by frame, and with contact sheets of tracks; the cheaper way gives the row's figures. An
 object without a right box at the end counts as missed, a reviewed box that is right for no object as wrong. Waiting is
@@ -19,6 +19,7 @@ measured on this computer, and is part of the seconds. `view_detectors` names wh
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,24 +31,51 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from annotator.project import REVIEWED, Project
-from annotator.types import ReviewState
+from annotator.detection.pretrained import NAME
+from annotator.project import (
+    REVIEWED,
+    BoxRotation,
+    NewLabel,
+    Project,
+    ProjectSettings,
+    WriteContext,
+    create_project,
+    open_project,
+)
+from annotator.recordings import open_recording
+from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
-from annotator.workflows.detectors import view_model
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import (
+    Detectors,
+    active_model,
+    base_model,
+    base_titles,
+    load_detector,
+    own_model,
+    view_model,
+)
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.simulate import visible_objects
+from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.training.train import TrainPlan, image_defaults, train
+from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import QUIET, BoxOptions, Table, chosen, guarded, print_epoch, program
-from benchmarks.review_moves import Bill, shaky
+from benchmarks.review_desk import AUTHOR
+from benchmarks.review_moves import Bill, peers, shaky
 from benchmarks.review_operator import Operator
-from benchmarks.review_peers import copied, is_project, measured_by, peers, propose, teach, without_labels
 
 PARTS = ("proposals", "base_detector", "from_nothing", "peers")
+TAUGHT_FRAMES = 10
 # Whether contact sheets are used, by name.
 WAYS = {"frame_by_frame": False, "contact_sheets": True}
 
 
 @dataclass
 class Arguments(BoxOptions):
-    """Measure what the review of a recording costs an operator."""
-
     path: Annotated[Path, tyro.conf.Positional]
     """A recording with true boxes; or a project of such recordings, by its folder or, in ./projects, by its name."""
     quality: float = 0.7
@@ -65,7 +93,6 @@ class Arguments(BoxOptions):
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     parts = chosen("--only", args.only, PARTS)
     if not 0 < args.quality < 1:
         raise ConfigError(f"--quality is an IoU between 0 and 1, not {args.quality}")
@@ -75,7 +102,7 @@ def run(args: Arguments) -> dict[str, Any]:
         if not is_project(project):
             kept = args.keep or folder / "taught"
             kept.mkdir(parents=True, exist_ok=True)
-            project = teach(args.path, kept, args.rotation, args.minutes, print_epoch)
+            project = teach(args.path, kept, args.rotation, args.minutes)
         rows: dict[str, Any] = {}
         for part in (part for part in PARTS if part in parts):
             try:
@@ -92,16 +119,15 @@ def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, A
             objects = [(thing.box, xyz_m) for each in _operators(args, copy) for thing, xyz_m in each.due_objects()]
             return peers(objects, args.quality, hand)
     ways: dict[str, dict[str, Any]] = {}
-    with _prepared(part, project, folder) as (prepared, detectors):
-        for way in WAYS:
-            with copied(prepared, folder, f"{part}-{way}") as copy:
-                ways[way] = _reviewed(args, copy, way)
+    prepared, detectors = _prepared(part, project, folder)
+    for way in WAYS:
+        with copied(prepared, folder, f"{part}-{way}") as copy:
+            ways[way] = _reviewed(args, copy, way)
     best = min(ways, key=lambda way: ways[way]["seconds_per_box"])
     return {"view_detectors": detectors, "way": best, **ways[best], "ways": ways}
 
 
-@contextmanager
-def _prepared(part: str, path: Path, folder: Path) -> Iterator[tuple[Path, list[str]]]:
+def _prepared(part: str, path: Path, folder: Path) -> tuple[Path, list[str]]:
     """A project with what is to be reviewed, and the names of the view detectors that measure it."""
     with copied(path, folder, part) as project:
         if part == "from_nothing":
@@ -109,7 +135,7 @@ def _prepared(part: str, path: Path, folder: Path) -> Iterator[tuple[Path, list[
         elif part == "base_detector" or not project.labels.count([ReviewState.PROPOSED]):
             propose(project, with_base=part == "base_detector")
         detectors = [view_model(project).described] if part == "from_nothing" else measured_by(project)
-    yield folder / part, detectors
+    return folder / part, detectors
 
 
 def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
@@ -150,6 +176,86 @@ def _operators(args: Arguments, project: Project) -> Iterator[Operator]:
         frames = [f for f in stored if f.index is not None and not f.finalised and f.id not in done]
         if frames:
             yield Operator(project, frames, args.quality, args.error_px, args.seed)
+
+
+def is_project(path: Path) -> bool:
+    """True for a project's folder."""
+    return (path / "project.json").is_file()
+
+
+@contextmanager
+def copied(project: Path, folder: Path, name: str) -> Iterator[Project]:
+    """A copy `folder/name` of a project, which the operator may change."""
+    shutil.copytree(project, folder / name)
+    with open_project(folder / name) as opened:
+        yield opened
+
+
+def teach(path: Path, folder: Path, rotation: BoxRotation, minutes: float | None) -> Path:
+    """Makes a project of a recording with true boxes in `folder`, and teaches its detectors with ten frames, as the
+    page orders them; returns the project's folder.
+
+    `minutes` is the length of the view detector's training; None = the default.
+    """
+    recording = open_recording(path)
+    if len(recording) < 2 * TAUGHT_FRAMES:
+        raise ConfigError(
+            f"{path}: has {len(recording)} frames; {TAUGHT_FRAMES} of them teach, and as many at least are reviewed"
+        )
+    truths = [load_truth(recording, index, recording.frame(index)) for index in range(len(recording))]
+    classes = sorted({truth.label for each in truths for truth in each})
+    if not classes:
+        raise ConfigError(f"{path}: has no true boxes to teach and to review against")
+    with create_project(folder, "taught", classes, settings=ProjectSettings(rotation=rotation)) as project:
+        register_recording(project, recording)
+        source = FrameSource(project)
+        # the page's "Most useful first": far from each other
+        for item in queue(project, Order.TEACH, most=TAUGHT_FRAMES).items:
+            index = item.frame.index or 0
+            objects = visible_objects(recording, index, source.read(item.frame), classes)
+            new = [NewLabel(each.label, each.box) for each in objects]
+            revision = item.frame.revision
+            if new:
+                revision = project.labels.create(item.frame.id, new, WriteContext(revision, AUTHOR)).receipt.revision
+            project.frames.finalise(item.frame.id, WriteContext(revision, AUTHOR))
+        train(project, TrainPlan(image=image_defaults(minutes), minutes=minutes), progress=print_epoch)
+        return project.path
+
+
+def propose(project: Project, *, with_base: bool) -> None:
+    """Proposes boxes for all frames that are not finalised, and links them into tracks, as `annotate` and `track` do.
+
+    `with_base` lets the base detector measure them, in place of the project's own view detector.
+    """
+    image = active_model(project, DetectorKind.IMAGE)
+    view = base_model() if with_base else view_model(project)
+    detectors = Detectors(
+        load_detector(image.path), load_detector(view.path), view.box_kind, view.class_agnostic, image.box_kind
+    )
+    annotate(project, detectors, rcv_config(project))
+    link_tracks(project)
+
+
+def measured_by(project: Project) -> list[str]:
+    """Names the view detectors that measured the open proposals, for people."""
+    own = {model.fingerprint: own_model(project, model).described for model in project.models.all(DetectorKind.VIEW)}
+    base = base_titles(project)
+    used = {each.run_id for each in project.labels.select(states=[ReviewState.PROPOSED])}
+    return sorted({NAME if run.id in base else own[run.view_detector] for run in project.jobs.all() if run.id in used})
+
+
+def without_labels(project: Project) -> None:
+    """Deletes what a project's frames hold, and takes its own detectors out of use, so that the base detector measures
+    boxes: a project as it begins.
+    """
+    for frame in project.frames.of():
+        revision = frame.revision
+        if frame.finalised:
+            revision = project.frames.reopen(frame.id, WriteContext(revision, AUTHOR)).revision
+        for label in project.labels.of_frame(frame.id):
+            revision = project.labels.delete(frame.id, label.uid, WriteContext(revision, AUTHOR)).revision
+    for role in DetectorKind:
+        project.models.deactivate(role)
 
 
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:

@@ -29,6 +29,7 @@ from websockets.sync.client import connect
 
 from annotator.cli.main import main as annotator
 from annotator.project import open_project
+from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError
 from benchmarks.report import Options, Table, chosen, guarded, program
 from benchmarks.served import (
@@ -39,7 +40,6 @@ from benchmarks.served import (
     answered,
     chromium,
     frames_of,
-    make_people,
     percentile,
     serving,
     signed_in,
@@ -67,8 +67,6 @@ MOST_LABELS = 12
 
 @dataclass
 class Arguments(Options):
-    """Let operators, browsers and jobs use one server for a long time."""
-
     minutes: float = 30.0
     """Duration, minutes."""
     operators: int = 10
@@ -85,30 +83,23 @@ class Arguments(Options):
 
 @dataclass
 class Seen:
-    """What all clients saw.
-
-    Attributes:
-        saves_s: durations of the acknowledged saves.
-        stale: number of saves that were refused because another operator had saved.
-        refused: other refusals of saves, as status and text.
-        dropped: number of connections that ended without an answer.
-        events: number of events that the operators' sockets received, by type.
-        jobs: number of ended jobs, by kind and state.
-        failures: other errors.
-    """
+    """What all clients saw."""
 
     saves_s: list[float] = field(default_factory=list)
+    # saves that were refused because another operator had saved, and other refusals, as status and text
     stale: int = 0
     refused: list[str] = field(default_factory=list)
+    # connections that ended without an answer
     dropped: int = 0
+    # received by the operators' sockets, by type
     events: Counter[str] = field(default_factory=Counter)
+    # ended, by kind and state
     jobs: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     kinds = chosen("--jobs", args.jobs, JOBS)
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         projects = _make_project(Path(temporary), args.frames)
@@ -124,7 +115,8 @@ def run(args: Arguments) -> dict[str, Any]:
 
 def _make_project(folder: Path, frames: int) -> Path:
     """A projects folder with a labelled project, from whose 2D boxes detectors can be trained."""
-    recording, projects = make_people(folder / PRESET, frames, 640, 480), folder / "projects"
+    recording, projects = folder / PRESET, folder / "projects"
+    write_generated(recording, PRESET, frames, 0, 640, 480)
     for words in (
         ["new", PROJECT, "--classes", LABEL],
         ["add", PROJECT, str(recording)],
@@ -247,20 +239,17 @@ def _save(client: httpx.Client, path: str, state: dict[str, Any], seen: Seen, ch
 
 def _change(state: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     labels = [label["uid"] for label in state["labels"]]
+    x_m = round(chance.uniform(-2, 2), 6)
+    box = {"center": [x_m, 0.0, 3.0], "size": [0.5, 0.6, 1.7], "rotation": np.eye(3).tolist()}
     kind = chance.choice(["create", "edit", "edit", "accept", "reject", "delete"])
     if len(labels) >= MOST_LABELS:
         kind = "delete"
     if not labels or kind == "create":
-        return {"kind": "create", "label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6))}
+        return {"kind": "create", "label": LABEL, "box": box}
     change = {"kind": kind, "uid": chance.choice(labels)}
     if kind == "edit":
-        change |= {"label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6)), "track_id": None}
+        change |= {"label": LABEL, "box": box, "track_id": None}
     return change
-
-
-def _box_at(x_m: float) -> dict[str, Any]:
-    """A box in front of the camera."""
-    return {"center": [x_m, 0.0, 3.0], "size": [0.5, 0.6, 1.7], "rotation": np.eye(3).tolist()}
 
 
 def _listen(server: Server, client: httpx.Client, seen: Seen, stop: threading.Event) -> None:

@@ -101,8 +101,6 @@ PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
 
 @dataclass
 class Arguments(Options):
-    """Time each stage of a step, for an object without and with a box of the previous frame."""
-
     points: int = 50_000
     """Number of points in the object's frustum."""
     size_px: int = RcvConfig().view.size_px
@@ -174,7 +172,6 @@ def timed_frame(
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
     require(args, 500, 120_000, "points")
     require(args, 32, 2048, "size_px")
     require(args, 1, 1_000_000, "repeats")

@@ -6,6 +6,7 @@ python -m benchmarks.store [--frames 10000] [--imported 100000] [--reviewed 1000
 from __future__ import annotations
 
 import json
+import math
 import resource
 import statistics
 import time
@@ -30,10 +31,9 @@ from annotator.project.log.event_types import (
 from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.log.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
-from annotator.types.errors import ConfigError
 from annotator.workflows.importing import BoxFormat, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue
-from benchmarks.report import Options, Table, guarded, program
+from benchmarks.report import Options, Table, guarded, program, require, seconds_of
 
 LABEL = "person"
 # As many as the page asks for.
@@ -42,8 +42,6 @@ MOST_ITEMS = 500
 
 @dataclass
 class Arguments(Options):
-    """Time each operation on a project with one long recording; for writing proposals, the median over the frames."""
-
     frames: int = 10_000
     """Number of frames of the recording."""
     proposed: int = 200
@@ -63,10 +61,8 @@ def run(args: Arguments) -> dict[str, float]:
 
 
 def _measure(args: Arguments, folder: Path) -> dict[str, float]:
-    if not 1 <= args.proposed <= args.frames or min(args.objects, args.imported, args.reviewed) < 0:
-        raise ConfigError(
-            f"--proposed must be 1 to --frames ({args.frames}), --objects, --imported and --reviewed 0 or more"
-        )
+    require(args, 1, args.frames, "proposed")
+    require(args, 0, math.inf, "objects", "imported", "reviewed")
     with create_project(folder, "long", (LABEL,)) as project:
         result = {"add_recording_ms": _milliseconds(lambda: _add(project, folder, args.frames))}
         run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
@@ -124,17 +120,14 @@ def _imports(project: Project, folder: Path, boxes: int) -> dict[str, float]:
         file = folder / f"{name}.json"
         _write_boxes(file, keys, boxes, shift_m=0.01 * number, every_other_m=2.5 * number)
         before_mib, before_s = _peak_mib(), time.process_time()
-        result[f"import_{name}_detector_ms"] = _milliseconds(lambda: _import(project, file))  # noqa: B023
+        read = partial(read_labels, BoxFormat.BOXES, file)
+        result[f"import_{name}_detector_ms"] = _milliseconds(lambda: import_proposals(project, read()))  # noqa: B023
         result[f"import_{name}_detector_cpu_ms"] = (time.process_time() - before_s) * 1000
         result[f"import_{name}_detector_mib"] = _peak_mib() - before_mib
     result["open_proposals"] = float(project.labels.count([ReviewState.PROPOSED]))
     for order in Order:
         result[f"queue_imported_{order.value}_ms"] = _milliseconds(partial(queue, project, order, most=MOST_ITEMS))
     return result
-
-
-def _import(project: Project, file: Path) -> None:
-    import_proposals(project, read_labels(BoxFormat.BOXES, file))
 
 
 def _write_boxes(file: Path, keys: list[str], boxes: int, shift_m: float, every_other_m: float) -> None:
@@ -170,9 +163,7 @@ def _proposal(x_m: float) -> Proposal:
 
 
 def _milliseconds(work: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    work()
-    return (time.perf_counter() - began) * 1000
+    return seconds_of(work) * 1000
 
 
 def tables(_: Arguments, result: dict[str, float]) -> list[Table]:

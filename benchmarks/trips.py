@@ -64,8 +64,6 @@ FORMATS = (
 
 @dataclass
 class Arguments(Options):
-    """Export and import real labels with attributes many times."""
-
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """Recordings with labels."""
     frames: int = 1
@@ -76,16 +74,11 @@ class Arguments(Options):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What trips through a format did.
+    """What trips through a format did to labels and values.
 
-    Attributes:
-        boxes, classes_equal: number of labels, and whether there are as many of each class after the trips.
-        values: number of values before.
-        reported: number of those that the first export reported as lost.
-        equal: number of those that are equal after all trips.
-        silently_lost: number of values that differ or are missing, and were not reported.
-        new: number of values that labels did not have before.
-        moved_m, drifted_m: how far a corner moved at most on the first trip, and on all others together.
+    `reported` values are those that the first export reported as lost, `silently_lost` those that differ or are missing
+    and were not reported; `new` ones labels did not have before. A corner moved by at most `moved_m` on the first trip,
+    and by `drifted_m` on all others together.
     """
 
     boxes: int

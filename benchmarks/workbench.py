@@ -16,7 +16,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from annotator.geometry.outline import box_on_image
+from annotator.project import create_project
 from annotator.recordings import open_recording
+from annotator.synthetic import write_generated
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
 from benchmarks.report import Options, Table, chosen, guarded, program
 from benchmarks.served import (
@@ -28,8 +31,6 @@ from benchmarks.served import (
     chromium,
     draw_box,
     frames_of,
-    make_people,
-    make_project,
     measured,
     open_mode,
     percentile,
@@ -48,8 +49,6 @@ KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram
 
 @dataclass
 class Arguments(Options):
-    """Measure the workbench on a generated recording and KITTI frames."""
-
     only: str = ",".join(PARTS)
     """Parts to measure, separated by commas."""
     frames: int = 12
@@ -68,10 +67,11 @@ def run(args: Arguments) -> dict[str, Any]:
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         projects, people, kitti = folder / "projects", folder / PRESET, args.shared / "data" / "kitti"
-        make_people(people, args.frames, 640, 480)
+        write_generated(people, PRESET, args.frames, 0, 640, 480)
         recordings = {"rgbd": (people, (LABEL,)), **({"kitti": (kitti, KITTI)} if kitti.is_dir() else {})}
         for name, (path, classes) in recordings.items():
-            make_project(projects, name, classes, [path])
+            with create_project(projects, name, classes) as project:
+                register_recording(project, open_recording(path))
         result: dict[str, Any] = {}
         with serving(projects) as server, chromium() as browser:
             if "switch" in parts:
