@@ -49,13 +49,12 @@ class Arguments(BoxOptions):
 
 @dataclass
 class Tally:
-    """Results of one class with one strategy."""
+    """Results of one class with one strategy; `best_ious` are those with the true box that a proposal overlaps most."""
 
     ious: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     best_ious: list[float] = field(default_factory=list)
-    """For each proposal, the IoU with the true box that it overlaps most."""
 
 
 def measure(
@@ -94,11 +93,8 @@ def run(args: Arguments) -> dict[str, Any]:
     tallies: dict[Strategy, dict[str, Tally]] = {s: defaultdict(Tally) for s in args.strategies}
     for index in range(len(recording)):
         frame = recording.frame(index)
-        truths = [
-            truth
-            for truth in load_truth(recording, index, frame)
-            if contains(truth.box, frame.cloud.xyz_m).sum() >= args.min_points
-        ]
+        xyz_m, truths = frame.cloud.xyz_m, load_truth(recording, index, frame)
+        truths = [truth for truth in truths if contains(truth.box, xyz_m).sum() >= args.min_points]
         if not truths:
             continue
         detector = PerfectDetector.for_frame(frame, truths, kind=BoxKind.BOX, jitter=args.jitter, seed=args.seed)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import os
 import statistics
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -39,7 +38,7 @@ from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.report import Options, Table, guarded, program
+from benchmarks.report import Options, Table, guarded, program, seconds_of
 
 PRESET, LABEL = "people", "person"
 FOLDERS = {"color": ".jpg", "depth": ".png"}
@@ -175,9 +174,8 @@ def run(args: Arguments) -> dict[str, Any]:
         taken: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
         engines = {}
         for row in rows:
-            begin = time.perf_counter()
-            engines[row] = stack.enter_context(closing(_started(row, job, args)))
-            start_s[row] = time.perf_counter() - begin
+            engine = engines[row] = stack.enter_context(closing(_engine(row, job, args)))
+            start_s[row] = seconds_of(engine.start_all if isinstance(engine, WorkerPool) else engine.start)
         for turn in range(args.repeats + 1):
             for row, engine in engines.items():
                 took = seconds(engine, job)
@@ -203,20 +201,14 @@ def run(args: Arguments) -> dict[str, Any]:
     }
 
 
-def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
+def _engine(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
     name, workers = row
     if name == BASE and job.base is not None:
-        engine = make_engine(EngineName.INLINE, job.base, frames=job.frames)
-    elif name in (PLAIN, ONE_CORE):
+        return make_engine(EngineName.INLINE, job.base, frames=job.frames)
+    if name in (PLAIN, ONE_CORE):
         threads = 1 if name == ONE_CORE else None
-        engine = make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
-    else:
-        engine = make_engine(EngineName(name), job.source, frames=job.frames, workers=workers, threads=args.threads)
-    if isinstance(engine, WorkerPool):
-        engine.start_all()
-    else:
-        engine.start()
-    return engine
+        return make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
+    return make_engine(EngineName(name), job.source, frames=job.frames, workers=workers, threads=args.threads)
 
 
 def _speed_up(before_s: list[float], after_s: list[float]) -> float:

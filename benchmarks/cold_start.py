@@ -18,7 +18,6 @@ the cluster of points in the middle of the image box, and the tightest box aroun
 from __future__ import annotations
 
 import hashlib
-import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -58,7 +57,7 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
-from benchmarks.report import BoxOptions, Table, guarded, program
+from benchmarks.report import BoxOptions, Table, guarded, program, seconds_of
 
 # Points closer than this share of the object's width are connected.
 GAP = 0.08
@@ -271,21 +270,20 @@ def after(
 ) -> tuple[dict[str, list[float]], float]:
     """The IoU of each object of the taught classes by class, and the seconds of training."""
     with taught_project(recording, chosen, args) as project:
+        seconds = 0.0
         if args.untrained:
             detector, size_px = base_detector(args)
             config = rcv_config(project, view_px=size_px).for_detector(BoxKind.BOX, True)
-            ious = tried(recording, indices, detector, config, args)
-            return {label: ious[label] for label in chosen}, 0.0
-        plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
-        view = plan.view.model_copy(update={"epochs": args.epochs})
-        plan = replace(plan, samples=SampleConfig(seed=args.seed), view=view)
-        begin = time.perf_counter()
-        train(project, plan, roles=(DetectorKind.VIEW,))
-        seconds = time.perf_counter() - begin
-        model = view_model(project)
-        config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
-        config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
-        ious = tried(recording, indices, load_detector(model.path, args.backend), config, args)
+        else:
+            plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
+            view = plan.view.model_copy(update={"epochs": args.epochs})
+            plan = replace(plan, samples=SampleConfig(seed=args.seed), view=view)
+            seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
+            model = view_model(project)
+            config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
+            config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
+            detector = load_detector(model.path, args.backend)
+        ious = tried(recording, indices, detector, config, args)
         return {label: ious[label] for label in chosen}, seconds
 
 

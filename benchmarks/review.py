@@ -3,7 +3,7 @@
     python -m benchmarks.review PROJECT|DIR [--quality 0.7] [--only proposals,base_detector,from_nothing,peers]
         [--minutes N] [--upright | --free] [--seed N] [--json]
 
-A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`keystrokes`)
+A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`review_moves`)
 says how long that takes. Of a recording, ten frames teach both detectors, and the others are reviewed. Of a project,
 the frames without reviewed boxes are. The rows are
 - `proposals`: what the project's detectors propose. With few reviewed objects on held-out frames, its training leaves

@@ -141,7 +141,6 @@ class _Leafing:
         until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
 
     def leaf(self) -> None:
-        """Goes to another frame."""
         self._page.keyboard.press("n" if self.shown // (self._frames - 1) % 2 == 0 else "p")
         self.shown += 1
         self._page.wait_for_timeout(100)
