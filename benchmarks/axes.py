@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -20,55 +20,41 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.evaluation.oriented import FrameResult, matched_ious
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.oriented_box import contains
-from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.propose import propose
-from annotator.recordings import Recording, open_recording
+from annotator.recordings import open_recording
 from annotator.types import BoxKind, Frame, Proposal, Truth
 from annotator.types.errors import ConfigError
+from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import BoxOptions, Table, guarded, program, require
 
 # A proposal is false if its IoU with every true box is below this.
 FALSE_IOU = 0.1
 
 
 @dataclass
-class Arguments:
-    """Measure every axes strategy on a recording with true 3D boxes, with a perfect detector."""
-
+class Arguments(BoxOptions):
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     jitter: float = 0.0
     """Standard deviation of the error of each 2D box edge, share of the view's extent."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20
     """Objects with fewer points are skipped."""
     seed: int = 0
     """Seed of the jitter."""
     strategies: tuple[Strategy, ...] = tuple(Strategy)
     """Strategies to measure."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass
 class Tally:
-    """Results of one class with one strategy."""
+    """Results of one class with one strategy; `best_ious` are those with the true box that a proposal overlaps most."""
 
     ious: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     best_ious: list[float] = field(default_factory=list)
-    """For each proposal, the IoU with the true box that it overlaps most."""
-
-
-def true_objects(recording: Recording, index: int, frame: Frame, min_points: int) -> list[Truth]:
-    """The frame's labelled objects with at least `min_points` points."""
-    cloud = frame.cloud.xyz_m
-    return [t for t in load_truth(recording, index, frame) if contains(t.box, cloud).sum() >= min_points]
 
 
 def measure(
@@ -79,12 +65,12 @@ def measure(
     proposals = propose([frame], detector, detector, config)[0].proposals
     seconds_per_object = (time.perf_counter() - begin) / len(truths)
     for label in sorted({t.label for t in truths}):
-        of_label = [p for p in proposals if p.label == label]
-        ious = matched_ious(_result(of_label, [t for t in truths if t.label == label]))
+        found, true = [p for p in proposals if p.label == label], [t for t in truths if t.label == label]
+        ious = matched_ious(FrameResult([p.box for p in found], [p.score for p in found], [t.box for t in true]))
         tallies[label].ious.extend(ious)
-        tallies[label].steps.extend(len(p.trace) for p in of_label)
+        tallies[label].steps.extend(len(p.trace) for p in found)
         tallies[label].seconds.extend([seconds_per_object] * len(ious))
-        tallies[label].best_ious.extend(best_ious(of_label, [t for t in truths if t.label == label]))
+        tallies[label].best_ious.extend(best_ious(found, true))
 
 
 def best_ious(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> list[float]:
@@ -99,35 +85,21 @@ def false_share(best: Sequence[float]) -> float:
     return float(np.mean(np.array(best) < FALSE_IOU)) if best else 0.0
 
 
-def _result(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> FrameResult:
-    return FrameResult([p.box for p in proposals], [p.score for p in proposals], [t.box for t in truths])
-
-
-def check(args: Arguments) -> None:
-    if args.upright and args.free:
-        raise ConfigError("--upright and --free contradict each other; give at most one")
-    for flag, value in (("--jitter", args.jitter), ("--min-points", args.min_points), ("--seed", args.seed)):
-        if not 0 <= value < math.inf:
-            raise ConfigError(f"{flag} must be 0 or more, not {value}")
+def run(args: Arguments) -> dict[str, Any]:
+    require(args, 0, math.inf, "jitter", "min_points", "seed")
     if not args.strategies:
         raise ConfigError(f"--strategies needs at least one of {', '.join(Strategy)}")
-
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
-    check(args)
     recording = open_recording(args.folder)
     tallies: dict[Strategy, dict[str, Tally]] = {s: defaultdict(Tally) for s in args.strategies}
     for index in range(len(recording)):
         frame = recording.frame(index)
-        truths = true_objects(recording, index, frame, args.min_points)
+        xyz_m, truths = frame.cloud.xyz_m, load_truth(recording, index, frame)
+        truths = [truth for truth in truths if contains(truth.box, xyz_m).sum() >= args.min_points]
         if not truths:
             continue
-        upright = args.upright or (frame.up is not None and not args.free)
         detector = PerfectDetector.for_frame(frame, truths, kind=BoxKind.BOX, jitter=args.jitter, seed=args.seed)
         for strategy in args.strategies:
-            orientation = Orientation.UPRIGHT if upright else Orientation.FREE
-            config = RcvConfig(strategy=strategy, orientation=orientation)
+            config = RcvConfig(strategy=strategy, orientation=orientation_for(args.rotation, frame))
             measure(frame, truths, detector, config, tallies[strategy])
     return {
         "results": [
@@ -149,13 +121,12 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    table = Table("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "false", "steps", "ms/object")
-    for row in result["results"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "false", "steps", "ms/object")
+    return [Table(*heads, rows=(row.values() for row in result["results"]))]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

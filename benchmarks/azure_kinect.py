@@ -9,10 +9,9 @@ camera's frame (millimetres), and the colour pixel. Each of our stages starts fr
 from __future__ import annotations
 
 import csv
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import numpy as np
 import tyro
@@ -22,24 +21,20 @@ from annotator.recordings import open_recording
 from annotator.recordings.kinect.calibration import MM_PER_M
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import ConfigError, FormatError
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program, require, seconds_of
 
 PIXEL, DEPTH = ("u_depth_px", "v_depth_px"), ("depth_mm",)
 IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), ("u_color_px", "v_color_px")
 
 
 @dataclass
-class Arguments:
-    """Compare a recording's geometry with the SDK's."""
-
+class Arguments(Options):
     recording: tyro.conf.Positional[Path]
     """The .mkv file."""
     rows: tyro.conf.Positional[Path]
     """The CSV file with the SDK's numbers."""
     repeats: int = 0
     """How often the first frame, with its coloured cloud, is read for the timing; 0 = no timing."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 def read_rows(path: Path) -> dict[str, np.ndarray]:
@@ -82,21 +77,8 @@ def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float,
     return float(np.max(distances_mm)), float(np.linalg.norm(px - columns(COLOR_PIXEL), axis=1).max())
 
 
-def frame_ms(recording: AzureKinect, repeats: int) -> float:
-    """Median time to read the first frame, milliseconds, without the work that is done once per recording."""
-    recording.frame(0)
-    seconds = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        recording.frame(0)
-        seconds.append(time.perf_counter() - begin)
-    return float(np.median(seconds) * 1e3)
-
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
-    if not 0 <= args.repeats <= 1_000_000:
-        raise ConfigError(f"--repeats must be 0 to 1000000, not {args.repeats}")
+def run(args: Arguments) -> dict[str, Any]:
+    require(args, 0, 1_000_000, "repeats")
     recording = open_recording(args.recording)
     if not isinstance(recording, AzureKinect):
         raise ConfigError(f"{args.recording}: has the format {recording.format}; give an Azure Kinect's .mkv file")
@@ -104,16 +86,19 @@ def run(args: Arguments) -> dict[str, object]:
     max_point_mm, max_px = compare(recording, rows)
     result: dict[str, object] = {"rows": len(rows["depth_mm"]), "max_point_mm": max_point_mm, "max_px": max_px}
     if args.repeats:
-        result["frame_ms"] = frame_ms(recording, args.repeats)
+        recording.frame(0)  # the work that is done once per recording
+        seconds = [seconds_of(lambda: recording.frame(0)) for _ in range(args.repeats)]
+        result["frame_ms"] = float(np.median(seconds) * 1e3)
     return result
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("rows", "largest distance of a point, mm", "of a colour pixel, px", *["frame, ms"][: args.repeats])
-    table.add(*(f"{value:.5f}" if isinstance(value, float) else value for value in result.values()))
-    finish(result, args.json, table)
+def tables(args: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("rows", "largest distance of a point, mm", "of a colour pixel, px", *["frame, ms"][: args.repeats])
+    cells = [f"{value:.5f}" if isinstance(value, float) else value for value in result.values()]
+    return [Table(*heads, rows=[cells])]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

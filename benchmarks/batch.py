@@ -14,21 +14,20 @@ from __future__ import annotations
 
 import os
 import statistics
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any, Literal
 
 from annotator.detection.config import Backend
+from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.detection.pretrained import base_weights, has_base
 from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
+from annotator.synthetic import write_generated
 from annotator.types import Box2D, BoxKind, Frame, Image
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
@@ -38,7 +37,8 @@ from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
-from benchmarks.report import Table, finish, guarded
+from annotator.workflows.recorded.reading import load_truth
+from benchmarks.report import Options, Table, guarded, program, seconds_of
 
 PRESET, LABEL = "people", "person"
 FOLDERS = {"color": ".jpg", "depth": ".png"}
@@ -46,12 +46,8 @@ FOLDERS = {"color": ".jpg", "depth": ".png"}
 
 @dataclass(frozen=True)
 class Repeating:
-    """A perfect detector for a recording that repeats its first frames; with 4, `000007` is the same as `000003`.
-
-    Attributes:
-        first: perfect detector of the first frames.
-        different: number of the first frames.
-    """
+    """A perfect detector for a recording that repeats its `different` first frames, of which `first` is the detector;
+    with 4, `000007` is the same as `000003`."""
 
     first: Any
     different: int
@@ -65,28 +61,19 @@ class Repeating:
         return f"{self.first.fingerprint}-{self.different}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        originals = [replace(i, key=_key(int(i.key) % self.different)) if isinstance(i, Frame) else i for i in images]
+        originals = [
+            replace(i, key=f"{int(i.key) % self.different:06d}") if isinstance(i, Frame) else i for i in images
+        ]
         boxes: list[list[Box2D]] = self.first.detect(originals)
         return boxes
 
 
 def perfect_detector(source: Path, different: int) -> Repeating:
     """The perfect detector for recordings that repeat the frames of `source`."""
-    from annotator.detection.perfect import PerfectDetector, Scene
-    from annotator.recordings import open_recording
-    from annotator.workflows.recorded.reading import load_truth
-
     recording = open_recording(source)
     frames = [recording.frame(index) for index in range(different)]
     scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
     return Repeating(PerfectDetector(scenes), different)
-
-
-def generate(folder: Path, different: int, width_px: int) -> None:
-    """Generates the frames that all recordings repeat."""
-    from annotator.synthetic import write_generated
-
-    write_generated(folder, PRESET, different, 0, width_px, width_px * 3 // 4)
 
 
 def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
@@ -94,23 +81,17 @@ def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
     for name, suffix in FOLDERS.items():
         (folder / name).mkdir(parents=True)
         for number in range(frames):
-            link = folder / name / (_key(number) + suffix)
-            os.link(source / name / (_key(number % different) + suffix), link)
+            link = folder / name / f"{number:06d}{suffix}"
+            os.link(source / name / f"{number % different:06d}{suffix}", link)
     for name in ("camera_intrinsic.json", "gravity.json"):
         os.link(source / name, folder / name)
-
-
-def _key(number: int) -> str:
-    return f"{number:06d}"
 
 
 PLAIN, ONE_CORE, BASE, PROJECT = "plain", "one core", "base detector", "loop"
 
 
 @dataclass
-class Arguments:
-    """Measure frames per second by engine and number of workers, relative to the plain loop."""
-
+class Arguments(Options):
     project: Path | None = None
     """A folder kept by `benchmarks.loop --project`."""
     recording: Path | None = None
@@ -133,17 +114,11 @@ class Arguments:
     """Number of different frames that a generated recording repeats."""
     width: int = 640
     """Width of generated images, pixels."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The work of every engine: a number of frames of a recording, with these detectors and settings.
-
-    Attributes:
-        base: the same image detector with the base detector; None if this installation has none.
-    """
+    """The work of every engine: frames of a recording. `base` has the base detector, if this installation has one."""
 
     source: DetectorSource
     base: DetectorSource | None
@@ -162,7 +137,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         raise ConfigError("--frames, --repeats, --different and --workers must be 1 or more")
     config = RcvConfig(max_steps=args.steps)
     if args.project is None or args.recording is None:
-        generate(folder / "source", args.different, args.width)
+        write_generated(folder / "source", PRESET, args.different, 0, args.width, args.width * 3 // 4)
         lengthen(folder / "source", folder / "recording", args.frames, args.different)
         detector = perfect_detector(folder / "source", args.different)
         source: DetectorSource = GivenDetectors(Detectors(detector, detector))
@@ -190,8 +165,7 @@ def seconds(engine: Engine, job: Job) -> float:
     return done.seconds
 
 
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
+def run(args: Arguments) -> dict[str, Any]:
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         job = prepare_job(args, Path(temporary))
@@ -200,14 +174,15 @@ def run(args: Arguments) -> dict[str, object]:
         taken: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
         engines = {}
         for row in rows:
-            begin = time.perf_counter()
-            engines[row] = stack.enter_context(closing(_started(row, job, args)))
-            start_s[row] = time.perf_counter() - begin
+            engine = engines[row] = stack.enter_context(closing(_engine(row, job, args)))
+            start_s[row] = seconds_of(engine.start_all if isinstance(engine, WorkerPool) else engine.start)
         for turn in range(args.repeats + 1):
             for row, engine in engines.items():
                 took = seconds(engine, job)
                 if turn > 0:  # the first turn is a warm-up
                     taken[row].append(took)
+    most = max(args.workers)
+    ray, local = taken.get((EngineName.RAY.value, most)), taken.get((EngineName.LOCAL.value, most))
     return {
         "frames": job.frames,
         "batch_frames": TASK_FRAMES,
@@ -222,29 +197,18 @@ def run(args: Arguments) -> dict[str, object]:
             }
             for (name, workers), took in taken.items()
         ],
-        "ray_against_local": _ray_against_local(taken, max(args.workers)),
+        "ray_against_local": _speed_up(local, ray) if ray and local else None,
     }
 
 
-def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
+def _engine(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
     name, workers = row
     if name == BASE and job.base is not None:
-        engine = make_engine(EngineName.INLINE, job.base, frames=job.frames)
-    elif name in (PLAIN, ONE_CORE):
+        return make_engine(EngineName.INLINE, job.base, frames=job.frames)
+    if name in (PLAIN, ONE_CORE):
         threads = 1 if name == ONE_CORE else None
-        engine = make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
-    else:
-        engine = make_engine(EngineName(name), job.source, frames=job.frames, workers=workers, threads=args.threads)
-    if isinstance(engine, WorkerPool):
-        engine.start_all()
-    else:
-        engine.start()
-    return engine
-
-
-def _ray_against_local(taken: dict[tuple[str, int], list[float]], workers: int) -> float | None:
-    ray, local = taken.get((EngineName.RAY.value, workers)), taken.get((EngineName.LOCAL.value, workers))
-    return _speed_up(local, ray) if ray and local else None
+        return make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
+    return make_engine(EngineName(name), job.source, frames=job.frames, workers=workers, threads=args.threads)
 
 
 def _speed_up(before_s: list[float], after_s: list[float]) -> float:
@@ -252,15 +216,15 @@ def _speed_up(before_s: list[float], after_s: list[float]) -> float:
     return statistics.median(before / after for before, after in zip(before_s, after_s, strict=True))
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("engine", "workers", "start s", "frames per second", "times the plain loop", "times one core")
-    for row in result["results"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
-    if not args.json and result["ray_against_local"] is not None:
-        print(f"Ray: {result['ray_against_local']:.2f} times the rate of local workers")
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("engine", "workers", "start s", "frames per second", "times the plain loop", "times one core")
+    table = Table(*heads, rows=(row.values() for row in result["results"]))
+    if result["ray_against_local"] is not None:
+        table.add("Ray, times the rate of local workers", "", "", result["ray_against_local"], "", "")
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

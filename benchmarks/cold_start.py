@@ -18,14 +18,13 @@ the cluster of points in the middle of the image box, and the tightest box aroun
 from __future__ import annotations
 
 import hashlib
-import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -33,6 +32,7 @@ from jaxtyping import Float, Float64
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial.transform import Rotation
 
 from annotator.detection.config import Backend
 from annotator.detection.pretrained import base_weights
@@ -41,7 +41,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import in_frustum
-from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
+from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.first_look import in_middle, width_at
@@ -51,12 +51,13 @@ from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Orien
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
+from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import BoxOptions, Table, guarded, program, seconds_of
 
 # Points closer than this share of the object's width are connected.
 GAP = 0.08
@@ -67,8 +68,7 @@ YAWS, ROTATIONS = 45, 600
 def cluster_box(frame: Frame, image_box: Box2D, up: Float64[np.ndarray, "3"] | None) -> OrientedBox | None:
     """The tightest box around the connected points with the largest part in the middle of an image box.
 
-    Args:
-        up: unit vector against gravity for an upright box, None for a free one.
+    `up` is the unit vector against gravity for an upright box, None for a free one.
     """
     camera = frame.camera
     xyz = frame.cloud.xyz_m[in_frustum(camera, frame.cloud.xyz_m, image_box)].astype(np.float64)
@@ -93,8 +93,6 @@ def _tightest(xyz: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None
     if up is None:
         rotations = spread_rotations(ROTATIONS) @ base.T
     else:
-        from scipy.spatial.transform import Rotation
-
         angles = np.arange(YAWS) * (np.pi / 2 / YAWS)
         rotations = Rotation.from_rotvec(angles[:, None] * up).as_matrix() @ base.T
     boxes = [aligned_box(xyz, rotation) for rotation in rotations]
@@ -105,22 +103,16 @@ LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
 
 
 @dataclass
-class Arguments:
-    """Measure 3D boxes from 2D boxes on the image, of classes of which nothing or little was taught."""
-
+class Arguments(BoxOptions):
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     taught: tuple[int, ...] = (0,)
     """Numbers of taught objects of each class."""
     image_box: Literal["projected", "label"] = "projected"
     """Where the 2D boxes come from."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     base: Path | None = None
     """Weights of a base detector for --taught 0; None = the one of the package."""
-    no_sizes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    no_sizes: bool = False
     """Use no typical sizes, neither of well-known classes nor of taught objects."""
     minutes: float = 3.0
     """Length of each training, minutes."""
@@ -128,7 +120,7 @@ class Arguments:
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
     generated: float = GENERATED_SHARE
     """Share of generated views in each training."""
-    untrained: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    untrained: bool = False
     """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
     min_points: int = 20
     """Objects with fewer points are skipped."""
@@ -138,13 +130,6 @@ class Arguments:
     """Seed of the 2D boxes' errors, of the choice of taught objects and of the trainings."""
     backend: Backend = "auto"
     """Backend of the detector."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
-
-    @property
-    def rotation(self) -> BoxRotation:
-        """The rotation of the boxes."""
-        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +153,7 @@ class Shot:
 def given_boxes(
     recording: Recording, frame: Frame, truths: Sequence[Truth], args: Arguments, rng: np.random.Generator
 ) -> Iterator[Given]:
-    """Yields the objects with enough points, with their 2D boxes."""
+    """Yields the objects with enough points that are on the image, with their inaccurate 2D boxes."""
     mask = load_mask(recording, frame) if _takes_masks(recording, args) else None
     for number, truth in enumerate(truths):
         if args.image_box == "projected":
@@ -177,9 +162,10 @@ def given_boxes(
             box = own_image_box(truth, number, mask)
             if box is None and mask is None:
                 raise ConfigError(f"{recording.path}: its labels have no 2D boxes; use --image-box projected")
-        item = given(frame, truth, box, number, args.min_points, rng)
-        if item is not None:
-            yield item
+        errors_px = rng.normal(0, JITTER_PX, 4)
+        drawn = None if box is None else inaccurate(frame.camera, replace(box, label=truth.label), errors_px)
+        if drawn is not None and contains(truth.box, frame.cloud.xyz_m).sum() >= args.min_points:
+            yield Given(truth, drawn, number)
 
 
 def _takes_masks(recording: Recording, args: Arguments) -> bool:
@@ -187,49 +173,10 @@ def _takes_masks(recording: Recording, args: Arguments) -> bool:
     return args.image_box == "label" and has_masks(recording)
 
 
-def given(
-    frame: Frame, truth: Truth, box: Box2D | None, number: int, min_points: int, rng: np.random.Generator
-) -> Given | None:
-    """An object with an inaccurate 2D box; None if it has too few points, or is not on the image."""
-    errors_px = rng.normal(0, JITTER_PX, 4)
-    drawn = None if box is None else inaccurate(frame.camera, replace(box, label=truth.label), errors_px)
-    if drawn is None or contains(truth.box, frame.cloud.xyz_m).sum() < min_points:
-        return None
-    return Given(truth, drawn, number)
-
-
-@dataclass(frozen=True)
-class BaseDetector:
-    """A class-agnostic view detector, and the settings that go with it; `upright`, `free` as in `Arguments`."""
-
-    detector: Detector
-    size_px: int
-    upright: bool
-    free: bool
-
-    @classmethod
-    def load(cls, weights: Path | None, backend: Backend, upright: bool, free: bool) -> BaseDetector:
-        """Loads weights; None = those of the package."""
-        check_orientation(upright, free)
-        path = weights or base_weights()
-        return cls(load_detector(path, backend), read_trained(path.parent).image_size_px, upright, free)
-
-    def settings(self, frame: Frame) -> RcvConfig:
-        """The recursion's settings for a frame."""
-        orientation = orientation_of(frame, self.upright, self.free)
-        config = RcvConfig(orientation=orientation, view=ViewConfig(size_px=self.size_px))
-        return config.for_detector(BoxKind.BOX, class_agnostic=True)
-
-
-def orientation_of(frame: Frame, upright: bool, free: bool) -> Orientation:
-    """The orientation of a frame's boxes; `upright`, `free` as in `Arguments`."""
-    is_upright = upright or (frame.up is not None and not free)
-    return Orientation.UPRIGHT if is_upright else Orientation.FREE
-
-
-def check_orientation(upright: bool, free: bool) -> None:
-    if upright and free:
-        raise ConfigError("--upright and --free contradict each other; give at most one")
+def base_detector(args: Arguments) -> tuple[Detector, int]:
+    """The base detector, and the longer side of the views that it was trained on, pixels."""
+    path = args.base or base_weights()
+    return load_detector(path, args.backend), read_trained(path.parent).image_size_px
 
 
 def with_up(frame: Frame, truths: Sequence[Truth], upright: bool) -> Frame:
@@ -255,11 +202,7 @@ def shots(recording: Recording, indices: Sequence[int], args: Arguments) -> Iter
 def tried(
     recording: Recording, indices: Sequence[int], detector: Detector, config: RcvConfig, args: Arguments
 ) -> dict[str, list[float]]:
-    """The IoU of each object, by class.
-
-    Args:
-        config: with the settings of the detector.
-    """
+    """The IoU of each object, by class; `config` has the settings of the detector."""
     ious: dict[str, list[float]] = defaultdict(list)
     kind = BoxKind.SILHOUETTE if _takes_masks(recording, args) else BoxKind.BOX
     config = config.for_detector(config.box_kind, config.class_agnostic, kind, config.trained)
@@ -277,7 +220,7 @@ def guessed(recording: Recording, indices: Sequence[int], args: Arguments) -> di
     """The IoU of each object's guess from geometry alone, by class."""
     ious: dict[str, list[float]] = defaultdict(list)
     for shot in shots(recording, indices, args):
-        is_upright = orientation_of(shot.frame, args.upright, args.free) is Orientation.UPRIGHT
+        is_upright = orientation_for(args.rotation, shot.frame) is Orientation.UPRIGHT
         for item in shot.objects:
             guess = cluster_box(shot.frame, item.image_box, shot.frame.up if is_upright else None)
             label = f"{item.truth.label} (clusters)"
@@ -327,25 +270,20 @@ def after(
 ) -> tuple[dict[str, list[float]], float]:
     """The IoU of each object of the taught classes by class, and the seconds of training."""
     with taught_project(recording, chosen, args) as project:
+        seconds = 0.0
         if args.untrained:
-            base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
-            config = rcv_config(project, view_px=base.size_px).for_detector(BoxKind.BOX, True)
-            ious = tried(recording, indices, base.detector, config, args)
-            return {label: ious[label] for label in chosen}, 0.0
-        plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
-        plan = replace(
-            plan,
-            samples=SampleConfig(seed=args.seed),
-            view=plan.view.model_copy(update={"epochs": args.epochs}),
-        )
-        begin = time.perf_counter()
-        train(project, plan, roles=(DetectorKind.VIEW,))
-        seconds = time.perf_counter() - begin
-        model = view_model(project)
-        size_px = read_trained(model.path.parent).image_size_px
-        config = rcv_config(project, view_px=size_px)
-        config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
-        ious = tried(recording, indices, load_detector(model.path, args.backend), config, args)
+            detector, size_px = base_detector(args)
+            config = rcv_config(project, view_px=size_px).for_detector(BoxKind.BOX, True)
+        else:
+            plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
+            view = plan.view.model_copy(update={"epochs": args.epochs})
+            plan = replace(plan, samples=SampleConfig(seed=args.seed), view=view)
+            seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
+            model = view_model(project)
+            config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
+            config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
+            detector = load_detector(model.path, args.backend)
+        ious = tried(recording, indices, detector, config, args)
         return {label: ious[label] for label in chosen}, seconds
 
 
@@ -365,9 +303,7 @@ def rows(ious: Mapping[str, Sequence[float]], taught: int, seconds: float) -> li
     ]
 
 
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
-    check_orientation(args.upright, args.free)
+def run(args: Arguments) -> dict[str, Any]:
     if not args.taught or min(args.taught) < 0:
         raise ConfigError(f"--taught takes numbers of objects from 0 on, not {args.taught}")
     recording: Recording = open_recording(args.folder)
@@ -375,9 +311,8 @@ def run(args: Arguments) -> dict[str, object]:
     half = 0 if max(args.taught) == 0 else len(indices) // 2
     results: list[dict[str, object]] = []
     if 0 in args.taught:
-        base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
-        config = RcvConfig(view=ViewConfig(size_px=base.size_px)).for_detector(BoxKind.BOX, True)
-        detector = base.detector
+        detector, size_px = base_detector(args)
+        config = RcvConfig(view=ViewConfig(size_px=size_px)).for_detector(BoxKind.BOX, True)
         results += rows(tried(recording, indices[half:], detector, config, args), 0, 0.0)
         results += rows(guessed(recording, indices[half:], args), 0, 0.0)
     known = taught_objects(recording, indices[:half], args)
@@ -389,13 +324,12 @@ def run(args: Arguments) -> dict[str, object]:
     return {"results": sorted(results, key=lambda row: str(row["label"]))}
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    table = Table("class", "taught", "objects", "mean IoU", ">= 0.25", ">= 0.5", ">= 0.7", "training s")
-    for row in result["results"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    heads = ("class", "taught", "objects", "mean IoU", ">= 0.25", ">= 0.5", ">= 0.7", "training s")
+    return [Table(*heads, rows=(row.values() for row in result["results"]))]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

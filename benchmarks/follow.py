@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -21,13 +21,14 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
-from annotator.types import Frame, OrientedBox, Truth
+from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError
+from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower, Moment
 from annotator.workflows.workbench.review_queue import doubt
-from benchmarks.cold_start import check_orientation, orientation_of, with_up
-from benchmarks.report import Table, finish, guarded
+from benchmarks.cold_start import with_up
+from benchmarks.report import BoxOptions, Table, guarded, program
 
 # A box with at least this doubt is marked for the operator.
 MARKED = 0.8
@@ -35,19 +36,11 @@ WRONG_IOU = 0.25
 
 
 @dataclass
-class Arguments:
-    """Follow the first true box of each track to the track's end."""
-
+class Arguments(BoxOptions):
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes and tracks, or with one object in each frame."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20
     """A track begins with its first box of at least so many points."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass
@@ -60,6 +53,10 @@ class TrackScore:
     missing: int
     stopped_at: str | None = None
     stopped_because: str = "end of the recording"
+
+    @property
+    def all_ious(self) -> list[float]:
+        return self.ious + [0.0] * self.missing
 
 
 def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]:
@@ -74,16 +71,14 @@ def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]
     return tracks
 
 
-def follow_track(
-    recording: Recording,
-    label: str,
-    boxes: dict[int, Truth],
-    args: Arguments,
-) -> TrackScore | None:
+def follow_track(recording: Recording, label: str, boxes: dict[int, Truth], args: Arguments) -> TrackScore | None:
     """Follows one track; None if no box has enough points, or only its last one."""
     indices = sorted(boxes)
-    firsts = (i for i in indices[:-1] if _points(recording.frame(i), boxes[i].box) >= args.min_points)
-    first = next(firsts, None)
+
+    def enough(index: int) -> bool:
+        return int(contains(boxes[index].box, recording.frame(index).cloud.xyz_m).sum()) >= args.min_points
+
+    first = next((i for i in indices[:-1] if enough(i)), None)
     if first is None:
         return None
 
@@ -92,10 +87,9 @@ def follow_track(
         return Moment(index, with_up(recording.frame(index), [truth], args.upright), float(index))
 
     def settings(frame: Frame) -> RcvConfig:
-        return RcvConfig(orientation=orientation_of(frame, args.upright, args.free))
+        return RcvConfig(orientation=orientation_for(args.rotation, frame))
 
     score = TrackScore(label, [], [], 0)
-    done: set[int] = set()
     follower = Follower(moment(first), boxes[first].box, label, None, settings)
     for index in range(first + 1, indices[-1] + 1):
         followed = follower.step(moment(index))
@@ -104,28 +98,21 @@ def follow_track(
             score.stopped_because = followed.stop.value if followed.stop is not None else ""
             score.stopped_because += f" ({followed.detail})" if followed.detail else ""
             break
-        done.add(index)
         if index in boxes:
             score.ious.append(iou_3d(followed.proposal.box, boxes[index].box))
             score.doubts.append(doubt(followed.proposal.quality, followed.proposal.score) or 0.0)
-    score.missing = len([index for index in indices if index > first and index not in done])
+    score.missing = sum(index > first for index in indices) - len(score.ious)
     return score
 
 
-def _points(frame: Frame, box: OrientedBox) -> int:
-    return int(contains(box, frame.cloud.xyz_m).sum())
-
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
-    check_orientation(args.upright, args.free)
+def run(args: Arguments) -> dict[str, Any]:
     recording = open_recording(args.folder)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
         score = follow_track(recording, label, boxes, args)
         if score is not None:
             scores.append(score)
-    ious = np.array([iou for score in scores for iou in [*score.ious, *[0.0] * score.missing]])
+    ious = np.array([iou for score in scores for iou in score.all_ious])
     stored = np.array([iou for score in scores for iou in score.ious])
     doubts = np.array([value for score in scores for value in score.doubts])
     wrong = stored < WRONG_IOU
@@ -133,9 +120,9 @@ def run(args: Arguments) -> dict[str, object]:
         "tracks": [
             {
                 "label": score.label,
-                "frames": len(score.ious) + score.missing,
-                "mean_iou": float(np.mean([*score.ious, *[0.0] * score.missing])),
-                "share_50": float(np.mean(np.array([*score.ious, *[0.0] * score.missing]) >= 0.5)),
+                "frames": len(score.all_ious),
+                "mean_iou": float(np.mean(score.all_ious)),
+                "share_50": float(np.mean(np.array(score.all_ious) >= 0.5)),
                 "stopped_at": score.stopped_at,
                 "stopped_because": score.stopped_because,
             }
@@ -147,15 +134,16 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    table = Table("class", "frames", "mean IoU", ">= 0.5", "stopped at", "because")
-    for row in result["tracks"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    table = Table(
+        "class", "frames", "mean IoU", ">= 0.5", "stopped at", "because", rows=(r.values() for r in result["tracks"])
+    )
     for name in ("mean_iou", "silent_errors", "marked"):
         table.add(name, "", result[name], "", "", "")
-    finish(result, args.json, table)
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -32,7 +32,7 @@ from annotator.evaluation.kitti import (
     MinOverlap,
     evaluate_kitti,
 )
-from annotator.evaluation.oriented import SunRgbdResult, evaluate_sunrgbd
+from annotator.evaluation.oriented import evaluate_sunrgbd
 from annotator.formats.box_csv import read_box_csv
 from annotator.formats.kitti_objects import read_kitti_folder
 from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_label_line
@@ -43,7 +43,7 @@ from annotator.recordings.kitti import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluate import box_rows, kitti_rows
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program
 
 # The reference's corners in our order: bottom at +l +w, +l -w, -l -w, -l +w, then the top.
 CORNERS = (2, 1, 0, 3, 6, 5, 4, 7)
@@ -76,16 +76,7 @@ class Entry(BaseModel):
 
 @dataclass(frozen=True)
 class ConventionDifference:
-    """The largest differences of one label.
-
-    Attributes:
-        label: frame, line and class.
-        what: name of the quantity in pixels that differs most.
-        px: its difference, pixels.
-        corner_m: largest difference of the corners, metres.
-        center_lidar_m: difference of the centre in LiDAR coordinates, metres.
-        angle_rad: largest difference of alpha and heading, radians.
-    """
+    """The largest differences of one label, and the name of the quantity in pixels that differs most."""
 
     label: str
     what: str
@@ -171,13 +162,9 @@ CONTACT = 1e-12
 
 
 @dataclass
-class Arguments:
-    """Compare our evaluation with the official evaluators' results."""
-
+class Arguments(Options):
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of reference inputs and the official evaluators' results."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
@@ -188,39 +175,34 @@ class Difference:
     amount: float
 
 
-@dataclass(frozen=True)
-class Part:
-    """A part of the folder: its name in the result, its files, and the function that compares it."""
-
-    name: str
-    files: tuple[str, ...]
-    compare: Callable[[Path], Iterator[Difference]]
-
-
-def measure(folder: Path) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """The largest difference of each part, where it occurs, and the number of compared values."""
-    result: dict[str, object] = {}
+    result: dict[str, Any] = {}
     worst: dict[str, str | None] = {}
     compared: dict[str, int] = {}
-    for part in PARTS:
-        has_files = all((folder / name).exists() for name in part.files)
-        differences = list(part.compare(folder)) if has_files else []
+    for part, (compare, *files) in PARTS.items():
+        has_files = all((args.folder / name).exists() for name in files)
+        differences = list(compare(args.folder)) if has_files else []
         # NaN counts as the largest difference
         largest = max(differences, key=lambda entry: np.nan_to_num(entry.amount, nan=np.inf), default=None)
-        result[part.name] = None if largest is None else largest.amount
-        worst[part.name] = None if largest is None else largest.what
-        compared[part.name] = len(differences)
+        result[part] = None if largest is None else largest.amount
+        worst[part] = None if largest is None else largest.what
+        compared[part] = len(differences)
     if not any(compared.values()):
-        raise ConfigError(f"{folder}: has no reference numbers; looked for {', '.join(p.files[0] for p in PARTS)}")
+        looked_for = ", ".join(files[0] for _, *files in PARTS.values())
+        raise ConfigError(f"{args.folder}: has no reference numbers; looked for {looked_for}")
     return {**result, "worst": worst, "compared": compared}
 
 
 def kitti_differences(folder: Path) -> Iterator[Difference]:
     """Average precision, percentage points, of every row of `EVALUATORS`."""
     rows = [row for row in _table(folder / KITTI) if row["evaluator"] in EVALUATORS]
+    # files of sets with other names than the default
+    sets = json.loads((folder / KITTI_SETS).read_text())["sets"] if (folder / KITTI_SETS).exists() else {}
     for name in dict.fromkeys(row["set"] for row in rows):
-        detections_path, truth_path = _set_paths(folder, name)
-        detections, truth = read_kitti_folder(detections_path, scored=True), read_kitti_folder(truth_path, scored=False)
+        files = sets.get(name, {"det_zip": f"kitti_{name}_det.zip", "gt_zip": f"kitti_{name}_gt.zip"})
+        detections = read_kitti_folder(folder / files["det_zip"], scored=True)
+        truth = read_kitti_folder(folder / files["gt_zip"], scored=False)
         keys = sorted(truth)
         tables = [kitti_rows([side.get(key, ()) for key in keys]) for side in (detections, truth)]
         for evaluator, overlap in EVALUATORS.items():
@@ -241,16 +223,6 @@ def _kitti_rows(rows: list[dict[str, str]], result: KittiResult) -> Iterator[Dif
             yield Difference(f"{what} {points}", abs(ours - float(row[f"AP_{points}"])))
 
 
-def _set_paths(folder: Path, name: str) -> tuple[Path, Path]:
-    """Paths of a set's detections and truth: from the list of sets if it names the set, else the default names."""
-    sets: dict[str, dict[str, str]] = {}
-    if (folder / KITTI_SETS).exists():
-        sets = json.loads((folder / KITTI_SETS).read_text())["sets"]
-    if name in sets:
-        return folder / sets[name]["det_zip"], folder / sets[name]["gt_zip"]
-    return folder / f"kitti_{name}_det.zip", folder / f"kitti_{name}_gt.zip"
-
-
 def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
     """Average precision of each class, and their mean, at each threshold; 0..1."""
     rows = _table(folder / SUNRGBD)
@@ -262,15 +234,13 @@ def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
     )
     result = evaluate_sunrgbd(detections, truth, thresholds)
     for row in rows:
-        ours = _sunrgbd_ap(result, float(row["iou"]), row["class"])
+        threshold, label = float(row["iou"]), row["class"]
+        if label.startswith("ALL"):
+            ours = result.mean(threshold)
+        else:
+            curve = result.curves[threshold].get(label)
+            ours = float("nan") if curve is None else curve.area
         yield Difference(f"{row['class']} at {row['iou']}", abs(ours - float(row["AP"])))
-
-
-def _sunrgbd_ap(result: SunRgbdResult, threshold: float, label: str) -> float:
-    if label.startswith("ALL"):
-        return result.mean(threshold)
-    curve = result.curves[threshold].get(label)
-    return float("nan") if curve is None else curve.area
 
 
 def iou_differences(folder: Path) -> Iterator[Difference]:
@@ -311,25 +281,24 @@ def _columns(rows: list[dict[str, str]], *names: str) -> np.ndarray:
     return np.array([[float(row[name]) for name in names] for row in rows])
 
 
-PARTS = (
-    Part("kitti_max_ap", (KITTI,), kitti_differences),
-    Part("sunrgbd_max_map", (SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND), sunrgbd_differences),
-    Part("iou_max_rel", (PAIRS,), iou_differences),
-    Part("conventions_max_px", (CONVENTIONS,), convention_pixels),
-)
+# The name of each part in the result: the function that compares it, and its files.
+PARTS: dict[str, tuple[Any, ...]] = {
+    "kitti_max_ap": (kitti_differences, KITTI),
+    "sunrgbd_max_map": (sunrgbd_differences, SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND),
+    "iou_max_rel": (iou_differences, PAIRS),
+    "conventions_max_px": (convention_pixels, CONVENTIONS),
+}
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = measure(args.folder)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("part", "largest difference", "where", "numbers compared")
-    worst, compared = result["worst"], result["compared"]
-    assert isinstance(worst, dict) and isinstance(compared, dict)
     for part in PARTS:
-        amount = result[part.name]
-        shown = "no such files" if amount is None else f"{amount:.2e}"
-        table.add(part.name, shown, worst[part.name] or "", compared[part.name])
-    finish(result, args.json, table)
+        shown = "no such files" if result[part] is None else f"{result[part]:.2e}"
+        table.add(part, shown, result["worst"][part], result["compared"][part])
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -12,14 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 
 from annotator.detection.config import Backend
 from annotator.project import Project
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
@@ -39,9 +37,8 @@ from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.settings import rcv_config
 from benchmarks import loop
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program
 
-QUIET = Console(stderr=True)
 # Duration of the warm-up, in which the detectors compile the network for each new image size.
 WARM_UP_S = 5.0
 # Minimum number of shown frames for a measurement.
@@ -52,14 +49,12 @@ LEAST_RATE, FASTER_BY = 30.0, 1.25
 
 
 @dataclass
-class Arguments:
-    """Measure frames per second and latency of `annotator live`."""
-
+class Arguments(Options):
     directory: Annotated[Path, tyro.conf.Positional]
     """A recording; training on it needs ground truth."""
     project: Path | None = None
     """Folder kept by `benchmarks.loop --project`, whose detectors are used; if missing, a new project is kept here."""
-    warm_start: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    warm_start: bool = False
     """Start the recursion from the boxes of the previous frame."""
     backend: Backend = "fastest"
     """Backend of the detectors; default: that of `annotator live`."""
@@ -75,12 +70,9 @@ class Arguments:
     """Frames per second of the source; None = 1.25 times the pipeline's rate, and at least 30."""
     epochs: int | None = None
     """Epochs of both training runs if needed; None = as many as show the default number of images."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
+def run(args: Arguments) -> dict[str, Any]:
     if not args.seconds > 0:
         raise ConfigError(f"--seconds must be above 0, not {args.seconds:g}")
     recording = open_recording(args.directory)
@@ -90,19 +82,24 @@ def run(args: Arguments) -> dict[str, object]:
         config = rcv_config(project)
         rotation = project.config.settings.rotation
         detection = LiveDetection(detectors, config, rotation, warm_start=args.warm_start)
-        return _measure(recording, detection, args) | _conditions(detectors, config, args)
+        return _measure(recording, detection, args) | {
+            "backend": detectors.backends[1] or args.backend,
+            "warm_start": args.warm_start,
+            "image_size_px": args.image_size,
+            "view_size_px": args.view_size,
+            "max_steps": config.max_steps,
+        }
 
 
 def _detectors(project: Project, args: Arguments) -> Detectors:
+    """The project's detectors, loaded again if the network gets another size."""
     detectors = active_detectors(project, backend=args.backend)
-    image = _resized(image_model(project), detectors.image, args.image_size, args.backend)
-    view = _resized(view_model(project), detectors.view, args.view_size, args.backend)
-    return replace(detectors, image=image, view=view)
 
+    def resized(model: UsedModel, detector: Detector, size_px: int | None) -> Detector:
+        return detector if size_px is None else load_detector(model.path, args.backend, size_px, names=model.names)
 
-def _resized(model: UsedModel, detector: Detector, size_px: int | None, backend: Backend) -> Detector:
-    """The detector, loaded again if its network gets another size."""
-    return detector if size_px is None else load_detector(model.path, backend, size_px, names=model.names)
+    image = resized(image_model(project), detectors.image, args.image_size)
+    return replace(detectors, image=image, view=resized(view_model(project), detectors.view, args.view_size))
 
 
 def _measure(recording: Recording, detection: LiveDetection, args: Arguments) -> dict[str, object]:
@@ -161,27 +158,11 @@ class _Run:
         self._page.show(detected)
 
 
-def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dict[str, object]:
-    return {
-        "backend": detectors.backends[1] or args.backend,
-        "warm_start": args.warm_start,
-        "image_size_px": args.image_size,
-        "view_size_px": args.view_size,
-        "max_steps": config.max_steps,
-    }
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table.of_figures(result)]
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("measure", "value")
-    for name, value in result.items():
-        if isinstance(value, dict):
-            for part, each in value.items():
-                table.add(f"{name}: {part}", each)
-        else:
-            table.add(name, value)
-    finish(result, args.json, table)
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

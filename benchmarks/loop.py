@@ -18,14 +18,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from rich.console import Console
 
 from annotator.detection.config import Backend
-from annotator.detection.training import TrainingProgress
 from annotator.evaluation.oriented import FrameResult, average_precision, mask_agreement, matched_ious
 from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy
@@ -42,7 +40,7 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import QUIET, BoxOptions, Table, guarded, print_epoch, program
 
 
 @dataclass(eq=False)
@@ -53,15 +51,9 @@ class Scores:
     frame only counts as a frame without a proposal, since its number of objects is unknown. Without true boxes, masks
     are used instead, and IoU and average precision are NaN.
 
-    Attributes:
-        recording: the test recording.
-        labels: the classes of the detectors.
-        frames: number of frames with an object, plus the unreadable ones.
-        with_proposal: number of these with a proposal.
-        ious: IoU of each true object with its matched proposal.
-        recalls, precisions: share of an object's points inside proposals, and share of the points inside proposals that
-            belong to an object; one value per frame with a mask.
-        results: boxes of each frame, by class.
+    `frames` counts those with an object and the unreadable ones, `with_proposal` those of them with a proposal. `ious`
+    has a value for each true object; `recalls` (share of an object's points inside proposals) and `precisions` (share
+    of the points inside proposals that belong to an object) one for each frame with a mask.
     """
 
     recording: Recording
@@ -72,10 +64,6 @@ class Scores:
     recalls: list[float] = field(default_factory=list)
     precisions: list[float] = field(default_factory=list)
     results: dict[str, list[FrameResult]] = field(default_factory=lambda: defaultdict(list))
-
-    def add_unreadable(self) -> None:
-        """Counts a test frame that cannot be read."""
-        self.frames += 1
 
     def add(self, index: int, frame: Frame, proposed: FrameProposals) -> None:
         """Counts the proposals of one test frame."""
@@ -120,13 +108,10 @@ def _mean(values: Sequence[float]) -> float:
 NAME = "loop"
 # Class of the objects in a folder with masks only.
 UNNAMED = "object"
-QUIET = Console(stderr=True)
 
 
 @dataclass
-class Arguments:
-    """Label, train, propose and score, end to end."""
-
+class Arguments(BoxOptions):
     train_dir: Annotated[Path, tyro.conf.Positional]
     """A recording with ground truth (boxes, or masks for the silhouette operator)."""
     test_dir: Annotated[Path | None, tyro.conf.Positional] = None
@@ -136,10 +121,6 @@ class Arguments:
     projected true boxes (default otherwise)."""
     axes: Strategy = Strategy.CONSENSUS
     """Axes strategy of the recursion."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     label: str | None = None
     """Class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
@@ -161,8 +142,6 @@ class Arguments:
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
     project: Path | None = None
     """Folder in which to keep the project. If it exists, its detectors are used, for example to compare strategies."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """The project's settings, changed by the arguments."""
@@ -171,16 +150,8 @@ class Arguments:
             consensus = consensus.model_copy(update={"refine_steps": self.refine_steps})
         return config.model_copy(update={"strategy": self.axes, "consensus": consensus})
 
-    @property
-    def rotation(self) -> BoxRotation | None:
-        """The rotation given by the arguments; None if the recording determines it."""
-        if self.upright and self.free:
-            raise ConfigError("--upright and --free exclude each other; give at most one")
-        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else None
 
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
+def run(args: Arguments) -> dict[str, Any]:
     recording = open_recording(args.train_dir)
     test = recording if args.test_dir is None else open_recording(args.test_dir)
     if not (has_truth(test) or has_masks(test)):
@@ -215,11 +186,9 @@ def trained_project(
 ) -> Iterator[tuple[Project, int]]:
     """A project whose detectors are trained on every `step`-th frame of a recording, and its number of 2D boxes.
 
-    Args:
-        step: 2 = every second frame.
-        seconds: receives the seconds of labelling and training, if this run does them.
+    `seconds` receives the seconds of labelling and training, if this run does them.
     """
-    with TemporaryDirectory() as temporary, _project(args, recording, args.rotation, Path(temporary)) as project:
+    with TemporaryDirectory() as temporary, _project(args, recording, Path(temporary)) as project:
         yield project, _label_and_train(project, recording, step, args, seconds)
 
 
@@ -247,28 +216,24 @@ def _masks_alone(recording: Recording) -> bool:
     return has_masks(recording) and not has_truth(recording)
 
 
-def _project(args: Arguments, recording: Recording, rotation: BoxRotation | None, temporary: Path) -> Project:
+def _project(args: Arguments, recording: Recording, temporary: Path) -> Project:
     """A new project, or the project of an earlier run, which must match the arguments."""
     root = args.project or temporary
     if not (root / NAME).is_dir():
         if args.operator is not None:
             require_boxes_for(args.operator, recording)
-        settings = ProjectSettings(rotation=rotation or BoxRotation.AUTO)
+        settings = ProjectSettings(rotation=args.rotation)
         return create_project(root, NAME, _labels(args, recording), settings=settings)
-    project = open_project(root / NAME)
-    try:
-        _require_same(args, rotation, project)
-    except BaseException:
-        project.close()
-        raise
-    return project
+    with open_project(root / NAME) as project:
+        _require_same(args, project)
+    return open_project(root / NAME)
 
 
-def _require_same(args: Arguments, rotation: BoxRotation | None, project: Project) -> None:
+def _require_same(args: Arguments, project: Project) -> None:
     """Checks the arguments against a kept project, whose labels and detectors do not change."""
-    stored, kind = project.config.settings.rotation, _box_kind(project)
+    rotation, stored, kind = args.rotation, project.config.settings.rotation, _box_kind(project)
     where = f"the project {project.path}"
-    if rotation not in (None, stored):
+    if rotation not in (BoxRotation.AUTO, stored):
         raise ConfigError(f"{where} has the rotation {stored.value}, not {rotation}; leave out --{rotation}")
     if args.operator is not None and kind not in (None, args.operator):
         raise ConfigError(f"{where} was labelled by the operator {kind}, not {args.operator}; leave out --operator")
@@ -282,24 +247,14 @@ def _box_kind(project: Project) -> BoxKind | None:
 
 
 def _label_and_train(
-    project: Project,
-    recording: Recording,
-    step: int,
-    args: Arguments,
-    seconds: dict[str, float],
+    project: Project, recording: Recording, step: int, args: Arguments, seconds: dict[str, float]
 ) -> int:
     """Labels and trains, unless an earlier run has; returns the number of 2D boxes in the project."""
     if project.models.active(DetectorKind.VIEW) is None:
         default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
-        _label(
-            project,
-            recording,
-            step,
-            args.operator or _box_kind(project) or default,
-            plan(args).view.image_size_px,
-            seconds,
-        )
-        for trained in train(project, plan(args), progress=_report):
+        operator = args.operator or _box_kind(project) or default
+        _label(project, recording, step, operator, plan(args).view.image_size_px, seconds)
+        for trained in train(project, plan(args), progress=print_epoch):
             seconds[f"train_{trained.role}"] = trained.seconds
             QUIET.print(f"{trained.role}: {trained.manifest.images['train']} images, {trained.result.metrics}")
     counts = project.statistics()
@@ -318,13 +273,12 @@ def _label(
     simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
     if operator is BoxKind.SILHOUETTE and has_truth(recording):
         confirmed = confirm_whole_boxes(project, stored.id)
-        QUIET.print(f"whole boxes: {confirmed}", highlight=False)
+        QUIET.print(f"whole boxes: {confirmed}")
     seconds["label"] = time.perf_counter() - begin
 
 
 def plan(args: Arguments) -> TrainPlan:
     """The settings of both training runs."""
-    samples = SampleConfig(views=args.views)
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model
@@ -334,15 +288,10 @@ def plan(args: Arguments) -> TrainPlan:
     return TrainPlan(
         image=image_defaults(args.minutes).model_copy(update=changes),
         view=VIEW_DEFAULTS.model_copy(update=view_changes),
-        samples=samples,
+        samples=SampleConfig(views=args.views),
         minutes=args.minutes,
         decides=False,  # all labelled frames train, and the result is what is measured
     )
-
-
-def _report(role: DetectorKind, step: TrainingProgress) -> None:
-    if step.batch == step.batches and step.epoch % 5 == 0:
-        QUIET.print(f"{role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s", highlight=False)
 
 
 def _propose_all(
@@ -354,20 +303,18 @@ def _propose_all(
             try:
                 read[index] = scores.recording.frame(index)
             except FrameError as error:
-                QUIET.print(f"counted as a frame without a proposal: {error}", highlight=False, markup=False)
-                scores.add_unreadable()
+                QUIET.print(f"counted as a frame without a proposal: {error}")
+                scores.frames += 1
         results = propose_frames(list(read.values()), detectors, config, rotation)
         for (index, frame), proposed in zip(read.items(), results, strict=True):
             scores.add(index, frame, proposed)
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    table = Table("measure", "value")
-    for name, value in result.items():
-        table.add(name, value)
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table.of_figures(result)]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

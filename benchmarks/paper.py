@@ -12,27 +12,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 import tyro
 from pydantic import JsonValue, ValidationError
-from rich.console import Console
 
+from annotator.detection.config import TrainingConfig
 from annotator.project import open_project
-from annotator.rcv.config import Strategy
+from annotator.rcv.config import Strategy, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types.errors import ConfigError
-from annotator.workflows.training.train import TrainPlan
-from benchmarks.paper_protocol import Place, ProjectStages, Stages, import_frames, split_of
+from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan
+from benchmarks.paper_protocol import ProjectStages, Stages, import_frames, split_of
 from benchmarks.paper_tables import (
-    Ap,
+    IMAGE,
+    YOLOV5,
     Classes,
     Dataset,
     Preset,
-    Trainings,
     classes_of,
     kitti_table,
     paper_of_kitti,
@@ -40,15 +39,11 @@ from benchmarks.paper_tables import (
     rcv_options,
     sunrgbd_table,
 )
-from benchmarks.report import Table, finish, guarded
-
-QUIET = Console(stderr=True, highlight=False, markup=False)
+from benchmarks.report import QUIET, Options, Table, guarded, program
 
 
 @dataclass
-class Arguments:
-    """Reproduce one row of the paper's Tab. III (KITTI) or Tab. II (SUN RGB-D)."""
-
+class Arguments(Options):
     dataset: Annotated[Dataset, tyro.conf.Positional]
     """The benchmark."""
     root: Path
@@ -80,36 +75,41 @@ class Arguments:
     """Side of the pseudo-views in training, pixels."""
     image_size: int | None = None
     """Longer side of the camera images in training, pixels."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
     @property
-    def trainings(self) -> Trainings:
-        """The settings of both training runs."""
-        return Trainings(self.settings, self.model, self.epochs, self.image_epochs, self.size, self.image_size)
+    def image_training(self) -> TrainingConfig:
+        """The image detector's settings."""
+        return self._training(IMAGE, self.image_epochs, self.image_size)
 
-    def plan(self) -> TrainPlan:
-        """The settings of both training runs with seeds and initial weights, checked."""
-        changes = {
-            "pretrained": self.weights if self.weights in ("auto", "never") else Path(self.weights),
-            "seed": self.seed,
-        }
+    @property
+    def view_training(self) -> TrainingConfig:
+        """The pseudo-view detector's settings."""
+        return self._training(VIEW_DEFAULTS, self.epochs, self.size)
+
+    @property
+    def view_px(self) -> int:
+        """Longer side of a rendered pseudo-view, pixels; with the paper's settings that of the network's input."""
+        return self.view_training.image_size_px if self.settings is Preset.PAPER else ViewConfig().size_px
+
+    def _training(self, product: TrainingConfig, epochs: int | None, size_px: int | None) -> TrainingConfig:
+        """The preset's settings, changed by the arguments, and checked."""
+        start = YOLOV5 if self.settings is Preset.PAPER else product
+        given = {"model": self.model, "epochs": epochs, "image_size_px": size_px, "seed": self.seed}
+        changes = {name: value for name, value in given.items() if value is not None}
+        pretrained = self.weights if self.weights in ("auto", "never") else Path(self.weights)
         try:
-            image, view = (
-                type(config).model_validate({**config.model_dump(), **changes})
-                for config in (self.trainings.image, self.trainings.view)
-            )
+            return TrainingConfig.model_validate({**start.model_dump(), **changes, "pretrained": pretrained})
         except ValidationError as error:
             problem = error.errors()[0]
             raise ConfigError(f"{problem['loc'][0]}: {problem['msg']}, not {problem['input']}") from error
-        return TrainPlan(image=image, view=view)
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """Runs the whole protocol; returns what `--json` prints."""
     if args.limit is not None and args.limit < 1:
         raise ConfigError(f"--limit must be 1 or more, not {args.limit}")
-    plan, classes = args.plan(), classes_of(args.dataset, args.classes)
+    plan = TrainPlan(image=args.image_training, view=args.view_training)
+    classes = classes_of(args.dataset, args.classes)
     recording = open_recording(args.root)
     split = split_of(recording, args.seed).limited(args.limit, args.seed)
     QUIET.print(": ".join(filter(None, (split.source, split.coverage()))))
@@ -119,28 +119,28 @@ def run(args: Arguments) -> dict[str, object]:
         "train": _hash(list(split.train)),
         "val": _hash(list(split.val)),
         "classes": list(classes),
-        "view_px": args.trainings.view_px,
+        "view_px": args.view_px,
     }
     # in the name, so that each share of the frames has a separate project
     share = {"fraction": args.fraction, "seed": args.seed}
-    place = Place(args.work, f"{args.dataset.value}-{100 * args.fraction:.0f}-{_hash({**start, **share})}")
-    stages = Stages(place.records, QUIET.print)
+    name = f"{args.dataset.value}-{100 * args.fraction:.0f}-{_hash({**start, **share})}"
+    project_path, frames = args.work / "projects" / name, args.work / "frames" / name
+    stages = Stages(args.work / "stages" / name, QUIET.print)
     stages.run(
         "import",
         start,
-        lambda: import_frames(recording, split, place, classes, args.trainings.view_px),
-        lambda _: place.project.is_dir() and place.frames.is_dir(),
+        lambda: import_frames(recording, split, project_path, frames, classes, args.view_px),
+        lambda _: project_path.is_dir() and frames.is_dir(),
     )
     options = rcv_options(args.dataset, args.axes, args.settings)
-    with open_project(place.project) as project:
-        rest = ProjectStages(project, args.dataset, args.fraction, args.seed, plan, options, stages, QUIET.print)
-        ours = rest.run()
+    with open_project(project_path) as project:
+        ours = ProjectStages(project, args.dataset, args.fraction, args.seed, plan, options, stages).run()
     return {
         "dataset": args.dataset.value,
         "fraction": args.fraction,
         "settings": args.settings.value,
         "axes": options["strategy"],
-        "project": str(place.project),
+        "project": str(project_path),
         "skipped": stages.skipped,
         "seconds": {stage: record.seconds for stage, record in stages.done.items()},
         "stages": {stage: record.result for stage, record in stages.done.items() if stage != "evaluate"},
@@ -149,26 +149,21 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
-def _hash(content: JsonValue | Mapping[str, JsonValue] | list[str]) -> str:
+def _hash(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
 
 
-def tables(args: Arguments, result: Mapping[str, object]) -> list[Table]:
+def tables(args: Arguments, result: dict[str, Any]) -> list[Table]:
     """A table of the stages, and one of our figures beside the paper's."""
-    seconds, skipped = cast("dict[str, float]", result["seconds"]), cast("list[str]", result["skipped"])
     stages = Table("stage", "seconds", "")
-    for stage, took in seconds.items():
-        stages.add(stage, took, "by an earlier run" if stage in skipped else "")
+    for stage, took in result["seconds"].items():
+        stages.add(stage, took, "by an earlier run" if stage in result["skipped"] else "")
     if args.dataset is Dataset.KITTI:
-        return [stages, kitti_table(cast(Ap, result["ours"]), args.fraction)]
-    ours = cast("dict[str, dict[str, JsonValue]]", result["ours"])
-    return [stages, sunrgbd_table(ours, classes_of(args.dataset, args.classes))]
+        return [stages, kitti_table(result["ours"], args.fraction)]
+    return [stages, sunrgbd_table(result["ours"], classes_of(args.dataset, args.classes))]
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
-    finish(result, args.json, *tables(args, result))
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
-from annotator.detection.training import TrainingProgress
 from annotator.files import new_folder
 from annotator.formats.json_file import write_text
 from annotator.formats.kitti_objects import read_kitti_file
@@ -35,6 +34,7 @@ from annotator.workflows.recorded.reading import TRACKING, frame_number, label_f
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import TrainPlan, train
 from benchmarks.paper_tables import Dataset, kitti_ap, sunrgbd_ap
+from benchmarks.report import print_epoch
 
 # By format: the folders with one file per frame, and the files that all frames share.
 LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -52,13 +52,10 @@ MOST_LIST_BYTES = 2**26
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """Frame keys for training and for testing.
+    """Sorted frame keys for training and for testing, which overlap only if the recording has a single frame.
 
-    Attributes:
-        train, val: sorted keys; they overlap only if the recording has a single frame.
-        source: where the split comes from, in words.
-        listed: number of frames in the lists; None without lists.
-        present: number of listed frames that the recording has; 0 without lists.
+    `source` says where the split comes from; `listed` is the number of frames in the lists, None without lists, and
+    `present` the number of those that the recording has.
     """
 
     train: tuple[str, ...]
@@ -165,15 +162,12 @@ def _own_lists(recording: Recording) -> tuple[Path, list[str], list[str]] | None
             return train, read_frame_names(train), read_frame_names(val)
         train, val = (folder / f"{side}_data_idx.txt" for side in ("train", "val"))
         if train.is_file() and val.is_file():
-            return train, _votenet_keys(train), _votenet_keys(val)
+            keys = [[number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)] for path in (train, val)]
+            return train, keys[0], keys[1]
         for path in (folder / "allsplit.mat", folder / "SUNRGBDtoolbox" / "traintestSUNRGBD" / "allsplit.mat"):
             if isinstance(recording, SunRgbdScenes) and path.is_file():
                 return (path, *_toolbox_lists(path))
     return None
-
-
-def _votenet_keys(path: Path) -> list[str]:
-    return [number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)]
 
 
 def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
@@ -195,14 +189,7 @@ Facts = Mapping[str, JsonValue]
 
 
 class StageRecord(BaseModel):
-    """A completed stage.
-
-    Attributes:
-        stage: name of the stage.
-        settings: everything on which the result depends; `after` is the key of the previous stage.
-        seconds: duration.
-        result: the stage's result.
-    """
+    """A completed stage; its settings are all on which the result depends, `after` is the key of the previous stage."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -218,11 +205,8 @@ class Stages:
 
     If a stage runs, all later stages run as well, even if they have a record.
 
-    Attributes:
-        folder: folder of the records, one JSON file per stage and settings.
-        log: called with a line of text when a stage starts, ends or is skipped.
-        done: the records so far, by stage.
-        skipped: stages that an earlier run completed.
+    `folder` has a record for each stage and settings, `done` those so far, `skipped` the stages that an earlier run
+    completed. `log` gets a line of text when a stage starts, ends or is skipped.
     """
 
     folder: Path
@@ -236,11 +220,8 @@ class Stages:
     ) -> Facts:
         """Runs a stage, or returns its result from an earlier run.
 
-        Args:
-            stage: name of the stage.
-            settings: everything on which the result depends besides the previous stages.
-            work: does the work. It must resume or restart after an interrupted run.
-            is_kept: returns whether the files or rows that an earlier result refers to still exist.
+        `settings` is all on which the result depends besides the previous stages. `work` must resume or restart after
+        an interrupted run. `is_kept` tells whether the files or rows that an earlier result refers to still exist.
         """
         all_settings = {**settings, "after": self._last}
         key = hashlib.sha256(json.dumps([stage, all_settings], sort_keys=True).encode()).hexdigest()[:12]
@@ -276,57 +257,27 @@ def _read(path: Path) -> StageRecord | None:
 TRAIN, VAL = "train", "val"
 
 
-@dataclass(frozen=True)
-class Place:
-    """The folders of one run.
-
-    Attributes:
-        work: the folder of all runs.
-        name: name of this run's project, frames and records.
-    """
-
-    work: Path
-    name: str
-
-    @property
-    def project(self) -> Path:
-        return self.work / "projects" / self.name
-
-    @property
-    def frames(self) -> Path:
-        return self.work / "frames" / self.name
-
-    @property
-    def records(self) -> Path:
-        return self.work / "stages" / self.name
-
-
 def import_frames(
-    recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int
+    recording: Recording, split: FrameSplit, project_path: Path, frames: Path, classes: tuple[str, ...], view_px: int
 ) -> Facts:
     """The stage `import`: creates two recordings of links to the frames, and a project with both.
 
-    Args:
-        view_px: longer side of the project's pseudo-views, pixels.
+    `view_px` is the longer side of the project's pseudo-views, pixels.
     """
     for side, keys in ((TRAIN, split.train), (VAL, split.val)):
-        link_frames(recording, keys, place.frames / side)
-    if not place.project.is_dir():
+        link_frames(recording, keys, frames / side)
+    if not project_path.is_dir():
         settings = ProjectSettings(rcv={"view": {"size_px": view_px}})
-        create_project(place.project.parent, place.name, classes, settings=settings).close()
-    with open_project(place.project) as project:
+        create_project(project_path.parent, project_path.name, classes, settings=settings).close()
+    with open_project(project_path) as project:
         for side in (TRAIN, VAL):
-            register_recording(project, open_recording(place.frames / side), name=side)
+            register_recording(project, open_recording(frames / side), name=side)
     return {"train": len(split.train), "val": len(split.val), "divided": split.source, "lists": split.coverage()}
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectStages:
-    """The stages after the import, in the project.
-
-    Attributes:
-        log: called with a line of text for each epoch.
-    """
+    """The stages after the import, in the project."""
 
     project: Project
     dataset: Dataset
@@ -335,7 +286,6 @@ class ProjectStages:
     plan: TrainPlan
     options: Facts
     stages: Stages
-    log: Callable[[str], None]
 
     def run(self) -> Facts:
         """Runs all stages; returns the result of the last, `kitti_ap` or `sunrgbd_ap`."""
@@ -343,13 +293,16 @@ class ProjectStages:
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
             settings: Facts = {"config": config.model_dump(mode="json")}
-            self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
+            self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self._has_weights)
         # a run with other settings may have activated its models
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             number = self.stages.done[f"train-{role.value}"].result["model"]
             assert isinstance(number, int)  # written by `train`
             self.project.models.activate(number)
-        self.stages.run("propose", self.options, self.propose, self.is_latest)
+        # a later run may have had other settings
+        self.stages.run(
+            "propose", self.options, self.propose, lambda result: result["run"] == self.project.jobs.all()[-1].id
+        )
         return self.stages.run("evaluate", {}, self.evaluate)
 
     def _recording(self, side: str) -> int:
@@ -359,11 +312,13 @@ class ProjectStages:
         """Creates 2D boxes from the 3D boxes on the training frames."""
         labels = RecordedLabels(self.project, [self._recording(TRAIN)], with_files=True)
         done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
+        # two objects with the same image box share the views of the first step
+        frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
         return {
             "frames": done.frames,
             "image_boxes": dict(done.boxes),
             "objects": dict(done.objects),
-            "views": self._views(),
+            "views": sum(view.frame_id in frames for view in self.project.boxes.on_views()),
             "view_boxes": done.view_boxes,
             "without_views": dict(done.of(Note.WITHOUT_VIEWS)),
             "outside": dict(done.of(Note.OUTSIDE)),
@@ -373,14 +328,9 @@ class ProjectStages:
             "unreadable": list(done.of(Note.UNREADABLE)),
         }
 
-    def _views(self) -> int:
-        """Number of pseudo-views with boxes; two objects with the same image box share the views of the first step."""
-        frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
-        return sum(view.frame_id in frames for view in self.project.boxes.on_views())
-
     def train(self, role: DetectorKind) -> Facts:
         """Trains one detector; resumes an interrupted training."""
-        (trained,) = train(self.project, self.plan, roles=(role,), progress=self._report)
+        (trained,) = train(self.project, self.plan, roles=(role,), progress=print_epoch)
         return {
             "model": trained.model.id,
             "pictures": {"train": trained.manifest.images["train"], "val": trained.manifest.images["val"]},
@@ -391,8 +341,7 @@ class ProjectStages:
             "left_out": list(trained.left_out),
         }
 
-    def is_trained(self, result: Facts) -> bool:
-        """Whether the weights of a stored result still exist."""
+    def _has_weights(self, result: Facts) -> bool:
         return any(m.id == result["model"] and m.path.is_file() for m in self.project.models.all())
 
     def propose(self) -> Facts:
@@ -422,10 +371,6 @@ class ProjectStages:
             "seconds_a_frame": sum(result.seconds for result in results.values()) / len(results),
         }
 
-    def is_latest(self, result: Facts) -> bool:
-        """Whether the stored result belongs to the latest run. A later run may have had other settings."""
-        return result["run"] == self.project.jobs.all()[-1].id
-
     def evaluate(self) -> Facts:
         """Scores the proposals against the ground truth."""
         choice, protocol = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),)), Protocol(self.dataset.value)
@@ -437,7 +382,3 @@ class ProjectStages:
         content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if proposals else {}
         true_classes = labelled_classes(open_recording(self.project.recordings.find(VAL).path))
         return kitti_ap(content, self.project.config.classes, true_classes)
-
-    def _report(self, role: DetectorKind, step: TrainingProgress) -> None:
-        if step.batch == step.batches:
-            self.log(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 from pydantic import JsonValue
 
 from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.evaluation.kitti import DIFFICULTIES, Metric
-from annotator.rcv.config import Strategy, ViewConfig
-from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
+from annotator.rcv.config import Strategy
+from annotator.workflows.training.train import IMAGE_DEFAULTS
 from benchmarks.report import Table
 
 # Thousands of wide images with small objects; the defaults are for a few dozen.
@@ -66,42 +65,6 @@ SUNRGBD_CLASSES = {
 }
 
 
-@dataclass(frozen=True)
-class Trainings:
-    """Training settings of both detectors; None keeps the preset's value.
-
-    Attributes:
-        preset: the settings to start from.
-        model: name of an ultralytics detection model for both detectors.
-        epochs, image_epochs: epochs of the pseudo-view detector and of the image detector.
-        size, image_size: side of their images, pixels.
-    """
-
-    preset: Preset
-    model: str | None = None
-    epochs: int | None = None
-    image_epochs: int | None = None
-    size: int | None = None
-    image_size: int | None = None
-
-    @property
-    def image(self) -> TrainingConfig:
-        """Training settings of the image detector."""
-        start = YOLOV5 if self.preset is Preset.PAPER else IMAGE
-        return _with(start, self.model, self.image_epochs, self.image_size)
-
-    @property
-    def view(self) -> TrainingConfig:
-        """Training settings of the pseudo-view detector."""
-        start = YOLOV5 if self.preset is Preset.PAPER else VIEW_DEFAULTS
-        return _with(start, self.model, self.epochs, self.size)
-
-    @property
-    def view_px(self) -> int:
-        """Longer side of a rendered pseudo-view, pixels; with the paper's settings that of the network's input."""
-        return self.view.image_size_px if self.preset is Preset.PAPER else ViewConfig().size_px
-
-
 def rcv_options(dataset: Dataset, axes: Strategy | None, preset: Preset) -> dict[str, JsonValue]:
     """The recursion's settings that differ from the project's.
 
@@ -116,16 +79,10 @@ def classes_of(dataset: Dataset, classes: Classes) -> tuple[str, ...]:
     return KITTI_CLASSES if dataset is Dataset.KITTI else SUNRGBD_CLASSES[classes]
 
 
-def _with(start: TrainingConfig, model: str | None, epochs: int | None, size: int | None) -> TrainingConfig:
-    """The settings, with each value that is not None replaced."""
-    options = {"model": model, "epochs": epochs, "image_size_px": size}
-    changes = {name: value for name, value in options.items() if value is not None}
-    return TrainingConfig.model_validate({**start.model_dump(), **changes})
-
-
 KITTI_SOURCE = "Tab. III, AP R40 at IoU 0.5, KITTI test set"
 # By share of the training data, class and metric (3D, bird's-eye view): AP of easy, moderate, hard; percent.
-KITTI_ROWS: Mapping[float, Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
+KittiRows = Mapping[float, Mapping[str, Mapping[str, tuple[float, float, float]]]]
+KITTI_ROWS: KittiRows = {
     0.8: {
         "Pedestrian": {"3d": (40.19, 31.89, 28.32), "bev": (52.26, 42.93, 37.34)},
         "Cyclist": {"3d": (20.02, 13.93, 12.48), "bev": (28.51, 21.82, 18.94)},
@@ -149,9 +106,14 @@ Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]] | None]
 """KITTI: class, metric, R11 or R40, then easy, moderate, hard; percent. None for a class without truth."""
 
 
-def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
+def kitti_rows(fraction: float) -> KittiRows:
     """The paper's row for this share of the training data; all its rows if the paper has no row for this share."""
-    rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
+    return {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
+
+
+def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
+    """The paper's row for this share of the training data, or all its rows."""
+    rows = kitti_rows(fraction)
     return {
         "table": KITTI_SOURCE,
         "rows": {
@@ -172,10 +134,7 @@ def kitti_ap(
 ) -> dict[str, JsonValue]:
     """AP of all our classes, percent; 0 for a class without detections, None for a class without true objects.
 
-    Args:
-        report: by class, then metric, {"R11": [easy, moderate, hard], "R40": ...}.
-        classes: our classes.
-        true_classes: the classes of the true objects.
+    `report` has by class, then metric, {"R11": [easy, moderate, hard], "R40": ...}.
     """
     zeros: dict[str, JsonValue] = {
         metric.value: {recalls: [0.0] * len(DIFFICULTIES) for recalls in ("R11", "R40")} for metric in Metric
@@ -187,7 +146,7 @@ def kitti_table(ours: Ap, fraction: float) -> Table:
     """One row per class and metric with our figures, each followed by the paper's R40 if the paper has one."""
     heads = [f"{recall} {level}" for recall in ("R11", "R40") for level in DIFFICULTIES]
     table = Table("class", "metric", "source", *heads)
-    rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
+    rows = kitti_rows(fraction)
     for label, metrics in ours.items():
         if metrics is None:
             table.add(label, "", "no true objects", *[""] * len(heads))
@@ -203,9 +162,7 @@ def kitti_table(ours: Ap, fraction: float) -> Table:
 def sunrgbd_ap(report: Mapping[str, Mapping[str, Mapping[str, float]]], classes: Sequence[str]) -> dict[str, JsonValue]:
     """AP of our classes at each threshold, percent, and the mean over the classes with true objects.
 
-    Args:
-        report: by threshold, {"AP": {class: 0..1}}; other classes are ignored.
-        classes: our classes.
+    `report` has by threshold {"AP": {class: 0..1}}; other classes are ignored.
     """
     by_threshold: dict[str, JsonValue] = {}
     for threshold in SUNRGBD_THRESHOLDS:
@@ -221,12 +178,8 @@ def sunrgbd_table(ours: Mapping[str, Mapping[str, JsonValue]], classes: Sequence
     for threshold, figures in ours.items():
         ap = figures["AP"]
         assert isinstance(ap, dict)  # built by `sunrgbd_ap`
-        table.add("ours", threshold, *(_cell(ap[label]) for label in classes), _cell(figures["mAP"]))
+        table.add("ours", threshold, *(ap[label] for label in classes), figures["mAP"])
     paper = dict(zip(SUNRGBD_CLASSES[Classes.PAPER], SUNRGBD_ROW, strict=True))
     mean = SUNRGBD_MAP if set(classes) == set(paper) else None
-    table.add("paper", "0.15", *(_cell(paper.get(label)) for label in classes), _cell(mean))
+    table.add("paper", "0.15", *(paper.get(label) for label in classes), mean)
     return table
-
-
-def _cell(value: object) -> object:
-    return "" if value is None else value

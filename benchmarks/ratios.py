@@ -12,16 +12,14 @@ at the same speed), so this benchmark is not part of `scripts/test`.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.perfect import PerfectDetector
@@ -36,13 +34,12 @@ from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import plan_step, start
 from annotator.rcv.rotations import near_axes, wide_axes
 from annotator.rcv.starts import start_rivals
-from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PointCloud, PseudoView, Truth
+from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PointCloud, Truth
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import LiveDetection, Taken
 from annotator.workflows.warm_up import BOX, warm_frame
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program, seconds_of
 
-WORSE = 1
 POINTS = 50_000
 VIEW_PX = 64
 SORTED = 50_000
@@ -61,24 +58,16 @@ def frustum(points: int, rng: np.random.Generator) -> PointCloud:
 
 
 @dataclass
-class Arguments:
-    """Compare the parts of the hot path with references."""
-
+class Arguments(Options):
     rounds: int = 5
     """Maximum number of rounds for each ratio; the first round within the bound is enough."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """A piece of work, a reference, and the bound of the ratio of their times.
+    """A piece of work, a reference, and the upper bound of the ratio of their times.
 
-    Attributes:
-        name: name of the work and of the reference.
-        work, reference: functions that do the work once.
-        most: upper bound of the ratio.
-        repeats: runs of each per round, in turns; their medians are compared.
+    In a round both run `repeats` times in turns, and their medians are compared.
     """
 
     name: str
@@ -113,15 +102,9 @@ def measured(ratio: Ratio, rounds: int) -> Outcome:
 
 def _round(ratio: Ratio) -> float:
     ratio.work(), ratio.reference()
-    seconds = np.array([[_timed(ratio.work), _timed(ratio.reference)] for _ in range(ratio.repeats)])
+    seconds = np.array([[seconds_of(ratio.work), seconds_of(ratio.reference)] for _ in range(ratio.repeats)])
     work, reference = np.median(seconds, axis=0)
     return float(work / reference)
-
-
-def _timed(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
-    work()
-    return time.perf_counter() - begin
 
 
 def cpu_ratios() -> list[Ratio]:
@@ -168,7 +151,9 @@ def detector_ratios(folder: Path) -> list[Ratio]:
     weights = folder / "untrained.safetensors"
     api().torch.manual_seed(0)
     write_network(weights, build(NetworkDescription(architecture="yolo11n", labels=("object",))))
-    views = _views()
+    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX))
+    cloud = frustum(20_000, np.random.default_rng(1))
+    views = render_pairs(cloud, near_axes(np.eye(3), None, config), config.view)
 
     def loaded(backend: Backend) -> Detector:
         return YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))
@@ -210,14 +195,7 @@ def live_ratios(network: Detector) -> list[Ratio]:
     return [Ratio("live, each frame by itself / warm starts", live(False), live(True), 6.0)]
 
 
-def _views() -> list[PseudoView]:
-    rng = np.random.default_rng(1)
-    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX))
-    return render_pairs(frustum(20_000, rng), near_axes(np.eye(3), None, config), config.view)
-
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
+def run(args: Arguments) -> dict[str, Any]:
     cv2.setNumThreads(1)
     with TemporaryDirectory() as folder:
         ratios = [*cpu_ratios(), *detector_ratios(Path(folder))]
@@ -228,15 +206,13 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table("work / reference", "ratio", "at most", "worse", rows=(row.values() for row in result["ratios"]))]
+
+
 def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("work / reference", "ratio", "at most", "worse")
-    for row in result["ratios"]:  # type: ignore[attr-defined]
-        table.add(*row.values())
-    finish(result, args.json, table)
-    if result["worse"]:
-        sys.exit(WORSE)
+    if program(Arguments, run, tables, __doc__)()["worse"]:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

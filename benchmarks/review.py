@@ -3,14 +3,14 @@
     python -m benchmarks.review PROJECT|DIR [--quality 0.7] [--only proposals,base_detector,from_nothing,peers]
         [--minutes N] [--upright | --free] [--seed N] [--json]
 
-A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`keystrokes`)
+A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`review_moves`)
 says how long that takes. Of a recording, ten frames teach both detectors, and the others are reviewed. Of a project,
 the frames without reviewed boxes are. The rows are
 - `proposals`: what the project's detectors propose. With few reviewed objects on held-out frames, its training leaves
   the base detector in use, and the row equals the next one,
 - `base_detector`: the same with the base detector in place of the project's view detector,
 - `from_nothing`: no proposals and no taught detector: each object is drawn, and followed,
-- `peers`: boxes drawn with other tools, walked through (`review_peers`).
+- `peers`: boxes drawn with other tools, walked through (`review_moves`).
 
 Each row is reviewed frame by frame, and with contact sheets of tracks; the cheaper way gives the row's figures. An
 object without a right box at the end counts as missed, a reviewed box that is right for no object as wrong. Waiting is
@@ -19,6 +19,7 @@ measured on this computer, and is part of the seconds. `view_detectors` names wh
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,28 +30,52 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from rich.console import Console
 
-from annotator.detection.training import TrainingProgress
-from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
+from annotator.detection.pretrained import NAME
+from annotator.project import (
+    REVIEWED,
+    BoxRotation,
+    NewLabel,
+    Project,
+    ProjectSettings,
+    WriteContext,
+    create_project,
+    open_project,
+)
+from annotator.recordings import open_recording
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
-from annotator.workflows.detectors import view_model
-from benchmarks.report import Table, finish, guarded
-from benchmarks.review_moves import Bill, shaky
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import (
+    Detectors,
+    active_model,
+    base_model,
+    base_titles,
+    load_detector,
+    own_model,
+    view_model,
+)
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.simulate import visible_objects
+from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.training.train import TrainPlan, image_defaults, train
+from annotator.workflows.workbench.review_queue import Order, queue
+from benchmarks.report import QUIET, BoxOptions, Table, chosen, guarded, print_epoch, program
+from benchmarks.review_desk import AUTHOR
+from benchmarks.review_moves import Bill, peers, shaky
 from benchmarks.review_operator import Operator
-from benchmarks.review_peers import copied, is_project, measured_by, peers, propose, teach, without_labels
 
 PARTS = ("proposals", "base_detector", "from_nothing", "peers")
+TAUGHT_FRAMES = 10
 # Whether contact sheets are used, by name.
 WAYS = {"frame_by_frame": False, "contact_sheets": True}
-QUIET = Console(stderr=True)
 
 
 @dataclass
-class Arguments:
-    """Measure what the review of a recording costs an operator."""
-
+class Arguments(BoxOptions):
     path: Annotated[Path, tyro.conf.Positional]
     """A recording with true boxes; or a project of such recordings, by its folder or, in ./projects, by its name."""
     quality: float = 0.7
@@ -61,30 +86,14 @@ class Arguments:
     """Rows to measure, separated by commas."""
     minutes: float | None = None
     """Length of the view detector's training, minutes; None = the default."""
-    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes (default if the recording has a gravity direction)."""
-    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Freely rotated boxes (default for other recordings)."""
     keep: Path | None = None
     """Folder in which to keep the taught project, which PATH can name the next time."""
     seed: int = 0
     """Seed of the hand's errors."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
-
-    @property
-    def rotation(self) -> BoxRotation:
-        """The rotation of the boxes."""
-        if self.upright and self.free:
-            raise ConfigError("--upright and --free exclude each other; give at most one")
-        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
-    parts = [part.strip() for part in args.only.split(",") if part.strip()]
-    if unknown := [part for part in parts if part not in PARTS]:
-        raise ConfigError(f"--only: unknown row {unknown[0]!r}; the rows are {', '.join(PARTS)}")
+    parts = chosen("--only", args.only, PARTS)
     if not 0 < args.quality < 1:
         raise ConfigError(f"--quality is an IoU between 0 and 1, not {args.quality}")
     with TemporaryDirectory() as temporary:
@@ -93,44 +102,32 @@ def run(args: Arguments) -> dict[str, Any]:
         if not is_project(project):
             kept = args.keep or folder / "taught"
             kept.mkdir(parents=True, exist_ok=True)
-            project = teach(args.path, kept, args.rotation, args.minutes, _report)
+            project = teach(args.path, kept, args.rotation, args.minutes)
         rows: dict[str, Any] = {}
         for part in (part for part in PARTS if part in parts):
             try:
                 rows[part] = _row(args, part, project, folder)
             except DetectionError as error:  # for proposals the project needs an image detector
-                QUIET.print(f"{part}: left out, because {error}", highlight=False)
+                QUIET.print(f"{part}: left out, because {error}")
         return rows
-
-
-def _report(role: DetectorKind, step: TrainingProgress) -> None:
-    if step.batch == step.batches and step.epoch % 10 == 0:
-        QUIET.print(f"{role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s", highlight=False)
 
 
 def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, Any]:
     if part == "peers":
-        return _peers(args, project, folder)
+        hand = shaky(np.random.default_rng(args.seed), args.error_px)
+        with copied(project, folder, "peers") as copy:
+            objects = [(thing.box, xyz_m) for each in _operators(args, copy) for thing, xyz_m in each.due_objects()]
+            return peers(objects, args.quality, hand)
     ways: dict[str, dict[str, Any]] = {}
-    with _prepared(part, project, folder) as (prepared, detectors):
-        for way in WAYS:
-            with copied(prepared, folder, f"{part}-{way}") as copy:
-                ways[way] = _reviewed(args, copy, way)
+    prepared, detectors = _prepared(part, project, folder)
+    for way in WAYS:
+        with copied(prepared, folder, f"{part}-{way}") as copy:
+            ways[way] = _reviewed(args, copy, way)
     best = min(ways, key=lambda way: ways[way]["seconds_per_box"])
     return {"view_detectors": detectors, "way": best, **ways[best], "ways": ways}
 
 
-def _peers(args: Arguments, path: Path, folder: Path) -> dict[str, Any]:
-    """Draws the objects of the frames to review with other tools."""
-    with copied(path, folder, "peers") as project:
-        objects = [
-            (thing.box, xyz_m) for operator in _operators(args, project) for thing, xyz_m in operator.due_objects()
-        ]
-        return peers(objects, args.quality, shaky(np.random.default_rng(args.seed), args.error_px))
-
-
-@contextmanager
-def _prepared(part: str, path: Path, folder: Path) -> Iterator[tuple[Path, list[str]]]:
+def _prepared(part: str, path: Path, folder: Path) -> tuple[Path, list[str]]:
     """A project with what is to be reviewed, and the names of the view detectors that measure it."""
     with copied(path, folder, part) as project:
         if part == "from_nothing":
@@ -138,7 +135,7 @@ def _prepared(part: str, path: Path, folder: Path) -> Iterator[tuple[Path, list[
         elif part == "base_detector" or not project.labels.count([ReviewState.PROPOSED]):
             propose(project, with_base=part == "base_detector")
         detectors = [view_model(project).described] if part == "from_nothing" else measured_by(project)
-    yield folder / part, detectors
+    return folder / part, detectors
 
 
 def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
@@ -151,17 +148,16 @@ def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
         boxes, missed, wrong = boxes + left.boxes, missed + left.missed, wrong + left.wrong
         total = sum(operator.desk.bills.values(), total)
         due = Counter(thing.key for thing, _ in operator.due_objects())
-        tracks += [
-            {"label": key[0], "track": key[1], "boxes": due[key], **_effort(operator.desk.bills[key])}
-            for key in sorted(due)
-        ]
+        for label, track in sorted(due):
+            bill = operator.desk.bills[label, track]
+            effort = {"actions": bill.count, "seconds": bill.seconds}
+            tracks.append({"label": label, "track": track, "boxes": due[label, track], **effort})
     if not boxes:
         raise ConfigError(f"{args.path}: there is no visible object of the project's classes in the frames to review")
-    effort = _effort(total)
     return {
         "boxes": boxes,
-        "actions_per_box": effort["actions"] / boxes,
-        "seconds_per_box": effort["seconds"] / boxes,
+        "actions_per_box": total.count / boxes,
+        "seconds_per_box": total.seconds / boxes,
         "waiting_per_box": total.waiting_s / boxes,
         "looks_per_box": total.looks / boxes,
         "by_kind": total.by_kind,
@@ -176,22 +172,93 @@ def _operators(args: Arguments, project: Project) -> Iterator[Operator]:
     """An operator for each recording, with the frames that have no reviewed box."""
     done = project.labels.frames(states=REVIEWED)
     for recording in project.recordings.all():
-        frames = [f for f in project.frames.of([recording.id]) if _is_open(f) and f.id not in done]
+        stored = project.frames.of([recording.id])
+        frames = [f for f in stored if f.index is not None and not f.finalised and f.id not in done]
         if frames:
             yield Operator(project, frames, args.quality, args.error_px, args.seed)
 
 
-def _is_open(frame: StoredFrame) -> bool:
-    return frame.index is not None and not frame.finalised
+def is_project(path: Path) -> bool:
+    """True for a project's folder."""
+    return (path / "project.json").is_file()
 
 
-def _effort(bill: Bill) -> dict[str, float]:
-    return {"actions": bill.count, "seconds": bill.seconds}
+@contextmanager
+def copied(project: Path, folder: Path, name: str) -> Iterator[Project]:
+    """A copy `folder/name` of a project, which the operator may change."""
+    shutil.copytree(project, folder / name)
+    with open_project(folder / name) as opened:
+        yield opened
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
-    result = run(args)
+def teach(path: Path, folder: Path, rotation: BoxRotation, minutes: float | None) -> Path:
+    """Makes a project of a recording with true boxes in `folder`, and teaches its detectors with ten frames, as the
+    page orders them; returns the project's folder.
+
+    `minutes` is the length of the view detector's training; None = the default.
+    """
+    recording = open_recording(path)
+    if len(recording) < 2 * TAUGHT_FRAMES:
+        raise ConfigError(
+            f"{path}: has {len(recording)} frames; {TAUGHT_FRAMES} of them teach, and as many at least are reviewed"
+        )
+    truths = [load_truth(recording, index, recording.frame(index)) for index in range(len(recording))]
+    classes = sorted({truth.label for each in truths for truth in each})
+    if not classes:
+        raise ConfigError(f"{path}: has no true boxes to teach and to review against")
+    with create_project(folder, "taught", classes, settings=ProjectSettings(rotation=rotation)) as project:
+        register_recording(project, recording)
+        source = FrameSource(project)
+        # the page's "Most useful first": far from each other
+        for item in queue(project, Order.TEACH, most=TAUGHT_FRAMES).items:
+            index = item.frame.index or 0
+            objects = visible_objects(recording, index, source.read(item.frame), classes)
+            new = [NewLabel(each.label, each.box) for each in objects]
+            revision = item.frame.revision
+            if new:
+                revision = project.labels.create(item.frame.id, new, WriteContext(revision, AUTHOR)).receipt.revision
+            project.frames.finalise(item.frame.id, WriteContext(revision, AUTHOR))
+        train(project, TrainPlan(image=image_defaults(minutes), minutes=minutes), progress=print_epoch)
+        return project.path
+
+
+def propose(project: Project, *, with_base: bool) -> None:
+    """Proposes boxes for all frames that are not finalised, and links them into tracks, as `annotate` and `track` do.
+
+    `with_base` lets the base detector measure them, in place of the project's own view detector.
+    """
+    image = active_model(project, DetectorKind.IMAGE)
+    view = base_model() if with_base else view_model(project)
+    detectors = Detectors(
+        load_detector(image.path), load_detector(view.path), view.box_kind, view.class_agnostic, image.box_kind
+    )
+    annotate(project, detectors, rcv_config(project))
+    link_tracks(project)
+
+
+def measured_by(project: Project) -> list[str]:
+    """Names the view detectors that measured the open proposals, for people."""
+    own = {model.fingerprint: own_model(project, model).described for model in project.models.all(DetectorKind.VIEW)}
+    base = base_titles(project)
+    used = {each.run_id for each in project.labels.select(states=[ReviewState.PROPOSED])}
+    return sorted({NAME if run.id in base else own[run.view_detector] for run in project.jobs.all() if run.id in used})
+
+
+def without_labels(project: Project) -> None:
+    """Deletes what a project's frames hold, and takes its own detectors out of use, so that the base detector measures
+    boxes: a project as it begins.
+    """
+    for frame in project.frames.of():
+        revision = frame.revision
+        if frame.finalised:
+            revision = project.frames.reopen(frame.id, WriteContext(revision, AUTHOR)).revision
+        for label in project.labels.of_frame(frame.id):
+            revision = project.labels.delete(frame.id, label.uid, WriteContext(revision, AUTHOR)).revision
+    for role in DetectorKind:
+        project.models.deactivate(role)
+
+
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("row", "measured by", "way", "boxes", "actions a box", "s a box", "of it waiting", "failures")
     kinds = Table("row", "way", "what was done", "times")
     tracks = Table("row", "way", "class", "track", "boxes", "actions", "seconds")
@@ -207,7 +274,10 @@ def main() -> None:
                 kinds.add(part, way, kind, times)
             for track in figures["tracks"]:
                 tracks.add(part, way, *track.values())
-    finish(result, args.json, table, kinds, tracks)
+    return [table, kinds, tracks]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -31,14 +31,10 @@ TrackKey = tuple[str, int]
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A true object in a frame.
-
-    Attributes:
-        key: class and track id; of objects without a track, one track for each class.
-        due: visible, so that it must get a box.
-    """
+    """A true object in a frame. It is `due` if it is visible, so that it must get a box."""
 
     key: TrackKey
+    """Class and track id; of objects without a track, one track for each class."""
     label: str
     box: OrientedBox
     due: bool
@@ -48,7 +44,6 @@ class Desk:
     """A project in review.
 
     Attributes:
-        project: may be changed.
         frames: to review, in time order.
         quality: 3D IoU from which a box is right.
         bills: the effort by track; None: looks at frames, and proposals of no object.
@@ -84,11 +79,7 @@ class Desk:
         return self._things[frame.id]
 
     def look(self, frame: StoredFrame, box: OrientedBox, bill: Bill, is_ahead: bool = False) -> None:
-        """Waits for the three pictures of a box, and looks at them.
-
-        Args:
-            is_ahead: the box is the queue's next one, whose pictures the page has loaded ahead.
-        """
+        """Waits for the three pictures of a box, loaded ahead if it is the queue's next one, and looks at them."""
         opened = self.open(frame)
         begin = time.perf_counter()
         for view in ortho_views(opened, box, VIEW_PX):

@@ -8,15 +8,18 @@ near to the true one as this action can make it, but never beyond the picture.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.iou import iou_3d_pairs
+from annotator.geometry.iou import iou_3d, iou_3d_pairs
+from annotator.geometry.oriented_box import aligned_box
 from annotator.rcv.axes import with_axes_like
 from annotator.types import OrientedBox
 from annotator.workflows.workbench.contact_sheet import AXES, MARGIN, Axis
@@ -81,11 +84,7 @@ class Bill:
         return {kind: int(times) if times.denominator == 1 else float(times) for kind, times in ordered}
 
     def act(self, kind: str, seconds: float, among: int = 1) -> None:
-        """Counts one action.
-
-        Args:
-            among: so many bills share it.
-        """
+        """Counts one action, which `among` so many bills share."""
         self.actions[kind] += Fraction(1, among)
         self.hands_s += seconds / among
 
@@ -93,12 +92,8 @@ class Bill:
         actions = defaultdict(Fraction, self.actions)
         for kind, times in other.actions.items():
             actions[kind] += times
-        return Bill(
-            actions,
-            self.looks + other.looks,
-            self.hands_s + other.hands_s,
-            self.waiting_s + other.waiting_s,
-        )
+        hands_s, waiting_s = self.hands_s + other.hands_s, self.waiting_s + other.waiting_s
+        return Bill(actions, self.looks + other.looks, hands_s, waiting_s)
 
 
 # As on the page: side of a view, and length of the rotation handle's arm, pixels; the shortest side of a box, metres.
@@ -134,35 +129,20 @@ def shaky(rng: np.random.Generator, error_px: float) -> Hand:
 
 def moves() -> list[Move]:
     """All actions in the three views, and the typed sides."""
-    return list(_all_moves())
-
-
-def _all_moves() -> Iterator[Move]:
+    known = []
     for view in AXES:
-        right, down = view.right[0], view.down[0]
-        for faces in _grips(right, down):
-            kind = "drag edge" if len(faces) == 1 else "drag corner"
-            yield Move(kind, DRAG_S, _faces_dragged(view, faces))
-        yield Move("drag box", DRAG_S, _box_dragged(view))
-        yield Move("turn", DRAG_S, _turned(view))
-    for axis in range(3):
-        yield Move("type number", number_s(DIGITS), _typed(axis))
-
-
-def _grips(right: int, down: int) -> Iterator[tuple[tuple[int, int], ...]]:
-    for sides in product((-1, 0, 1), repeat=2):
-        faces = tuple((axis, side) for axis, side in zip((right, down), sides, strict=True) if side)
-        if faces:
-            yield faces
+        for sides in product((-1, 0, 1), repeat=2):
+            faces = [(axis, side) for axis, side in zip((view.right[0], view.down[0]), sides, strict=True) if side]
+            if faces:
+                kind = "drag edge" if len(faces) == 1 else "drag corner"
+                known.append(Move(kind, DRAG_S, partial(_drag_faces, view, faces)))
+        known.append(Move("drag box", DRAG_S, partial(_drag_box, view)))
+        known.append(Move("turn", DRAG_S, partial(_turn, view)))
+    return known + [Move("type number", number_s(DIGITS), partial(_type_side, axis)) for axis in range(3)]
 
 
 def plan(box: OrientedBox, truth: OrientedBox, quality: float, known: Sequence[Move]) -> list[Move]:
-    """The shortest sequence of actions after which a steady hand reaches a quality; the best one found if none does.
-
-    Args:
-        quality: 3D IoU.
-        known: `moves()`.
-    """
+    """The shortest sequence of known actions after which a steady hand reaches a quality (3D IoU), or the best one."""
     ways: list[tuple[list[Move], OrientedBox]] = [([], box)]
     best: tuple[float, list[Move]] = (0.0, [])
     for _ in range(MOST_MOVES):
@@ -200,53 +180,139 @@ def _own(box: OrientedBox) -> Float64[np.ndarray, "3 2"]:
     return np.array([-0.5, 0.5]) * box.size_m[:, None]
 
 
-def _faces_dragged(
-    view: Axis, faces: Sequence[tuple[int, int]]
-) -> Callable[[OrientedBox, OrientedBox, Hand], OrientedBox]:
-    def apply(box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
-        scale, aim, spans = _metres_per_px(box, view), _spans(box, truth), _own(box)
-        reach = scale * VIEW_PX / 2
-        for axis, side in faces:
-            end = 0 if side < 0 else 1
-            spans[axis, end] = np.clip(aim[axis, end], -reach, reach) + scale * hand()
-        return _from_spans(box, spans)
-
-    return apply
+def _drag_faces(
+    view: Axis, faces: Sequence[tuple[int, int]], box: OrientedBox, truth: OrientedBox, hand: Hand
+) -> OrientedBox:
+    scale, aim, spans = _metres_per_px(box, view), _spans(box, truth), _own(box)
+    reach = scale * VIEW_PX / 2
+    for axis, side in faces:
+        end = 0 if side < 0 else 1
+        spans[axis, end] = np.clip(aim[axis, end], -reach, reach) + scale * hand()
+    return _from_spans(box, spans)
 
 
-def _box_dragged(view: Axis) -> Callable[[OrientedBox, OrientedBox, Hand], OrientedBox]:
-    def apply(box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
-        scale, aim, spans = _metres_per_px(box, view), _spans(box, truth).mean(axis=1), _own(box)
-        reach = scale * VIEW_PX / 2
-        for axis in (view.right[0], view.down[0]):
-            spans[axis] += np.clip(aim[axis], -reach, reach) + scale * hand()
-        return _from_spans(box, spans)
-
-    return apply
+def _drag_box(view: Axis, box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
+    scale, aim, spans = _metres_per_px(box, view), _spans(box, truth).mean(axis=1), _own(box)
+    reach = scale * VIEW_PX / 2
+    for axis in (view.right[0], view.down[0]):
+        spans[axis] += np.clip(aim[axis], -reach, reach) + scale * hand()
+    return _from_spans(box, spans)
 
 
-def _turned(view: Axis) -> Callable[[OrientedBox, OrientedBox, Hand], OrientedBox]:
+def _turn(view: Axis, box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
     down, depth = view.down[0], view.depth[0]
     first, second = (depth + 1) % 3, (depth + 2) % 3
-
-    def apply(box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
-        own, like = box.rotation, with_axes_like(truth, box).rotation
-        sine = like[:, first] @ own[:, second] - like[:, second] @ own[:, first]
-        cosine = like[:, first] @ own[:, first] + like[:, second] @ own[:, second]
-        arm_px = box.size_m[down] / _metres_per_px(box, view) / 2 + ARM_PX
-        angle = float(np.arctan2(sine, cosine)) + hand() / arm_px
-        turned = own.copy()
-        turned[:, first] = np.cos(angle) * own[:, first] + np.sin(angle) * own[:, second]
-        turned[:, second] = np.cos(angle) * own[:, second] - np.sin(angle) * own[:, first]
-        return OrientedBox.from_parts(box.center_m, turned, box.size_m)
-
-    return apply
+    own, like = box.rotation, with_axes_like(truth, box).rotation
+    sine = like[:, first] @ own[:, second] - like[:, second] @ own[:, first]
+    cosine = like[:, first] @ own[:, first] + like[:, second] @ own[:, second]
+    arm_px = box.size_m[down] / _metres_per_px(box, view) / 2 + ARM_PX
+    angle = float(np.arctan2(sine, cosine)) + hand() / arm_px
+    turned = own.copy()
+    turned[:, first] = np.cos(angle) * own[:, first] + np.sin(angle) * own[:, second]
+    turned[:, second] = np.cos(angle) * own[:, second] - np.sin(angle) * own[:, first]
+    return OrientedBox.from_parts(box.center_m, turned, box.size_m)
 
 
-def _typed(axis: int) -> Callable[[OrientedBox, OrientedBox, Hand], OrientedBox]:
-    def apply(box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
-        size = box.size_m.copy()
-        size[axis] = max(round(float(with_axes_like(truth, box).size_m[axis]), DECIMALS), MIN_SIZE_M)
-        return OrientedBox.from_parts(box.center_m, box.rotation, size)
+def _type_side(axis: int, box: OrientedBox, truth: OrientedBox, hand: Hand) -> OrientedBox:
+    size = box.size_m.copy()
+    size[axis] = max(round(float(with_axes_like(truth, box).size_m[axis]), DECIMALS), MIN_SIZE_M)
+    return OrientedBox.from_parts(box.center_m, box.rotation, size)
 
-    return apply
+
+# What a box costs in other tools, walked through from what they publish about themselves.
+#
+# Each tool gives a first box, and then offers actions in its views along the box's axes. The walk begins with the most
+# favourable first box: the camera needs no turn, the true heading and the class are found at once, and a fit to the
+# points finds all of the object's and no others. From there, `plan` finds the shortest way with the tool's
+# actions, by the same hand, with the same looks. Frames are labelled one by one. Left out are the interpolation and
+# tracking that some of them have, and the ways between frames.
+#
+# - SUSTechPOINTS (doc/operations.md of its repository): Ctrl and a drag around the object fit a box to its points. In
+#   three views along its axes, borders, corners and the box are dragged, and keys turn it.
+# - CVAT (its manual, "3D Object annotation"): after three clicks (tool, class, shape), a double-click places a cube
+#   near the points, here of 1 m. In three views it is moved, its corners are dragged, and a point turns it.
+# - labelCloud (README of its repository): after a click, four picked points span the length, width and height of what
+#   is seen. Sides are moved with the wheel above them, the box is moved and turned with keys.
+
+# Side of CVAT's first cube, metres. Keys or notches of the wheel for one correction in labelCloud, at least.
+CUBE_M, STEPS = 1.0, 5
+MOST_ACTIONS = 20
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool: the first actions with their seconds, whether they fit the box to points, and the actions it offers, with
+    the seconds of those that are no drags."""
+
+    first: tuple[tuple[str, float], ...]
+    fits: bool
+    offers: frozenset[str]
+    seconds: dict[str, float]
+
+
+TOOLS = {
+    "SUSTechPOINTS": Tool(
+        (("draw", KEY_S + DRAG_S),),
+        True,
+        frozenset({"drag edge", "drag corner", "drag box", "turn"}),
+        {"turn": STEPS * KEY_S},
+    ),
+    "CVAT": Tool(
+        (("click", CLICK_S),) * 3 + (("place", CLICK_S + 2 * (CLICK_S - P) / 2),),
+        False,
+        frozenset({"drag corner", "drag box", "turn"}),
+        {},
+    ),
+    "labelCloud": Tool(
+        (("click", CLICK_S),) * 5,
+        True,
+        frozenset({"drag edge", "drag box", "turn"}),
+        {"drag edge": P + STEPS * KEY_S, "drag box": 2 * STEPS * KEY_S, "turn": STEPS * KEY_S},
+    ),
+}
+
+Seen = tuple[OrientedBox, np.ndarray]
+"""A true box, and the points inside it, (n, 3)."""
+
+
+def peers(seen: Sequence[Seen], quality: float, hand: Hand) -> dict[str, dict[str, Any]]:
+    """Draws objects with each tool; returns the figures by tool."""
+    result = {}
+    for name, tool in TOOLS.items():
+        offered = [
+            Move(move.kind, tool.seconds.get(move.kind, move.seconds), move.apply)
+            for move in moves()
+            if move.kind in tool.offers
+        ]
+        bill, missed = Bill(), 0
+        for truth, xyz_m in seen:
+            missed += not _draw(tool, truth, xyz_m, offered, quality, hand, bill)
+        result[name] = {
+            "boxes": len(seen),
+            "actions_per_box": bill.count / max(len(seen), 1),
+            "seconds_per_box": bill.seconds / max(len(seen), 1),
+            "by_kind": bill.by_kind,
+            "failures": missed / max(len(seen), 1),
+        }
+    return result
+
+
+def _draw(
+    tool: Tool, truth: OrientedBox, xyz_m: np.ndarray, offered: Sequence[Move], quality: float, hand: Hand, bill: Bill
+) -> bool:
+    """Draws one object; returns whether its box is right."""
+    bill.looks += 1
+    for kind, seconds in tool.first:
+        bill.act(kind, seconds)
+    size_m = np.full(3, CUBE_M)
+    fitted = aligned_box(xyz_m, truth.rotation)
+    box = fitted if tool.fits else OrientedBox.from_parts(fitted.center_m, truth.rotation, size_m)
+    bill.looks += 1
+    for _ in range(MOST_ACTIONS):
+        if iou_3d(box, truth) >= quality:
+            return True
+        (move, *_) = plan(box, truth, quality, offered)
+        bill.act(move.kind, move.seconds)
+        box = move.apply(box, truth, hand)
+        bill.looks += 1
+    return iou_3d(box, truth) >= quality

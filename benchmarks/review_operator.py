@@ -19,8 +19,8 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,8 +67,7 @@ class Corrections:
     ) -> tuple[OrientedBox, bool]:
         """Corrects a box until it is good enough; returns it, and whether it was drawn anew.
 
-        Args:
-            margin: how much better than right it is to be, share of the way to a perfect one.
+        `margin` is how much better than right it is to be, share of the way to a perfect one.
         """
         quality = self._desk.quality + margin * (1 - self._desk.quality)
         tried = set() if can_redraw else {"redraw"}
@@ -161,8 +160,7 @@ CARE = 0.15
 SEEN_TOGETHER = 4
 
 
-@dataclass(frozen=True)
-class Left:
+class Left(NamedTuple):
     """What a review leaves: number of visible objects, of those without a right box, and of boxes of no object."""
 
     boxes: int
@@ -171,22 +169,11 @@ class Left:
 
 
 class Operator:
-    """Reviews frames of one recording.
-
-    Attributes:
-        desk: what the operator sees, with the bills.
-    """
+    """Reviews frames of one recording, in time order, with a standard deviation `error_px` of the hand's error."""
 
     def __init__(
         self, project: Project, frames: Sequence[StoredFrame], quality: float, error_px: float, seed: int
     ) -> None:
-        """
-        Args:
-            project: may be changed.
-            frames: to review, in time order.
-            quality: 3D IoU from which a box is right.
-            error_px: standard deviation of the hand's error.
-        """
         self.desk = Desk(project, frames, quality)
         self._corrections = Corrections(self.desk, error_px, np.random.default_rng(seed))
         self._on_sheets: set[int] = set()
@@ -202,8 +189,7 @@ class Operator:
     def review(self, with_sheets: bool) -> None:
         """Reviews the proposals of each frame in time order, draws what is missing, and follows it.
 
-        Args:
-            with_sheets: open the contact sheet of each track first, and accept the right boxes there.
+        `with_sheets` opens the contact sheet of each track first, and accepts the right boxes there.
         """
         for number, frame in enumerate(self.desk.frames):
             if with_sheets:
@@ -299,8 +285,7 @@ class Operator:
     def _review(self, frame: StoredFrame, label: Label, thing: Thing, *, moves_on: bool) -> bool:
         """Reviews a proposal of an object; returns whether the object now has a right box.
 
-        Args:
-            moves_on: with the key that accepts it; else a key accepts the others of the frame afterwards.
+        `moves_on` with the key that accepts it; else a key accepts the others of the frame afterwards.
         """
         bill = self.desk.bills[thing.key]
         self.desk.look(frame, label.box, bill, is_ahead=True)
@@ -366,11 +351,7 @@ class Operator:
         return label.track_id is not None and len(self._shown(label.track_id, frame)) >= FOLLOW_FROM
 
     def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
-        """Corrects the later proposals of a track like a box; returns False if there is none.
-
-        Args:
-            label: as it was before it was corrected.
-        """
+        """Corrects the later proposals of a track like a box, given as it was; returns False if there is none."""
         bill.act("alike", KEY_S)
 
         def run() -> float:
@@ -444,11 +425,8 @@ class Operator:
             self._use_sheet(label.track_id, frame)
 
     def _use_sheet(self, track: int, first: StoredFrame, *, is_back: bool = False) -> None:
-        """Accepts the right boxes of a track on its contact sheet; the others stay proposals.
-
-        Args:
-            is_back: the page has opened the sheet by itself.
-        """
+        """Accepts the right boxes of a track on its contact sheet, which the page opens by itself if it `is_back`; the
+        others stay proposals."""
         shown = self._shown(track, first)
         self._left_sheets.discard(track)
         if len(shown) < (1 if is_back else SHEET_FROM):

@@ -6,7 +6,6 @@ import ctypes
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import httpx
 
+from annotator.project import open_project
 from annotator.types.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,42 +27,31 @@ PRESET, LABEL = "people", "person"
 
 
 class Server:
-    """A running server.
+    """A running server; `url` is `http://127.0.0.1:PORT`, and `link` has the token, too."""
 
-    Attributes:
-        url: `http://127.0.0.1:PORT`.
-        link: the URL with the token.
-        port, pid: of the server, and of its process.
-    """
-
-    def __init__(self, projects: Path, log: Path | None = None) -> None:
-        arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", "0"]
-        with (log or Path(os.devnull)).open("wb") as errors:
-            # a session of its own, as in its own terminal: Linux shares the processor among sessions, and in practice a
-            # benchmark's clients are on other computers
-            self._process = subprocess.Popen(
-                [sys.executable, *arguments],
-                env=os.environ,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                text=True,
-                start_new_session=True,
-            )
+    def __init__(self, projects: Path) -> None:
+        # a session of its own, as in its own terminal: Linux shares the processor among sessions, and in practice a
+        # benchmark's clients are on other computers
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "annotator", "serve", "--projects", str(projects), "--port", "0"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        )
         assert self._process.stdout is not None
         printed = re.search(r"(http://[^/]+)/\S+", self._process.stdout.readline())
         if printed is None:
-            self.kill()
+            self.stop()
             raise ConfigError("the server did not start; run `annotator serve` to see why")
         self.link, self.url = printed.group(), printed.group(1)
-        self.port, self.pid = int(self.url.rpartition(":")[2]), self._process.pid
 
-    def client(self, operator: str | None = "Ada") -> httpx.Client:
-        """A client with the token's cookie and the origin of the server's own page; signed in, except as None."""
+    def client(self, operator: str) -> httpx.Client:
+        """A signed-in client with the token's cookie and the origin of the server's own page."""
         options: dict[str, Any] = {"base_url": self.url, "headers": {"Origin": self.url}, "timeout": 60.0}
         with httpx.Client(**options) as opened:
             opened.get(self.link)
-            if operator is not None:
-                answered(opened.post("/api/session", json={"operator": operator}))
+            answered(opened.post("/api/session", json={"operator": operator}))
             return httpx.Client(**options, cookies=opened.cookies)
 
     def memory_mb(self) -> float:
@@ -70,29 +59,20 @@ class Server:
         fields = Path(f"/proc/{self._process.pid}/statm").read_text().split()
         return int(fields[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
-    def kill(self) -> None:
-        """Kills the server like a crash (`kill -9`)."""
-        self._process.send_signal(signal.SIGKILL)
-        self._ended(None)
-
     def stop(self) -> None:
         """Stops the server cleanly; kills it after 20 s."""
         self._process.terminate()
         try:
-            self._ended(20.0)
+            self._process.communicate(timeout=20.0)
         except subprocess.TimeoutExpired:
-            self.kill()
-
-    def _ended(self, timeout_s: float | None) -> None:
-        self._process.wait(timeout_s)
-        assert self._process.stdout is not None
-        self._process.stdout.close()
+            self._process.kill()
+            self._process.communicate()
 
 
 @contextmanager
-def serving(projects: Path, log: Path | None = None) -> Iterator[Server]:
-    """A server that is stopped at the end of the block; `log` gets its standard error."""
-    server = Server(projects, log)
+def serving(projects: Path) -> Iterator[Server]:
+    """A server that is stopped at the end of the block."""
+    server = Server(projects)
     try:
         yield server
     finally:
@@ -112,25 +92,6 @@ def percentile(values: Sequence[float], percent: float) -> float:
         return float("nan")
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, max(0, -(-len(ordered) * int(percent) // 100) - 1))]
-
-
-def make_people(folder: Path, frames: int, width_px: int, height_px: int) -> Path:
-    """Generates an RGB-D recording of people."""
-    from annotator.synthetic import write_generated
-
-    write_generated(folder, PRESET, frames, 0, width_px, height_px)
-    return folder
-
-
-def make_project(projects: Path, name: str, classes: Sequence[str], recordings: Sequence[Path]) -> None:
-    """Creates a project with these recordings; their boxes become labels."""
-    from annotator.project import create_project
-    from annotator.recordings import open_recording
-    from annotator.workflows.add_recordings import register_recording
-
-    with create_project(projects, name, classes) as project:
-        for path in recordings:
-            register_recording(project, open_recording(path))
 
 
 # The operator's waiting times, measured in a real browser from the key or mouse event to the new content on screen.
@@ -289,10 +250,12 @@ def measured(page: Page) -> dict[str, float]:
 
 def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
     """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
-    corners = _on_page(page, box)
-    page.mouse.move(*corners[0])
+    image = page.locator("[data-testid=image-editor] img.picture").first
+    rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
+    x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
+    page.mouse.move(rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
     page.mouse.down()
-    page.mouse.move(*corners[1], steps=4)
+    page.mouse.move(rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y, steps=4)
     page.mouse.up()
 
 
@@ -303,18 +266,7 @@ def wait_for_frame(page: Page, frame: int) -> None:
     page.wait_for_timeout(500)
 
 
-def _on_page(page: Page, box: tuple[float, float, float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Two opposite corners of an image box, in page pixels."""
-    image = page.locator("[data-testid=image-editor] img.picture").first
-    rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
-    x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
-    low = (rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
-    return low, (rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y)
-
-
 def frames_of(projects: Path, name: str) -> list[int]:
     """Ids of a project's frames, in order."""
-    from annotator.project import open_project
-
     with open_project(projects / name) as project:
         return [frame.id for frame in project.frames.of()]

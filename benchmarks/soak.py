@@ -20,18 +20,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import numpy as np
-import tyro
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from annotator.cli.main import main as annotator
 from annotator.project import open_project
+from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, chosen, guarded, program
 from benchmarks.served import (
     LABEL,
     OPENS_WITHIN_S,
@@ -40,7 +40,6 @@ from benchmarks.served import (
     answered,
     chromium,
     frames_of,
-    make_people,
     percentile,
     serving,
     signed_in,
@@ -67,9 +66,7 @@ MOST_LABELS = 12
 
 
 @dataclass
-class Arguments:
-    """Let operators, browsers and jobs use one server for a long time."""
-
+class Arguments(Options):
     minutes: float = 30.0
     """Duration, minutes."""
     operators: int = 10
@@ -82,44 +79,34 @@ class Arguments:
     """Number of frames of the generated 640 x 480 recording."""
     seed: int = 0
     """Seed of the operators' choices."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass
 class Seen:
-    """What all clients saw.
-
-    Attributes:
-        saves_s: durations of the acknowledged saves.
-        stale: number of saves that were refused because another operator had saved.
-        refused: other refusals of saves, as status and text.
-        dropped: number of connections that ended without an answer.
-        events: number of events that the operators' sockets received, by type.
-        jobs: number of ended jobs, by kind and state.
-        failures: other errors.
-    """
+    """What all clients saw."""
 
     saves_s: list[float] = field(default_factory=list)
+    # saves that were refused because another operator had saved, and other refusals, as status and text
     stale: int = 0
     refused: list[str] = field(default_factory=list)
+    # connections that ended without an answer
     dropped: int = 0
+    # received by the operators' sockets, by type
     events: Counter[str] = field(default_factory=Counter)
+    # ended, by kind and state
     jobs: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints."""
-    kinds = [kind.strip() for kind in args.jobs.split(",") if kind.strip()]
-    if unknown := [kind for kind in kinds if kind not in JOBS]:
-        raise ConfigError(f"--jobs: unknown kind {unknown[0]!r}; the kinds are {', '.join(JOBS)}")
+    kinds = chosen("--jobs", args.jobs, JOBS)
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         projects = _make_project(Path(temporary), args.frames)
         frames = frames_of(projects, PROJECT)
         server = stack.enter_context(serving(projects))
-        pages = _open_pages(stack, server, frames, args.browsers)
+        browser = stack.enter_context(chromium()) if args.browsers else None
+        pages = [_Leafing(signed_in(browser, server, f"browser {n}"), frames) for n in range(args.browsers) if browser]
         memory, seen = _work(server, pages, frames, kinds, args)
         with open_project(projects / PROJECT) as project:
             seen.failures += project.problems()
@@ -128,7 +115,8 @@ def run(args: Arguments) -> dict[str, Any]:
 
 def _make_project(folder: Path, frames: int) -> Path:
     """A projects folder with a labelled project, from whose 2D boxes detectors can be trained."""
-    recording, projects = make_people(folder / PRESET, frames, 640, 480), folder / "projects"
+    recording, projects = folder / PRESET, folder / "projects"
+    write_generated(recording, PRESET, frames, 0, 640, 480)
     for words in (
         ["new", PROJECT, "--classes", LABEL],
         ["add", PROJECT, str(recording)],
@@ -139,20 +127,8 @@ def _make_project(folder: Path, frames: int) -> Path:
     return projects
 
 
-def _open_pages(stack: ExitStack, server: Server, frames: Sequence[int], number: int) -> list[_Leafing]:
-    if number == 0:
-        return []
-    browser = stack.enter_context(chromium())
-    return [_Leafing(signed_in(browser, server, f"browser {n}"), frames) for n in range(number)]
-
-
 class _Leafing:
-    """A page in Review that goes to the next frame every other second, and back at the end.
-
-    Attributes:
-        errors: messages of the page's errors.
-        shown: number of frames shown.
-    """
+    """A page in Review that goes to the next frame every other second, and back at the end."""
 
     def __init__(self, page: Page, frames: Sequence[int]) -> None:
         self._page, self._frames = page, len(frames)
@@ -165,7 +141,6 @@ class _Leafing:
         until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
 
     def leaf(self) -> None:
-        """Goes to another frame."""
         self._page.keyboard.press("n" if self.shown // (self._frames - 1) % 2 == 0 else "p")
         self.shown += 1
         self._page.wait_for_timeout(100)
@@ -263,20 +238,17 @@ def _save(client: httpx.Client, path: str, state: dict[str, Any], seen: Seen, ch
 
 def _change(state: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     labels = [label["uid"] for label in state["labels"]]
+    x_m = round(chance.uniform(-2, 2), 6)
+    box = {"center": [x_m, 0.0, 3.0], "size": [0.5, 0.6, 1.7], "rotation": np.eye(3).tolist()}
     kind = chance.choice(["create", "edit", "edit", "accept", "reject", "delete"])
     if len(labels) >= MOST_LABELS:
         kind = "delete"
     if not labels or kind == "create":
-        return {"kind": "create", "label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6))}
+        return {"kind": "create", "label": LABEL, "box": box}
     change = {"kind": kind, "uid": chance.choice(labels)}
     if kind == "edit":
-        change |= {"label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6)), "track_id": None}
+        change |= {"label": LABEL, "box": box, "track_id": None}
     return change
-
-
-def _box_at(x_m: float) -> dict[str, Any]:
-    """A box in front of the camera."""
-    return {"center": [x_m, 0.0, 3.0], "size": [0.5, 0.6, 1.7], "rotation": np.eye(3).tolist()}
 
 
 def _listen(server: Server, client: httpx.Client, seen: Seen, stop: threading.Event) -> None:
@@ -340,14 +312,11 @@ def _figures(memory: Sequence[tuple[float, float]], seen: Seen, args: Arguments)
     }
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("measure", "figure")
-    for name, value in result.items():
-        if name != "memory":
-            table.add(name, value)
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    return [Table.of_figures({name: value for name, value in result.items() if name != "memory"})]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

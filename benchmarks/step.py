@@ -12,12 +12,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 from unittest.mock import patch
 
 import cv2
 import numpy as np
-import tyro
 from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
@@ -28,8 +27,7 @@ from annotator.rcv.axes import with_normals
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.starts import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
-from annotator.types.errors import ConfigError
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program, require
 
 
 class Stopwatch:
@@ -39,28 +37,17 @@ class Stopwatch:
 
     Attributes:
         runs: for each run, its steps; for each step, seconds by stage.
-        whole: for each stage outside the steps, its seconds each time it ran.
+        whole: for each stage of the whole run, its seconds each time it ran.
     """
 
     def __init__(self, run_stages: Sequence[str], clock: Callable[[], float] = time.thread_time) -> None:
-        """
-        Args:
-            run_stages: stages that belong to the whole run and not to a step.
-            clock: returns the time, seconds.
-        """
         self._clock = clock
-        self._run_stages = frozenset(run_stages)
         self.runs: list[list[dict[str, float]]] = []
-        self.whole: dict[str, list[float]] = defaultdict(list)
+        self.whole: dict[str, list[float]] = {stage: [] for stage in run_stages}
         self._inside: list[float] = []
 
-    def reset(self) -> None:
-        """Discards all times."""
-        self.runs.clear()
-        self.whole.clear()
-
     def median_ms(self, stage: str) -> float:
-        """Median time of a stage outside the steps, milliseconds; NaN if it never ran."""
+        """Median time of a stage of the whole run, milliseconds; NaN if it never ran."""
         return float(np.median(self.whole[stage])) * 1e3 if self.whole[stage] else float("nan")
 
     @contextmanager
@@ -83,14 +70,15 @@ class Stopwatch:
         """Counts the time of the block for a stage."""
         self._inside.append(0.0)
         begin = self._clock()
-        try:
-            yield
-        finally:
-            total = self._clock() - begin
-            without_nested = total - self._inside.pop()
-            if self._inside:
-                self._inside[-1] += total
-            self._count(name, without_nested)
+        yield
+        total = self._clock() - begin
+        without_nested = total - self._inside.pop()
+        if self._inside:
+            self._inside[-1] += total
+        if name in self.whole:
+            self.whole[name].append(without_nested)
+        else:
+            self.runs[-1][-1][name] += without_nested
 
     def _timed(self, function: Callable[..., Any], stage: str, starts_step: bool) -> Callable[..., Any]:
         def call(*args: Any, **named: Any) -> Any:
@@ -100,12 +88,6 @@ class Stopwatch:
                 return function(*args, **named)
 
         return call
-
-    def _count(self, stage: str, seconds: float) -> None:
-        if stage in self._run_stages:
-            self.whole[stage].append(seconds)
-        else:
-            self.runs[-1][-1][stage] += seconds
 
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -118,17 +100,13 @@ PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
 
 
 @dataclass
-class Arguments:
-    """Time each stage of a step, for an object without and with a box of the previous frame."""
-
+class Arguments(Options):
     points: int = 50_000
     """Number of points in the object's frustum."""
     size_px: int = RcvConfig().view.size_px
     """Longer side of the pseudo-views, pixels."""
     repeats: int = 20
     """Number of frames; the median is printed."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 def scene(points: int, seed: int) -> tuple[Frame, Truth]:
@@ -193,30 +171,21 @@ def timed_frame(
     return int(mask.sum())
 
 
-def check(args: Arguments) -> None:
-    for flag, value, low, high in (
-        ("--points", args.points, 500, 120_000),
-        ("--size-px", args.size_px, 32, 2048),
-        ("--repeats", args.repeats, 1, 1_000_000),
-    ):
-        if not low <= value <= high:
-            raise ConfigError(f"{flag} must be {low} to {high}, not {value}")
-
-
-def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints."""
-    check(args)
+def run(args: Arguments) -> dict[str, Any]:
+    require(args, 500, 120_000, "points")
+    require(args, 32, 2048, "size_px")
+    require(args, 1, 1_000_000, "repeats")
     cv2.setNumThreads(1)
     plain_config = RcvConfig(orientation=Orientation.FREE)
     config = plain_config.model_copy(update={"view": plain_config.view.model_copy(update={"size_px": args.size_px})})
-    watches, points = {"plain": Stopwatch(OF_FRAME), "warm": Stopwatch(OF_FRAME)}, []
+    points = []
     for repeat in range(args.repeats + 1):
+        if repeat < 2:  # the first frame only fills caches
+            watches = {"plain": Stopwatch(OF_FRAME), "warm": Stopwatch(OF_FRAME)}
         frame, truth = scene(args.points, repeat)
         warm_start = previous_box(truth.box, np.random.default_rng(repeat))
         for path, watch in watches.items():
             points.append(timed_frame(watch, frame, truth, [] if path == "plain" else [warm_start], config))
-            if repeat == 0:
-                watch.reset()  # the first frame fills caches
     rows = [row for path, watch in watches.items() for row in _rows(path, watch)]
     return {
         "points": int(np.median(points)),
@@ -237,21 +206,12 @@ def _rows(path: str, watch: Stopwatch) -> list[dict[str, object]]:
             by_kind[names[min(number, len(names) - 1)]].append(stages)
     rows: list[dict[str, object]] = []
     for kind, runs in by_kind.items():
-        ms = {stage: float(np.median([s.get(stage, 0.0) for s in runs])) * 1e3 for stage in OF_STEP}
-        total = float(np.median([_without_detector(s) for s in runs])) * 1e3
+        ms = {stage: float(np.median([s.get(stage, 0.0) for s in runs])) * 1e3 for stage in (*OF_STEP, DETECTOR)}
+        detector_ms = ms.pop(DETECTOR)
         share = {stage: value / max(sum(ms.values()), 1e-12) for stage, value in ms.items()}
-        stand_in = float(np.median([s.get(DETECTOR, 0.0) for s in runs])) * 1e3
-        rows.append(
-            {
-                "path": path,
-                "step": kind,
-                "runs": len(runs),
-                "ms": ms,
-                "share": share,
-                "total_ms": total,
-                "detector_ms": stand_in,
-            }
-        )
+        total = float(np.median([_without_detector(s) for s in runs])) * 1e3
+        row = {"path": path, "step": kind, "runs": len(runs), "ms": ms, "share": share}
+        rows.append(row | {"total_ms": total, "detector_ms": detector_ms})
     return rows
 
 
@@ -264,16 +224,14 @@ def _per_step(watch: Stopwatch) -> float:
     return float(np.median([np.mean([_without_detector(s) for s in steps]) for steps in watch.runs])) * 1e3
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
-    table = Table("path", "step", *OF_STEP, "all, ms", DETECTOR)
-    for row in result["steps"]:  # type: ignore[attr-defined]
-        table.add(row["path"], row["step"], *row["ms"].values(), row["total_ms"], row["detector_ms"])
-    frame_table = Table("once per frame", "ms")
-    for stage, value in result["per_frame_ms"].items():  # type: ignore[attr-defined]
-        frame_table.add(stage, value)
-    finish(result, args.json, table, frame_table)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
+    steps = Table("path", "step", *OF_STEP, "all, ms", DETECTOR)
+    for row in result["steps"]:
+        steps.add(row["path"], row["step"], *row["ms"].values(), row["total_ms"], row["detector_ms"])
+    return [steps, Table("once per frame", "ms", rows=result["per_frame_ms"].items())]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

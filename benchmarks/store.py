@@ -6,207 +6,28 @@ python -m benchmarks.store [--frames 10000] [--imported 100000] [--reviewed 1000
 from __future__ import annotations
 
 import json
+import math
 import resource
 import statistics
 import time
-import uuid
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import numpy as np
-import tyro
-from sqlalchemy import Connection
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Effort, Origin, Project, RunShare, WriteContext, create_project, open_project
+from annotator.project import Effort, Project, RunShare, WriteContext, create_project, open_project
 from annotator.project.jobs import record_result
-from annotator.project.log.event_types import (
-    LabelAccepted,
-    LabelCreated,
-    LabelEdited,
-    LabelRejected,
-    Payload,
-    ProposalsReplaced,
-    ProposedObject,
-)
+from annotator.project.log.event_types import LabelAccepted, LabelEdited, Payload, ProposalsReplaced, ProposedObject
 from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.log.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
-from annotator.types.errors import ConfigError
 from annotator.workflows.importing import BoxFormat, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue
-from benchmarks.report import Table, finish, guarded
-
-# A project that several people have worked on for several days, written as events with a clock of its own.
-#
-# A pass has proposed boxes in all frames, the later ones better, as after more training. People take the frames in turn
-# and review them: accept, correct, reject, draw what is missing. Each has a pace of their own, and gets faster.
-
-
-# class -> its share, and the size of its boxes in metres
-CLASSES = {"car": (0.6, (4.2, 1.6, 1.8)), "pedestrian": (0.3, (0.7, 1.7, 0.6)), "cyclist": (0.1, (1.8, 1.7, 0.7))}
-DAY_S = 86_400.0
-# a Monday, 09:00 UTC
-BEGIN_S = 1_767_603_600.0
-
-
-@dataclass(frozen=True)
-class Work:
-    """What is worked, and by whom.
-
-    Attributes:
-        frames: of the recording.
-        reviewed: the number of its frames that people have reviewed.
-        objects: mean number of objects of a frame.
-        people: name -> seconds that they need, relative to the others.
-        days: working days over which the reviewed frames are spread.
-        learning: seconds for a box at the end, relative to the beginning.
-    """
-
-    frames: int = 400
-    reviewed: int = 300
-    objects: float = 3.0
-    people: dict[str, float] = field(default_factory=lambda: {"ann": 1.0, "bob": 1.4, "eve": 0.8})
-    days: int = 5
-    learning: float = 0.5
-    seed: int = 0
-
-
-class _Clock:
-    """Seconds since the epoch, set by whoever works."""
-
-    def __init__(self) -> None:
-        self.now_s = BEGIN_S - DAY_S
-
-    def __call__(self) -> int:
-        return int(self.now_s * 1e9)
-
-
-def worked_project(root: Path, name: str, work: Work) -> Project:
-    """Creates the project `root/name`; its recording has no files."""
-    clock, random = _Clock(), np.random.default_rng(work.seed)
-    project = create_project(root, name, tuple(CLASSES), clock=clock)
-    keys = [f"{n:06d}" for n in range(work.frames)]
-    project.recordings.add(root / "drive", "rgbd", "drive", keys, True)
-    ids = [frame.id for frame in project.frames.of()]
-    run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}").id
-    writer = Writer(project.store, project.path)
-    with project.store.write() as connection:
-        scenes = [_proposed(connection, writer, id, run, n / work.frames, work, random) for n, id in enumerate(ids)]
-        people = tuple(work.people)
-        free_s = dict.fromkeys(people, 0.0)
-        a_day = -(-work.reviewed // work.days)
-        for n in range(work.reviewed):
-            day, person = n // a_day, people[n % len(people)]
-            clock.now_s = max(free_s[person], BEGIN_S + day * DAY_S)
-            pace = work.people[person] * (1 - (1 - work.learning) * n / max(work.reviewed, 1))
-            _review(connection, writer, ids[n], scenes[n], person, pace, clock, random)
-            free_s[person] = clock.now_s
-    return project
-
-
-@dataclass(frozen=True, eq=False)
-class _Object:
-    """An object of a frame.
-
-    Attributes:
-        label: its class.
-        truth: its box.
-        uid: of its proposal; None if it was missed.
-        is_wrong: whether there is only a proposal, and no object.
-        is_good: whether the proposal is its box.
-    """
-
-    label: str
-    truth: OrientedBox
-    uid: str | None
-    is_wrong: bool
-    is_good: bool
-
-
-def _proposed(
-    connection: Connection,
-    writer: Writer,
-    frame_id: int,
-    run: int,
-    progress: float,
-    work: Work,
-    random: np.random.Generator,
-) -> list[_Object]:
-    """Proposes the boxes of a frame; returns its objects."""
-    objects, proposed = [], []
-    shares = [share for share, _ in CLASSES.values()]
-    for _ in range(random.poisson(work.objects)):
-        label = str(random.choice(list(CLASSES), p=shares))
-        range_m = float(np.clip(random.lognormal(2.9, 0.6), 3.0, 90.0))
-        truth = _box(label, range_m, random)
-        chance = random.random()
-        error = (0.02 + 0.004 * range_m) * (1.3 - progress)
-        is_good = bool(random.random() > 4 * error)
-        uid = None if chance < 0.1 else uuid.uuid4().hex
-        if uid is not None:
-            box = truth if is_good else _moved(truth, random, error)
-            image_box = Box2D(label, 1.0, 2.0, 30.0, 40.0, 0.8)
-            proposal = Proposal(label, 0.8, box, image_box, (), Quality(0.1, 0.9, 0.01, 0.8))
-            proposed.append(ProposedObject(uid=uid, proposal=ProposalRecord.of(proposal)))
-        objects.append(_Object(label, truth, uid, chance > 0.92, is_good))
-    count = len(proposed)
-    record_result(connection, run, frame_id, 0.1, time_ns=writer.store.clock(), proposals=count)
-    replaced = ProposalsReplaced(run=run, objects=tuple(proposed))
-    writer.to_frame_in(connection, frame_id, [replaced], WriteContext(0, "rcv", Source.AUTO))
-    return objects
-
-
-def _box(label: str, range_m: float, random: np.random.Generator) -> OrientedBox:
-    angle, turn = random.uniform(-0.6, 0.6), random.uniform(-np.pi, np.pi)
-    center = np.array([range_m * np.sin(angle), 1.0, range_m * np.cos(angle)])
-    c, s = np.cos(turn), np.sin(turn)
-    rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return OrientedBox.from_parts(center, rotation, np.array(CLASSES[label][1]))
-
-
-def _moved(box: OrientedBox, random: np.random.Generator, error: float) -> OrientedBox:
-    shift, stretch = random.normal(0, error, 3), np.exp(random.normal(0, error, 3))
-    return OrientedBox.from_parts(box.center_m + shift * box.size_m, box.rotation, box.size_m * stretch)
-
-
-def _review(
-    connection: Connection,
-    writer: Writer,
-    frame_id: int,
-    objects: Sequence[_Object],
-    person: str,
-    pace: float,
-    clock: _Clock,
-    random: np.random.Generator,
-) -> None:
-    """One frame: a look at it, then one action for each object."""
-    revision = 1
-    clock.now_s += 3.0 * pace
-    for item in objects:
-        payload, actions, seconds = _decision(item)
-        spent = seconds * pace * float(random.lognormal(0.0, 0.4))
-        clock.now_s += spent + 0.5
-        context = WriteContext(revision, person, effort=Effort(actions, spent))
-        revision = writer.to_frame_in(connection, frame_id, [payload], context).revision
-
-
-def _decision(item: _Object) -> tuple[Payload, int, float]:
-    """What is done with an object, in how many actions and seconds."""
-    box = BoxRecord.of(item.truth)
-    if item.uid is None:
-        created = LabelCreated(uid=uuid.uuid4().hex, label=item.label, box=box, origin=Origin.DRAWN)
-        return created, 6, 20.0
-    if item.is_wrong:
-        return LabelRejected(uid=item.uid), 1, 2.0
-    if item.is_good:
-        return LabelAccepted(uid=item.uid), 1, 2.0
-    return LabelEdited(uid=item.uid, label=item.label, box=box), 3, 9.0
-
+from benchmarks.report import Options, Table, guarded, program, require, seconds_of
 
 LABEL = "person"
 # As many as the page asks for.
@@ -214,9 +35,7 @@ MOST_ITEMS = 500
 
 
 @dataclass
-class Arguments:
-    """Time each operation on a project with one long recording; for writing proposals, the median over the frames."""
-
+class Arguments(Options):
     frames: int = 10_000
     """Number of frames of the recording."""
     proposed: int = 200
@@ -227,16 +46,17 @@ class Arguments:
     """Number of frames of another project, which people have reviewed: the time of its statistics."""
     imported: int = 100_000
     """Number of boxes of each of two detectors to import as proposals, spread over all frames."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
-def run(args: Arguments, folder: Path) -> dict[str, float]:
+def run(args: Arguments) -> dict[str, float]:
     """Milliseconds by operation."""
-    if not 1 <= args.proposed <= args.frames or min(args.objects, args.imported, args.reviewed) < 0:
-        raise ConfigError(
-            f"--proposed must be 1 to --frames ({args.frames}), --objects, --imported and --reviewed 0 or more"
-        )
+    with TemporaryDirectory() as folder:
+        return _measure(args, Path(folder))
+
+
+def _measure(args: Arguments, folder: Path) -> dict[str, float]:
+    require(args, 1, args.frames, "proposed")
+    require(args, 0, math.inf, "objects", "imported", "reviewed")
     with create_project(folder, "long", (LABEL,)) as project:
         result = {"add_recording_ms": _milliseconds(lambda: _add(project, folder, args.frames))}
         run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
@@ -258,11 +78,29 @@ def run(args: Arguments, folder: Path) -> dict[str, float]:
 
 
 def _statistics(folder: Path, frames: int) -> dict[str, float]:
-    """Of a project with about three reviewed labels per frame, when they are computed and when they are known."""
-    work = Work(frames=frames, reviewed=frames)
-    worked_project(folder, "worked", work).close()
-    box = _proposal(0.0).box
-    iou_3d(box, box)  # loads the compiled code
+    """Of a project with three reviewed boxes per frame, of which one was corrected, when the statistics are computed
+    and when they are known."""
+    boxes = [_proposal(2.0 * number).box for number in range(3)]
+    iou_3d(boxes[0], boxes[0])  # loads the compiled code
+    with create_project(folder, "worked", (LABEL,)) as project:
+        _add(project, folder, frames)
+        run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}").id
+        writer = Writer(project.store, project.path)
+        with project.store.write() as connection:
+            for number, frame in enumerate(project.frames.of()):
+                uids = [f"{number}-{place}" for place in range(len(boxes))]
+                proposed = [
+                    ProposedObject(uid=uid, proposal=ProposalRecord.of(_proposal(2.0 * place + 0.1)))
+                    for place, uid in enumerate(uids)
+                ]
+                record_result(connection, run, frame.id, 0.1, time_ns=writer.store.clock(), proposals=len(proposed))
+                replaced = ProposalsReplaced(run=run, objects=tuple(proposed))
+                writer.to_frame_in(connection, frame.id, [replaced], WriteContext(0, "rcv", Source.AUTO))
+                decisions: list[Payload] = [LabelAccepted(uid=uid) for uid in uids[1:]]
+                decisions.append(LabelEdited(uid=uids[0], label=LABEL, box=BoxRecord.of(boxes[0])))
+                for revision, decision in enumerate(decisions, 1):
+                    context = WriteContext(revision, "ann", effort=Effort(1, 2.0))
+                    writer.to_frame_in(connection, frame.id, [decision], context)
     with open_project(folder / "worked") as project:
         first = _milliseconds(project.statistics)
         return {"reviewed_statistics_ms": first, "known_statistics_ms": _milliseconds(project.statistics)}
@@ -276,17 +114,14 @@ def _imports(project: Project, folder: Path, boxes: int) -> dict[str, float]:
         file = folder / f"{name}.json"
         _write_boxes(file, keys, boxes, shift_m=0.01 * number, every_other_m=2.5 * number)
         before_mib, before_s = _peak_mib(), time.process_time()
-        result[f"import_{name}_detector_ms"] = _milliseconds(lambda: _import(project, file))  # noqa: B023
+        read = partial(read_labels, BoxFormat.BOXES, file)
+        result[f"import_{name}_detector_ms"] = _milliseconds(lambda: import_proposals(project, read()))  # noqa: B023
         result[f"import_{name}_detector_cpu_ms"] = (time.process_time() - before_s) * 1000
         result[f"import_{name}_detector_mib"] = _peak_mib() - before_mib
     result["open_proposals"] = float(project.labels.count([ReviewState.PROPOSED]))
     for order in Order:
         result[f"queue_imported_{order.value}_ms"] = _milliseconds(partial(queue, project, order, most=MOST_ITEMS))
     return result
-
-
-def _import(project: Project, file: Path) -> None:
-    import_proposals(project, read_labels(BoxFormat.BOXES, file))
 
 
 def _write_boxes(file: Path, keys: list[str], boxes: int, shift_m: float, every_other_m: float) -> None:
@@ -322,19 +157,14 @@ def _proposal(x_m: float) -> Proposal:
 
 
 def _milliseconds(work: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    work()
-    return (time.perf_counter() - began) * 1000
+    return seconds_of(work) * 1000
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    with TemporaryDirectory() as temporary:
-        result = run(args, Path(temporary))
-    table = Table("operation", "value")
-    for name, value in result.items():
-        table.add(name, value)
-    finish(result, args.json, table)
+def tables(_: Arguments, result: dict[str, float]) -> list[Table]:
+    return [Table.of_figures(result)]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

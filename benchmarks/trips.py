@@ -11,13 +11,13 @@ after it. KITTI's rows always have a truncation and an occlusion: boxes without 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import tyro
@@ -34,7 +34,7 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, ExportReport, export_project
 from annotator.workflows.importing import BoxFormat, Note, import_image_boxes, import_labels, read_labels
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
-from benchmarks.report import Table, finish, guarded
+from benchmarks.report import Options, Table, guarded, program
 
 LEVELS = ["v0-40", "v40-60", "v60-80", "v80-100"]
 NUSCENES = ["moving", "stopped", "with_rider"]
@@ -63,31 +63,22 @@ FORMATS = (
 
 
 @dataclass
-class Arguments:
-    """Export and import real labels with attributes many times."""
-
+class Arguments(Options):
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """Recordings with labels."""
     frames: int = 1
     """Labelled frames of each recording."""
     trips: int = 10
     """Exports and imports in each format."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What trips through a format did.
+    """What trips through a format did to labels and values.
 
-    Attributes:
-        boxes, classes_equal: number of labels, and whether there are as many of each class after the trips.
-        values: number of values before.
-        reported: number of those that the first export reported as lost.
-        equal: number of those that are equal after all trips.
-        silently_lost: number of values that differ or are missing, and were not reported.
-        new: number of values that labels did not have before.
-        moved_m, drifted_m: how far a corner moved at most on the first trip, and on all others together.
+    `reported` values are those that the first export reported as lost, `silently_lost` those that differ or are missing
+    and were not reported; `new` ones labels did not have before. A corner moved by at most `moved_m` on the first trip,
+    and by `drifted_m` on all others together.
     """
 
     boxes: int
@@ -181,25 +172,7 @@ def measure(recording: Recording, folder: Path, format: ExportFormat, *, frames:
         for number in range(1, trips):
             trip(project, folder / f"{number}", format)
         now, of_frames_now = _labels(project), list(project.frames.attributes().values())
-        return _outcome(before, first, now, of_frames, of_frames_now, _reported(report))
-
-
-def _labels(project: Project) -> list[Label]:
-    return [entry.label for entry in project.labels.select()]
-
-
-def _reported(report: ExportReport) -> int:
-    return sum(loss.count for loss in report.losses if loss.kind is Lost.ATTRIBUTE)
-
-
-def _outcome(
-    before: list[Label],
-    first: list[Label],
-    now: list[Label],
-    of_frames: list[dict[str, Any]],
-    of_frames_now: list[dict[str, Any]],
-    reported: int,
-) -> Outcome:
+    reported = sum(loss.count for loss in report.losses if loss.kind is Lost.ATTRIBUTE)
     had = [dict(label.attributes) for label in before] + of_frames
     have = [dict(label.attributes) for label in now] + (of_frames_now or [{} for _ in of_frames])
     number = sum(map(len, had))
@@ -218,6 +191,10 @@ def _outcome(
     )
 
 
+def _labels(project: Project) -> list[Label]:
+    return [entry.label for entry in project.labels.select()]
+
+
 def _moved_m(before: Collection[Label], after: Collection[Label]) -> float:
     moves = [
         float(np.linalg.norm(box_corners(a.box) - box_corners(b.box), axis=1).max())
@@ -226,24 +203,31 @@ def _moved_m(before: Collection[Label], after: Collection[Label]) -> float:
     return max(moves, default=0.0)
 
 
-def main() -> None:
-    arguments = tyro.cli(Arguments, description=__doc__)
-    table = Table(
-        "recording", "format", "boxes", "values", "reported", "equal", "silently lost", "new", "mm", "drift mm"
-    )
-    result: dict[str, dict[str, object]] = {}
-    for path in arguments.recordings:
+def run(args: Arguments) -> dict[str, dict[str, Any]]:
+    """The outcomes by recording and format."""
+    result: dict[str, dict[str, Any]] = {}
+    for path in args.recordings:
         recording = open_recording(path)
         for format in FORMATS:
             if format is ExportFormat.KITTI_TRACKING and not recording.is_sequence:
                 continue
-            with tempfile.TemporaryDirectory() as folder:
-                done = measure(recording, Path(folder), format, frames=arguments.frames, trips=arguments.trips)
-            numbers = (done.boxes, done.values, done.reported, done.equal, done.silently_lost, done.new)
-            table.add(recording.name, format, *numbers, done.moved_m * 1000, done.drifted_m * 1000)
-            row = asdict(done) | {"is_equal": done.is_equal}
-            result.setdefault(recording.name, {})[format.value] = row
-    finish(result, arguments.json, table)
+            with TemporaryDirectory() as folder:
+                done = measure(recording, Path(folder), format, frames=args.frames, trips=args.trips)
+            result.setdefault(recording.name, {})[format.value] = asdict(done) | {"is_equal": done.is_equal}
+    return result
+
+
+def tables(_: Arguments, result: dict[str, dict[str, Any]]) -> list[Table]:
+    names = ("boxes", "values", "reported", "equal", "silently_lost", "new")
+    table = Table("recording", "format", *(name.replace("_", " ") for name in names), "mm", "drift mm")
+    for recording, outcomes in result.items():
+        for format, done in outcomes.items():
+            moved = (done["moved_m"] * 1000, done["drifted_m"] * 1000)
+            table.add(recording, format, *(done[name] for name in names), *moved)
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

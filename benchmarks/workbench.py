@@ -13,12 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from annotator.types.errors import ConfigError
-from benchmarks.report import Table, finish, guarded
+from annotator.geometry.outline import box_on_image
+from annotator.project import create_project
+from annotator.recordings import open_recording
+from annotator.synthetic import write_generated
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.recorded.reading import load_truth
+from benchmarks.report import Options, Table, chosen, guarded, program
 from benchmarks.served import (
     CLOUD_BYTES,
     CLOUD_PROBE,
@@ -28,8 +31,6 @@ from benchmarks.served import (
     chromium,
     draw_box,
     frames_of,
-    make_people,
-    make_project,
     measured,
     open_mode,
     percentile,
@@ -47,9 +48,7 @@ KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram
 
 
 @dataclass
-class Arguments:
-    """Measure the workbench on a generated recording and KITTI frames."""
-
+class Arguments(Options):
     only: str = ",".join(PARTS)
     """Parts to measure, separated by commas."""
     frames: int = 12
@@ -60,22 +59,19 @@ class Arguments:
     """Number of image boxes to draw."""
     shared: Path = Path(os.environ.get("ANNOTATOR_SHARED", "../shared"))
     """Folder with `data/kitti`, KITTI object frames with whole scans; KITTI is skipped if it is missing."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object as the last line."""
 
 
 def run(args: Arguments) -> dict[str, Any]:
     """Milliseconds by part and recording, as `--json` prints them."""
-    parts = [part.strip() for part in args.only.split(",") if part.strip()]
-    if unknown := [part for part in parts if part not in PARTS]:
-        raise ConfigError(f"--only: unknown part {unknown[0]!r}; the parts are {', '.join(PARTS)}")
+    parts = chosen("--only", args.only, PARTS)
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         projects, people, kitti = folder / "projects", folder / PRESET, args.shared / "data" / "kitti"
-        make_people(people, args.frames, 640, 480)
+        write_generated(people, PRESET, args.frames, 0, 640, 480)
         recordings = {"rgbd": (people, (LABEL,)), **({"kitti": (kitti, KITTI)} if kitti.is_dir() else {})}
         for name, (path, classes) in recordings.items():
-            make_project(projects, name, classes, [path])
+            with create_project(projects, name, classes) as project:
+                register_recording(project, open_recording(path))
         result: dict[str, Any] = {}
         with serving(projects) as server, chromium() as browser:
             if "switch" in parts:
@@ -89,10 +85,6 @@ def run(args: Arguments) -> dict[str, Any]:
 
 def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[float, float, float, float]]]:
     """The frame's id and the edges on the image of each visible object of a project's recording."""
-    from annotator.geometry.outline import box_on_image
-    from annotator.recordings import open_recording
-    from annotator.workflows.recorded.reading import load_truth
-
     recording = open_recording(path)
     boxes = []
     for index, frame_id in enumerate(frames_of(projects, name)):
@@ -132,8 +124,7 @@ def views(
 ) -> dict[str, Any]:
     """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen, in Label.
 
-    Args:
-        boxes: frame, and x_min, y_min, x_max, y_max on its image, pixels.
+    A box is a frame, and x_min, y_min, x_max, y_max on its image, pixels.
     """
     page = signed_in(browser, server)
     open_mode(page, project, "label", boxes[0][0])
@@ -149,15 +140,16 @@ def views(
     return {"boxes": len(times), "p50_ms": percentile(times, 50), "p95_ms": percentile(times, 95)}
 
 
-def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
-    result = run(args)
+def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:
     table = Table("part", "recording", "measure", "figure")
     for part, recordings in result.items():
         for name, figures in recordings.items():
             for measure, figure in figures.items():
                 table.add(part, name, measure, figure)
-    finish(result, args.json, table)
+    return [table]
+
+
+main = program(Arguments, run, tables, __doc__)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from page import DOCS, REPOSITORY, chromium, corners_on_page, drag, save_jpeg, s
 from playwright.sync_api import Browser, Page
 from scenes import unlabelled_boxes
 from scipy.spatial.transform import Rotation
+from worked import Work, worked_project
 
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
@@ -73,9 +74,6 @@ def calibration() -> None:
 
 def statistics() -> None:
     """The statistics of a project on which three people have worked for two weeks."""
-    sys.path.insert(0, str(REPOSITORY))
-    from benchmarks.store import Work, worked_project
-
     with TemporaryDirectory() as folder:
         projects, recordings = Path(folder) / "projects", Path(folder) / "recordings"
         recordings.mkdir()
@@ -113,8 +111,8 @@ def choose_topics(browser: Browser, address: str) -> None:
 
 def write_bag(recordings: Path, name: str) -> None:
     """A bag of the recording `name`: two cameras, one of them with depth, and one whose cloud is turned a little."""
-    sys.path.append(str(REPOSITORY))
-    from benchmarks.bag_writer import BagWriter, structured
+    sys.path.append(str(REPOSITORY / "tests" / "recordings"))
+    from bag_writer import BagWriter, structured  # type: ignore[import-not-found]
 
     recording = open_recording(recordings / name)
     with BagWriter(recordings, "ros1") as bag:

@@ -134,10 +134,7 @@ def test_a_lost_track_counts_as_zero(run: Callable[..., Any], generated: Path, m
     assert (result["mean_iou"], result["silent_errors"], result["marked"]) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("module", [cold_start, follow])
-def test_unusable_arguments_are_refused(module: ModuleType, generated: Path) -> None:
-    with pytest.raises(ConfigError, match="--upright and --free contradict each other"):
-        module.run(module.Arguments(generated / "people", upright=True, free=True))
+def test_unusable_arguments_are_refused(generated: Path) -> None:
     with pytest.raises(ConfigError, match="--taught takes numbers of objects from 0 on"):
         cold_start.run(cold_start.Arguments(generated / "people", taught=(0, -1)))
 

@@ -106,9 +106,9 @@ def test_a_wrong_number_is_found_and_named(two_parts: Path, monkeypatch: pytest.
 def test_a_broken_file_is_named(two_parts: Path) -> None:
     (two_parts / golden.SUNRGBD_FOUND).write_text("image,class\n")
     with pytest.raises(FormatError, match=golden.SUNRGBD_FOUND):
-        golden.measure(two_parts)
+        golden.run(golden.Arguments(two_parts))
 
 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="has no reference numbers"):
-        golden.measure(tmp_path)
+        golden.run(golden.Arguments(tmp_path))

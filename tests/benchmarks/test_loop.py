@@ -159,9 +159,7 @@ def test_a_kept_project_is_reused_or_refused(
     run(Arguments(folder, project=kept, operator=BoxKind.SILHOUETTE, free=True))
 
 
-def test_conflicting_arguments_are_errors(generated: Path) -> None:
-    with pytest.raises(ConfigError, match="exclude each other"):
-        run(Arguments(generated / "people", upright=True, free=True))
+def test_a_label_is_for_masks_alone(generated: Path) -> None:
     with pytest.raises(ConfigError, match="--label is only for recordings with masks"):
         run(Arguments(generated / "people", label="person"))
 

@@ -32,7 +32,6 @@ from benchmarks.paper_tables import (
     SUNRGBD_MAP,
     SUNRGBD_ROW,
     Preset,
-    Trainings,
     kitti_ap,
     kitti_table,
 )
@@ -310,10 +309,10 @@ def test_a_class_without_detections_has_an_ap_of_0(
 
 
 def test_the_paper_preset_has_the_papers_settings() -> None:
-    trainings = Trainings(Preset.PAPER, image_size=1280)
-    assert (trainings.view.model, trainings.view.image_size_px, trainings.view_px) == ("yolov5x6", 640, 640)
-    assert (trainings.image.image_size_px, trainings.image.epochs) == (1280, 300)
-    assert Trainings(Preset.PRODUCT, epochs=2).view.epochs == 2
+    args = paper.Arguments(paper.Dataset.KITTI, Path(), settings=Preset.PAPER, image_size=1280)
+    assert (args.view_training.model, args.view_training.image_size_px, args.view_px) == ("yolov5x6", 640, 640)
+    assert (args.image_training.image_size_px, args.image_training.epochs) == (1280, 300)
+    assert paper.Arguments(paper.Dataset.KITTI, Path(), epochs=2).view_training.epochs == 2
 
 
 def test_without_lists_every_frame_is_in_one_split(kitti: Path, tmp_path: Path) -> None:

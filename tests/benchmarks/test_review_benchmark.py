@@ -17,7 +17,7 @@ from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal,
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.review import Arguments, run
+from benchmarks.review import Arguments, run, without_labels
 from benchmarks.review_moves import (
     CHORD_S,
     CLICK_S,
@@ -28,12 +28,12 @@ from benchmarks.review_moves import (
     M,
     moves,
     number_s,
+    peers,
     plan,
     shaky,
     steady,
 )
 from benchmarks.review_operator import Operator
-from benchmarks.review_peers import peers, without_labels
 
 QUALITY = 0.7
 BOX = OrientedBox.from_parts(
@@ -252,7 +252,7 @@ def test_peers_pay_for_each_box() -> None:
 
 
 def test_bad_arguments_say_what_is_possible(people: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown row 'all'; the rows are proposals, base_detector"):
+    with pytest.raises(ConfigError, match="unknown word 'all'; choose from proposals, base_detector"):
         run(Arguments(people, only="all"))
     with pytest.raises(ConfigError, match="has 5 frames; 10 of them teach"):
         run(Arguments(people))

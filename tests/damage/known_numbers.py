@@ -20,6 +20,7 @@ import laspy
 import numpy as np
 import phone_samples
 import targets as small
+from bag_writer import BagWriter, structured
 from dataset_samples import make_item, make_label
 from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
@@ -33,7 +34,6 @@ from annotator.types.errors import FormatError
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
-from benchmarks.bag_writer import BagWriter, structured
 
 Reading = dict[str, np.ndarray]
 WIDTH, HEIGHT = SIZE

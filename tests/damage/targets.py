@@ -31,6 +31,7 @@ for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
         sys.path.append(place)
 
 import small_recordings as small  # noqa: E402
+from bag_writer import BagWriter  # noqa: E402
 from dataset_samples import make_item, make_label, write  # noqa: E402
 from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
@@ -54,7 +55,6 @@ from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
 from annotator.workflows.importing.pictures import read_pictures  # noqa: E402
 from annotator.workflows.importing.readers import read_labels  # noqa: E402
 from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
-from benchmarks.bag_writer import BagWriter  # noqa: E402
 
 SHARED = Path(os.environ.get("ANNOTATOR_SHARED", TESTS.parent.parent / "shared"))
 

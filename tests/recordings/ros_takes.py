@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from bag_writer import BagWriter, structured
 from scipy.spatial.transform import RigidTransform, Rotation
-
-from benchmarks.bag_writer import BagWriter, structured
 
 START_NS = 1_700_000_000 * 10**9
 MS = 1_000_000

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bag_writer import BagWriter
 from ros_takes import START_NS, write_camera, write_mount, write_scan
-
-from benchmarks.bag_writer import BagWriter
 
 if TYPE_CHECKING:
     from live_server import Live

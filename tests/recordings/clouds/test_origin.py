@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import laspy
 import numpy as np
 import pytest
+from bag_writer import BagWriter, structured
 from cloud_samples import camera_file
 from kitti_samples import OBJECT_CALIB
 
@@ -21,7 +22,6 @@ from annotator.recordings.ros import messages
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError
-from benchmarks.bag_writer import BagWriter, structured
 
 UTM_M = np.array([701_378.25, 4_485_513.5, 640.75])
 # The coordinates of a floor and a wall around (0, 0, 0); UTM coordinates need 64 bits.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_writer import BagWriter
 from foxglove_takes import WRITERS, picture_take, write_mcap
 from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 
@@ -16,7 +17,6 @@ from annotator.recordings.ros import messages, pairing
 from annotator.recordings.ros.bag import open_bag
 from annotator.recordings.ros.bag_files import KEPT, MOST_KEPT_BYTES, Chunk, ChunkedFile
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError, UnknownFormatError
-from benchmarks.bag_writer import BagWriter
 
 
 def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_writer import CONTAINERS, BagWriter, structured
 from ros_takes import (
     IMAGE,
     LIDAR_COLUMNS,
@@ -31,7 +32,6 @@ from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.topics import list_topics
 from annotator.recordings.ros.transforms import LinkMissingError, Links
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
-from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
 
 COMPRESSIONS = [("ros1", ""), ("ros1", "lz4"), ("ros1", "bz2"), ("sqlite3", ""), ("sqlite3", "message"), ("mcap", ""),
                 ("mcap", "storage"), ("mcap", "message")]  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bag_writer import TYPE_NUMBERS, structured
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,6 @@ from annotator.geometry.projection import project
 from annotator.recordings.ros.messages import cloud_of, read_camera_info
 from annotator.recordings.ros.pictures import BAYER, color_image, depth_image, describe
 from annotator.types.errors import FrameError
-from benchmarks.bag_writer import TYPE_NUMBERS, structured
 
 RGB = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8)
 

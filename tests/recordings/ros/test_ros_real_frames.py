@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_writer import BagWriter, structured
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import ReaderOptions, open_recording
@@ -16,7 +17,6 @@ from annotator.recordings.ros.recording import RosBag, message
 from annotator.recordings.ros.topics import list_topics
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
-from benchmarks.bag_writer import BagWriter, structured
 
 START_NS = 1_317_000_000 * 10**9
 

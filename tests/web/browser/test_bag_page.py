@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from bag_writer import BagWriter
 from ros_takes import SIZE, START_NS, K, write_camera, write_mount, write_scan
 
 from annotator.recordings import open_recording
 from annotator.recordings.recording import stored_options
-from benchmarks.bag_writer import BagWriter
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
