@@ -1,8 +1,7 @@
-"""Made-up scans for `benchmarks.columns`: what sensors and converters write into `.bin` files.
+"""Made-up scans: what sensors and converters write into `.bin` files.
 
 A set of scans has one layout: a scene and a sensor give the coordinates, their order and their padding; a template
-gives the columns after x, y and z. Everything is drawn from a seed. The reader's test was not tuned on the seeds that
-are reported (see `benchmarks.columns`).
+gives the columns after x, y and z. Everything is drawn from a seed.
 """
 
 from __future__ import annotations
