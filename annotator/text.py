@@ -99,13 +99,13 @@ def inside(folder: Path, name: str) -> Path:
         OutsideError: it leads out of the folder, also by a link, or is not a valid name.
     """
     if _OF_WINDOWS.match(name):
-        raise OutsideError(f"{name[:SHOWN]!r} is a path of another computer; {REMEDY}")
+        raise OutsideError(f"{name[:NAME_SHOWN]!r} is a path of another computer; {REMEDY}")
     path = folder / name
     if "\\" in name and not (is_within(folder, path) and path.exists()):
         name = posix_path(name)
     path = spelled(folder, name)
     if not is_within(folder, path):
-        raise OutsideError(f"{name[:SHOWN]!r} leads out of the folder, or is not a valid name; {REMEDY}")
+        raise OutsideError(f"{name[:NAME_SHOWN]!r} leads out of the folder, or is not a valid name; {REMEDY}")
     return path
 
 

@@ -40,7 +40,7 @@ from annotator.formats.rcv_files import (
     readme_text,
 )
 from annotator.geometry.transforms import corners_4x8
-from annotator.text import OutsideError, inside, spelled
+from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import Camera, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
@@ -243,10 +243,6 @@ def is_rcv_export(folder: Path) -> bool:
     return manifest.is_file() and f'"{FORMAT_NAME}"' in read_text_file(manifest, TABLE_BYTES, errors="replace")
 
 
-# Maximum number of characters that a message quotes from an invalid name.
-SHOWN = 60
-
-
 @dataclass(frozen=True, eq=False)
 class RcvDataset:
     """The labels of a dataset, read frame by frame on access. As a recording, it is read by `annotator.recordings`.
@@ -303,7 +299,7 @@ def read_rcv(path: Path) -> RcvDataset:
         )
     for frame_id in manifest.frames:
         if frame_id != Path(frame_id).name:
-            raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not a valid file name")
+            raise FormatError(path / MANIFEST, f"the id {frame_id[:NAME_SHOWN]!r} is not a valid file name")
     return RcvDataset(path, manifest)
 
 

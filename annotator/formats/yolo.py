@@ -45,7 +45,7 @@ from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import has_frames
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import clip_to_image, edges_of, shares_of
-from annotator.text import SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
+from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount, first_problem
@@ -428,7 +428,7 @@ def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
         if place.exists() or _inside(_labels_of(place, root), root).is_dir():
             return place
     if is_inside:
-        raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
+        raise FormatError(file, f"{part}: there is no {entry[:NAME_SHOWN]!r} in the dataset's folder")
     raise FormatError(file, f"{part}: {outside}")
 
 

@@ -47,7 +47,6 @@ from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.types.messages import amount
 
 LIDAR = "LIDAR_TOP"
-TABLE_REMEDY = "correct the table, or copy it again from the data set"
 
 Row = TypeVar("Row", bound=Record)
 

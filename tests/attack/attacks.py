@@ -118,10 +118,6 @@ def content_of(folder: Path) -> dict[str, bytes]:
 # --- kills of a command at moments that are spread over its run time --------------------------------------------------
 
 
-# With fewer kills, chance decides how many of them hit.
-MANY = 10
-
-
 class Killer:
     """Kills a command at moments that are spread over its run time.
 
@@ -147,7 +143,7 @@ class Killer:
         return end
 
     def kills(self, *words: str | Path, done: Callable[[], object] = lambda: None) -> Iterator[End]:
-        """Kills the command once per iteration, on a fresh copy; of many kills, at least half must hit.
+        """Kills the command once per iteration, on a fresh copy; at least half the kills must hit.
 
         Args:
             done: undoes what a whole run has written outside the copy.
@@ -164,5 +160,4 @@ class Killer:
             assert end.code in (0, -9), end
             self.killed += end.was_killed
             yield end
-        if self.times >= MANY:
-            assert self.killed * 2 >= self.times, f"only {self.killed} of {self.times} kills came before the end"
+        assert self.killed * 2 >= self.times, f"only {self.killed} of {self.times} kills came before the end"

@@ -209,3 +209,16 @@ def test_saves_go_to_the_project_that_is_on_disk(
         for thread in threads:
             thread.join()
     assert operators.odd == []
+
+
+def test_a_project_of_one_name_is_created_once(live: Live) -> None:
+    statuses: list[int] = []
+
+    def race(client: httpx.Client, number: int) -> None:
+        answer = client.post("/api/projects", json={"name": "wanted", "classes": [f"class{number}"]})
+        statuses.append(answer.status_code)
+
+    _racing(live, race)
+    assert statuses.count(201) == 1 and len(statuses) == RACERS
+    assert all(400 <= status < 500 for status in statuses if status != 201)
+    assert [path.name for path in live.settings.projects_root.iterdir() if "wanted" in path.name] == ["wanted"]

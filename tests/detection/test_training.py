@@ -295,3 +295,16 @@ def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:
     after.load_state_dict(before.state_dict())  # type: ignore[attr-defined]
     steps(second, after, range(3, 6))
     assert torch.allclose(straight, second)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Path) -> None:
+    config = SHORT.model_copy(update={"epochs": 1})
+    losses = []
+    for name in "ab":
+        train_detector(tiny_dataset, tmp_path / name, config)
+        with (tmp_path / name / "curves.csv").open() as file:
+            row = next(csv.DictReader(file))
+        losses.append({key: float(value) for key, value in row.items() if key.startswith("train/")})
+    assert losses[0]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-3)

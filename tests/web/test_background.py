@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
@@ -26,10 +27,12 @@ from annotator.project.backup.make import Reason, automatic_backups, back_up_aut
 from annotator.project.backup.take_in import restore
 from annotator.project.config import BACKUPS
 from annotator.project.labels import Labels
+from annotator.project.log.writing import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import BoxKind, DetectorKind
+from annotator.types.errors import ConfigError
 from annotator.web import background
-from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner, Watch
 from annotator.web.context import Context
 from annotator.web.folders import clear_leftovers
 from annotator.web.jobs import runner
@@ -304,3 +307,26 @@ def test_what_a_killed_backup_has_left_is_removed_at_the_next_start(changed: Pat
     left.mkdir()
     clear_leftovers(changed.parent)
     assert not left.exists()
+
+
+def test_a_round_that_cannot_start_loses_no_event(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: Learner, name: str, project: Project) -> None:
+        raise ConfigError("20 jobs are waiting already")
+
+    monkeypatch.setattr(Learner, "look", fail)
+    monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
+    sent: list[int] = []
+    hub = SimpleNamespace(
+        projects=lambda: {"room": 0},
+        frame_changed=lambda name, frame_id, *_: sent.append(frame_id),
+        recordings_are=lambda name, ids: None,
+    )
+    monkeypatch.setattr(Context, "is_open", lambda self, name: True)
+    monkeypatch.setattr(Context, "project", lambda self, name: project)
+    context = object.__new__(Context)
+    vars(context)["hub"] = hub
+    watch = Watch(context, Learner(jobs))
+    watch.poll()
+    assert sent == [7]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from live_server import PATIENCE_S
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from annotator.project import WriteContext, open_project
@@ -161,3 +161,12 @@ def test_all_pages_get_the_same_events_in_the_same_order(live: Live) -> None:
             live.context.hub.frame_changed(live.context.project("room"), 2, revision, "Ada")
         for socket in sockets:
             assert [next_of(socket, "frame")["revision"] for _ in range(10)] == list(range(1, 11))
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example"])
+def test_sockets_of_foreign_pages_are_refused(live: Live, origin: str | None) -> None:
+    with pytest.raises(InvalidStatus) as refused, live.listen(origin=origin):
+        pass
+    assert refused.value.response.status_code == 403
+    with live.listen() as socket_:
+        assert "presence" in socket_.recv(timeout=PATIENCE_S)

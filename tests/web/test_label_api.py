@@ -273,3 +273,17 @@ def test_a_changed_box_kind_measures_finished_objects_again(live: Live, project:
     for _ in range(2):
         live.client.post(f"{ROOM}/undo", json={})
     assert iou_3d(project.labels.get(uids[0]).label.box, drawn[uids[0]]) == pytest.approx(1)
+
+
+def test_a_changed_box_kind_applies_to_views_too(live: Live, project: Project, generated: Path) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    revision = draw_object(live.client, "room", 1, scene, 0)["state"]["frame"]["revision"]
+    views = [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()]
+    boxes = {"kind": "image_boxes", "boxes": [scene.image_box(0)], "box_kind": "box"}
+    answer = change(live.client, revision, boxes).json()
+    assert (answer["image_boxes"]["box_kind"], len(answer["objects"][0]["views"])) == ("box", 4)
+    assert training_data(project) == (1, ["box"] * 4, 1)
+    assert [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()] == views
+    live.client.post(f"{ROOM}/undo", json={})
+    assert training_data(project) == (1, ["silhouette"] * 4, 1)
+    assert state(live.client)["image_boxes"]["box_kind"] == "silhouette"

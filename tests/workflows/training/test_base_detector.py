@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +66,16 @@ def test_a_base_detector_is_trained_and_put_into_a_package(tmp_path: Path) -> No
     assert train_base(tmp_path / "work", plan) == trained
     with pytest.raises(ConfigError, match="belongs to a training with other settings; use another folder"):
         train_base(tmp_path / "work", plan.model_copy(update={"frames": 4}))
+
+
+@pytest.mark.slow
+def test_the_script_trains_and_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(ROOT / "scripts" / "train_base.py"))
+    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path / "package")
+    script["run"](tmp_path / "work", frames=2, draws=1, pictures=32, size=32, install=True)
+    printed = capsys.readouterr().out
+    assert "detector.safetensors: map50=" in printed
+    assert json.loads(printed[printed.index("{") :])["frames"] == 2
+    assert (tmp_path / "package" / "detector.safetensors").is_file()
