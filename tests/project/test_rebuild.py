@@ -64,7 +64,9 @@ def _take(project: Project, views: list[str], step: Step) -> None:
         # an object has one box in a frame; passes and imports leave the id out first
         assert what not in ("propose", "bring")
         held = [label.track_id for n in (1, 2, 3) for label in project.labels.of_frame(n)]
-        assert error.track_id in held or what in ("span", "bulk"), "one write may give a track two boxes by itself"
+        assert error.track_id in held or what in ("span", "bulk", "link"), (
+            "one write may give a track two boxes by itself"
+        )
     except ProjectError as error:
         known = set(project.config.classes) >= {"hand", "person"} and what not in ("values", "classes", "frame values")
         assert not labels or not known, f"only changes of missing labels may be refused, not {what}: {error}"
