@@ -31,6 +31,9 @@ MOST_LEVELS = 8
 MOST_DIMENSIONS = 8
 # MATLAB's own limit for the elements of an array.
 MOST_ELEMENTS = 2**48 - 1
+# Limit for the elements of cells and structs in a file, each of which becomes a Python object. SUN RGB-D's table has
+# about 700,000.
+MOST_OBJECTS = 2**21
 # The value of empty elements; shared, because a few bytes can declare millions of them.
 EMPTY = np.zeros((0, 0))
 EMPTY.flags.writeable = False
@@ -59,7 +62,8 @@ def read_mat(path: Path, name: str, most_bytes: int, *, numbers_only: bool = Fal
         numbers_only: refuse variables of other types without building any part of them.
 
     Raises:
-        MatFileError: too large, damaged, of another version, or no such variable.
+        MatFileError: too large, damaged, of another version, more than `MOST_OBJECTS` elements of cells and structs, or
+            no such variable.
         OSError: the file cannot be read.
     """
     try:
@@ -100,10 +104,12 @@ class _Reader:
     Attributes:
         order: byte order, "<" or ">".
         numbers_only: refuse strings, cells and structs.
+        left: number of elements of cells and structs that may still be read.
     """
 
     order: str
     numbers_only: bool
+    left: int = MOST_OBJECTS
 
     def elements(self, data: memoryview) -> Iterator[_Element]:
         """The consecutive elements in `data`."""
@@ -154,7 +160,7 @@ class _Reader:
         if kind == STRUCT:
             return title, self._records(parts, math.prod(shape), len(data), level)
         if kind == CELL:
-            self._require_room(math.prod(shape), len(data))
+            self._reserve(math.prod(shape), len(data))
             return title, [self._next_array(parts, level) for _ in range(math.prod(shape))]
         return title, None
 
@@ -164,13 +170,13 @@ class _Reader:
         if length is None or names is None or not (widths := self._integers(length)) or widths[0] <= 0:
             raise MatFileError("has a damaged struct")
         packed = bytes(names.data)
-        self._require_room(len(packed) // widths[0], len(packed) * TAG_BYTES)
+        self._reserve(len(packed) // widths[0], len(packed) * TAG_BYTES)
         fields = [packed[i : i + widths[0]].partition(b"\0")[0] for i in range(0, len(packed), widths[0])]
         if not fields:
             return []
         # the elements themselves, then their fields
-        self._require_room(count, room)
-        self._require_room(count * len(fields), room)
+        self._reserve(count, room)
+        self._reserve(count * len(fields), room)
         titles = [field.decode("latin-1") for field in fields]
         return [{title: self._next_array(parts, level) for title in titles} for _ in range(count)]
 
@@ -180,10 +186,13 @@ class _Reader:
             raise MatFileError("lacks elements of a struct or cell array")
         return self.array(element.data, None, level + 1)[1]
 
-    def _require_room(self, count: int, room: int) -> None:
-        """Checks that `room` bytes can hold `count` elements, each with a tag."""
+    def _reserve(self, count: int, room: int) -> None:
+        """Checks that `room` bytes can hold `count` elements, each with a tag, and counts them against the limit."""
         if count * TAG_BYTES > room:
             raise MatFileError(f"declares {count} elements in {room} bytes")
+        self.left -= count
+        if self.left < 0:
+            raise MatFileError(f"has more than {MOST_OBJECTS} elements of cells and structs")
 
     def _integers(self, element: _Element) -> list[int]:
         """The integers of an element with sizes or lengths."""

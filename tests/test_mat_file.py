@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -89,6 +90,30 @@ def test_invalid_array_sizes_are_errors(tmp_path: Path, sizes: bytes, sizes_type
     path = write_mat(tmp_path / "a.mat", array(6, sizes, element(9, b""), sizes_type=sizes_type))
     with pytest.raises(MatFileError, match="has an array with an invalid size"):
         read_mat(path, "ab", 2**20)
+
+
+def many(promised: str) -> bytes:
+    """Four million empty cells, elements of a struct of one field, or fields of an empty struct."""
+    number, one_letter, nothing = 2**22, element(5, b"\1\0\0\0"), element(14, b"")
+    sizes = struct.pack("<ii", 1, number)
+    if promised == "cells":
+        return array(1, sizes, nothing * number)
+    if promised == "elements":
+        return array(2, sizes, one_letter, element(1, b"a"), nothing * number)
+    return array(2, struct.pack("<ii", 0, 0), one_letter, element(1, b"a" * number))
+
+
+@pytest.mark.parametrize("promised", ["cells", "elements", "fields"])
+def test_a_small_file_cannot_create_millions_of_objects(tmp_path: Path, promised: str) -> None:
+    path = write_mat(tmp_path / "a.mat", many(promised))
+    assert path.stat().st_size < 2**16
+    tracemalloc.start()
+    with pytest.raises(MatFileError, match="has more than 2097152 elements of cells and structs"):
+        read_mat(path, "ab", 2**26)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # they unpack to 32 MiB, for which zlib needs up to twice as much; objects would need several times that
+    assert peak < 100 * 2**20
 
 
 def test_numbers_only_refuses_other_values(tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ LZF: literal runs and back references. Format: liblzf's `lzf_d.c`.
 
 PLY: text, and binary in either byte order. Format: G. Turk, "The PLY Polygon File Format" (1994).
 
-open3d's readers are not used: they lose 16-bit colours in text, round text to the type that its header declares, fill
-what a cut file lacks, and take three times as long for binary PCD.
+open3d's readers lose 16-bit colours of text, round doubles in text to 32 bits, and fill what a cut file lacks; of
+binary PCD, they take three times as long.
 """
 
 from __future__ import annotations

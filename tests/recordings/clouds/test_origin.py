@@ -16,7 +16,8 @@ from kitti_samples import OBJECT_CALIB
 
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.clouds.virtual_camera import STEP_M
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.virtual_camera import FARTHEST_MIDDLE_M, STEP_M, Origin
 from annotator.recordings.recording import origin_of
 from annotator.recordings.ros import messages
 from annotator.recordings.scan_file import Scans
@@ -279,3 +280,12 @@ def test_an_origin_beside_a_calibration_is_refused(tmp_path: Path, name: str):
         with pytest.raises(ConfigError, match=says):
             open_recording(tmp_path, ReaderOptions(origin=(1.0, 2.0, 3.0), look_around=around))
     assert len(open_recording(tmp_path)) == 1
+
+
+def test_clouds_near_their_sensor_cost_no_other_cloud():
+    def refuse() -> None:
+        raise AssertionError("reads another cloud")
+
+    origin = Origin(None, lambda: (refuse for _ in range(3)))  # type: ignore[misc]
+    near = RawCloud(XYZ + np.array([FARTHEST_MIDDLE_M - 20, 0, 0]))
+    assert origin.of(near).tolist() == [0, 0, 0]

@@ -239,6 +239,16 @@ R3D_DAMAGES = [
 ]
 
 
+def test_numbers_and_times_beyond_all_clocks_are_left_out(tmp_path: Path):
+    path = made.write_record3d(tmp_path / "take", made.frames(2), frameTimestamps=[], fps=1e-9)
+    (path / "rgbd" / ("9" * 200 + ".jpg")).write_bytes(b"")
+    for suffix in ("jpg", "depth", "conf"):
+        (path / f"rgbd/1.{suffix}").rename(path / f"rgbd/99.{suffix}")
+    recording = open_recording(path)
+    assert recording.keys == ("0", "99")
+    assert [recording.frame(i).timestamp_ns for i in range(2)] == [0, None]
+
+
 THIRD = 33_333_333
 TIMES = [
     # at the start of a clock, 0 is a time

@@ -173,12 +173,12 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
         file.write_bytes(content)
         recording = open_recording(bag.path)
         readable = 0
-        for i in range(0, len(recording), 3):
+        for i in range(len(recording)):
             try:
                 readable += len(recording.frame(i).cloud) > 0
             except FrameError as error:
                 assert str(error).startswith(str(bag.path))
-        assert readable > 20
+        assert readable > 30
 
 
 @pytest.mark.parametrize("how", WRITERS)
