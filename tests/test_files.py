@@ -15,12 +15,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
+import lzfse
 import numpy as np
+import pyarrow
 import pytest
 from cloud_samples import camera_file
+from pyarrow import feather
 from scipy.io import savemat
 
 from annotator import files
+from annotator.feather import read_feather
 from annotator.files import (
     MOST_DIRECTORY_BYTES,
     check_file,
@@ -35,6 +39,7 @@ from annotator.files import (
 from annotator.frame_limits import VARIABLE, frame_memory, memory_problem, require_pixels
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.phones.record3d import decompress
 from annotator.recordings.sunrgbd import _read_mat
 from annotator.types.errors import ConfigError, FormatError, FrameError
 
@@ -356,3 +361,23 @@ def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: py
 def test_real_frames_are_within_the_default():
     assert memory_problem(points=10_000_000, pixels=12_000_000) == ""
     require_pixels(4032, 3024, give_points=True)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_compressed_columns_are_counted_before_they_are_decompressed(tmp_path: Path, compression: str):
+    table = pyarrow.table({"x": np.zeros(MANY, np.int8)})
+    feather.write_feather(table, tmp_path / "a.feather", compression=compression, chunksize=MANY)
+    assert grown_mib(lambda: read_feather(tmp_path / "a.feather", {"x": "int"})) < 50
+
+
+def test_a_stream_of_lzfse_that_gives_more_than_it_declares_is_refused(monkeypatch: pytest.MonkeyPatch):
+    """A block of matches declares its length, but the decoder counts only the matches."""
+    raw = np.round(np.random.default_rng(0).uniform(0, 5, 200_000), 2).astype("<f4").tobytes()
+    packed = lzfse.compress(raw)
+    assert decompress(packed, len(raw)) == raw
+    monkeypatch.setenv(VARIABLE, "2")
+    with pytest.raises(ValueError, match="too large"):
+        decompress(packed, len(raw))
+    for at in range(0, 32, 4):
+        with pytest.raises(ValueError, match=r"damaged|instead of|too large"):
+            decompress(packed[:at] + b"\0" * 4 + packed[at + 4 :], len(raw))
