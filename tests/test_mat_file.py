@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import tracemalloc
 import zlib
@@ -122,3 +123,26 @@ def test_numbers_only_refuses_other_values(tmp_path: Path) -> None:
         with pytest.raises(MatFileError, match=f"has values other than numbers in {name}"):
             read_mat(tmp_path / "a.mat", name, 2**20, numbers_only=True)
     np.testing.assert_array_equal(read_mat(tmp_path / "a.mat", "number", 2**20, numbers_only=True), np.eye(2))
+
+
+def written() -> bytes:
+    stream = io.BytesIO()
+    savemat(stream, {"table": structs()})
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "problem"),
+    [
+        # the array's length; its number of rows
+        (132, 2**31 - 1, "is truncated"),
+        (160, 2**30, "declares .* elements in"),
+        (160, 2**32 - 1, "invalid size"),
+    ],
+)
+def test_huge_counts_are_errors_without_allocating_memory(tmp_path: Path, place: int, value: int, problem: str) -> None:
+    data = bytearray(written())
+    struct.pack_into("<I", data, place, value)
+    (tmp_path / "a.mat").write_bytes(data)
+    with pytest.raises(MatFileError, match=problem):
+        read_mat(tmp_path / "a.mat", "table", 2**20)

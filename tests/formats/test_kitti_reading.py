@@ -232,3 +232,9 @@ def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
             read_kitti_folder(tmp_path / name, scored=True)
     with pytest.raises(FormatError, match=r"has no \.txt file"):
         read_kitti_folder(folder_of(tmp_path / "none", {}), scored=True)
+
+
+@pytest.mark.parametrize("make", [folder_of, archive_of])
+def test_a_decompression_bomb_is_not_read_to_the_end(tmp_path: Path, make) -> None:
+    with pytest.raises(FormatError, match=r"(longer|larger) than 16 MiB"):
+        read_kitti_folder(make(tmp_path / "bomb", {"1.txt": "\n" * 17 * 2**20}), scored=True)

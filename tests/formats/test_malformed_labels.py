@@ -274,3 +274,25 @@ def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.
         file.truncate(4 << 30)  # sparse
     with pytest.raises(FormatError, match="larger than 1 MiB"):
         read_boxes(tmp_path / "boxes.json")
+
+
+@contextmanager
+def only_reads(folder: Path) -> Iterator[None]:
+    """Asserts that nothing below the folder is created, changed or removed."""
+
+    def state() -> list[tuple[str, int, int]]:
+        return sorted((str(p), p.lstat().st_size, p.lstat().st_mtime_ns) for p in folder.rglob("*"))
+
+    before = state()
+    yield
+    assert state() == before
+
+
+def test_archives_with_hostile_names_write_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "in" / "labels.zip"
+    path.parent.mkdir()
+    path.write_bytes(zipped(("../../up.txt", "/etc/root.txt", "C:\\x\\windows.txt")))
+    with only_reads(tmp_path):
+        files = {key: file for key, file, _ in text_files(path)}
+    assert set(files) == {"up", "root", r"C:\x\windows"}
+    assert all(file.parent == path for file in files.values())

@@ -290,3 +290,12 @@ def test_a_number_with_an_underscore_is_refused(tmp_path: Path, text: str, rows:
     path.write_text(head % rows + "1 2 3\n" * (rows - 1) + f"1 {text} 3\n")
     with pytest.raises(FrameError, match=f"point {rows}: '{text}' is not a number"):
         read_cloud(path)
+
+
+def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    np.savez_compressed(tmp_path / "a.npz", points=np.ones((100_000, 3)))
+    assert (tmp_path / "a.npz").stat().st_size < 10_000
+    assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
+    monkeypatch.setenv("ANNOTATOR_FRAME_MEMORY", "10")
+    with pytest.raises(FrameError, match=r"too large: 100000 points take about 15 MiB .* limit is 10 MiB"):
+        read_cloud(tmp_path / "a.npz")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -226,3 +227,14 @@ def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
     distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::100]])
     assert np.mean(distance < 1e-5) > 0.9
+
+
+def test_a_declared_size_beyond_the_file_allocates_no_memory(recording_file: Path):
+    recording = opened(recording_file)
+    capture = recording.captures[0]
+    endless = replace(capture, color=replace(capture.color, size=1 << 55), depth=replace(capture.depth, size=1 << 55))
+    cut = replace(recording, captures=(endless,))
+    with pytest.raises(FrameError, match="the file ends in the middle of its colour image"):
+        cut.color_image(0)
+    with pytest.raises(FrameError, match="the file ends in the middle of its depth image"):
+        cut.depth_image(0)

@@ -133,3 +133,11 @@ def test_a_mirrored_box_has_the_mirrored_corners() -> None:
         np.testing.assert_allclose(image.center_m, box.center_m * flip)
         local = image.T_camera_box.inv().apply((inside * flip)[None])[0]
         np.testing.assert_allclose(np.abs(local), [1.9, 0.9, 0.4], atol=1e-12)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["kitti", "sunrgbd"])
+def test_real_labels_show_nothing(shared: Path, name: str) -> None:
+    report = check_datasets(shared / "data" / name)
+    assert not SET_RULES & report.by_rule.keys()
+    assert sum(each.labels for each in report.datasets) > 0

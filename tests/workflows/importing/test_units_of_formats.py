@@ -372,3 +372,11 @@ def test_exports_are_recognised_as_themselves(
 )
 def test_a_row_shows_its_format(tmp_path: Path, row: str, format: str) -> None:
     assert format_of(put(tmp_path / "000000.txt", row)) == format
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["06_kitti_labels/labels/degrees", "12_labels_of_tools/sustech/degrees_obvious"])
+def test_degrees_of_the_cases_are_refused(shared: Path, name: str) -> None:
+    path = shared / "cases" / name
+    with pytest.raises(UnitError, match="is no angle in radians"):
+        read_labels(format_of(path), path)  # type: ignore[arg-type]
