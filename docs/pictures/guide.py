@@ -10,7 +10,19 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from page import DOCS, REPOSITORY, chromium, corners_on_page, drag, save_jpeg, shot, signed_in, wait_for_3d, workbench
+from page import (
+    DOCS,
+    REPOSITORY,
+    chromium,
+    corners_on_page,
+    drag,
+    go_to,
+    save_jpeg,
+    shot,
+    signed_in,
+    wait_for_3d,
+    workbench,
+)
 from playwright.sync_api import Browser, Page
 from scenes import unlabelled_boxes
 from scipy.spatial.transform import Rotation
@@ -44,8 +56,7 @@ def main() -> None:
                 camera, boxes = unlabelled_boxes(projects / "room", recordings / "room", frame)
                 if not boxes:
                     continue
-                # the link itself would sign in once more, and lead to the start page
-                page.evaluate(f"location.hash = '#/room/label/{frame}'")
+                go_to(page, f"room/label/{frame}")
                 draw(page, camera, boxes)
                 follow(page, frame)
                 accept_all(page)
@@ -100,7 +111,7 @@ def choose_topics(browser: Browser, address: str) -> None:
     page.get_by_test_id("topics-dialog").get_by_test_id("dialog-add").click()
     page.get_by_test_id("added-recording").wait_for()
     page.keyboard.press("Escape")
-    page.goto(f"{address}#/room/alignment")
+    go_to(page, "room/alignment")
     page.get_by_test_id("correction-effect").get_by_text("Undo restores everything").wait_for()
     click(page, "estimate-up")
     page.get_by_text("Proposed with certainty").wait_for()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from page import DOCS, chromium, corners_on_page, shot, signed_in, wait_for_3d, workbench
+from page import DOCS, chromium, corners_on_page, go_to, shot, signed_in, wait_for_3d, workbench
 from PIL import Image, ImageDraw, ImageFont
 from playwright.sync_api import Page
 from scenes import true_boxes
@@ -71,7 +71,7 @@ def main() -> None:
         with workbench(root) as address, chromium() as browser:
             page = signed_in(browser, address)
             film = Film(page)
-            page.goto(f"{address}#/people/label/1")
+            go_to(page, "people/label/1")
             draw(film, recording)
             follow(film)
             review(film)

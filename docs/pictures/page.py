@@ -69,6 +69,11 @@ def signed_in(browser: Browser, address: str) -> Page:
     return page
 
 
+def go_to(page: Page, place: str) -> None:
+    """Opens a place of the page, such as `room/review`. The link would sign in once more, and lead to the start page."""
+    page.evaluate("place => { location.hash = `/${place}`; }", place)
+
+
 def corners_on_page(page: Page, editor: str, box: Box2D, camera: Camera) -> tuple[Point, Point]:
     """The upper left and the lower right corner of a box on a picture of the page, pixels of the page."""
     shown = page.get_by_test_id(editor).locator("img.picture[src]")
