@@ -223,7 +223,7 @@ def _is_kitti(path: Path) -> bool:
 def _read_mat(path: Path) -> RawCloud:
     """Reads the cloud of a MATLAB file of version 5 to 7."""
     try:
-        table = read_mat(path, "instance", frame_memory() // 2, numbers_only=True)
+        table = read_mat(path, "instance", frame_memory() // 2)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     except MatSizeError as error:

@@ -9,10 +9,9 @@ The format is described in issues of github.com/marek-simonik/record3d (7, 27, 3
 camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
 to the first image, so that the direction of gravity is not known.
 
-LZFSE is Apple's compression. Its package (the extra `phones`) decompresses to any length, so the blocks of a stream
-are listed first, with the lengths that they declare (github.com/lzfse/lzfse, lzfse_internal.h). The archive's files
-are read without `zipfile`, which would parse the list of all files again for each: 0.2 s for 10,000 frames (PKWARE,
-"APPNOTE", 4.3.7, local file header).
+LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it reads, so it runs in the `fence`. The
+archive's files are read without `zipfile`, which would parse the list of all files again for each: 0.2 s for 10,000
+frames (PKWARE, "APPNOTE", 4.3.7, local file header).
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -30,6 +30,7 @@ from jaxtyping import Float64, UInt8
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
+from annotator.fence import fenced
 from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
@@ -47,11 +48,6 @@ from annotator.types.messages import first_problem
 
 # Data that cannot be compressed gets a little larger.
 MOST_GROWTH, HEADS_BYTES = 1.1, 4096
-# Kinds of blocks: as it is, LZVN, LZFSE, and the end of the stream.
-PLAIN, LZVN, LZFSE, END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
-SHORTEST_HEADER = 32
-# The longest literal run and match.
-LONGEST_STEP = 315 + 2359
 
 
 def decompress(data: bytes, expected_bytes: int) -> bytes:
@@ -61,51 +57,24 @@ def decompress(data: bytes, expected_bytes: int) -> bytes:
         MissingExtraError: the package is not installed.
         ValueError: damaged, or of another length; the message says which.
     """
-    try:
-        import lzfse
-    except ImportError as error:
-        raise MissingExtraError("lzfse", "phones") from error
+    if find_spec("lzfse") is None:
+        raise MissingExtraError("lzfse", "phones")
     if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
         raise ValueError(f"it has {len(data)} bytes, too many for an image of {expected_bytes}")
-    declared, most = _declared_bytes(data)
-    if declared != expected_bytes:
-        raise ValueError(f"it has {declared} bytes instead of {expected_bytes}")
-    require_memory(more_bytes=most)
-    try:
-        raw = lzfse.decompress(data)
-    except lzfse.error as error:
-        raise ValueError("its compression (LZFSE) is damaged") from error
+    raw: bytes = fenced(f"{__name__}:unpack", data)
     if len(raw) != expected_bytes:
         raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
-    return bytes(raw)
+    return raw
 
 
-def _declared_bytes(data: bytes) -> tuple[int, int]:
-    """Returns the length that a stream declares, and the most that a damaged one may decompress to."""
-    declared = most = at = 0
-    while True:
-        kind = data[at : at + 4]
-        if kind == END:
-            return declared, most
-        try:
-            (length,) = struct.unpack_from("<I", data, at + 4)
-            if kind == PLAIN:
-                at, longest = at + 8 + length, length
-            elif kind == LZVN:
-                at, longest = at + 12 + struct.unpack_from("<I", data, at + 8)[0], length
-            elif kind == LZFSE:
-                # bits of three words: literals, their bytes, matches; bytes of matches; bytes of this header
-                first, second, third = struct.unpack_from("<QQQ", data, at + 8)
-                # the decoder counts the matches, not the bytes that they give
-                longest = (first >> 40 & 0xFFFFF) * LONGEST_STEP
-                if third & 0xFFFFFFFF < SHORTEST_HEADER:
-                    raise ValueError("its compression (LZFSE) is damaged")
-                at += (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
-            else:
-                raise ValueError("its compression (LZFSE) is damaged")
-        except struct.error as error:
-            raise ValueError("its compression (LZFSE) is damaged or truncated") from error
-        declared, most = declared + length, most + max(longest, length)
+def unpack(data: bytes) -> bytes:
+    """Decompresses a stream, in this process."""
+    import lzfse
+
+    try:
+        return bytes(lzfse.decompress(data))
+    except lzfse.error as error:
+        raise ValueError("its compression (LZFSE) is damaged") from error
 
 
 SIGNATURE, HEAD = b"PK\3\4", struct.Struct("<26xHH")

@@ -31,12 +31,9 @@ def of_depth(bits: int) -> np.ndarray:
 
 # type, colours in it
 COLUMNS = [
-    ("u1", RGB), ("i1", RGB.view(np.int8)),
-    ("u2", RGB), ("u2", of_depth(10)), ("u2", of_depth(12)), ("u2", of_depth(14)), ("u2", of_depth(16)),
-    ("u2", RGB.astype(np.uint16) << 8),
-    ("i2", RGB), ("i2", of_depth(12)), ("i2", of_depth(16).astype(np.uint16).view(np.int16)),
-    ("u4", RGB), ("u4", of_depth(16)), ("u4", of_depth(32)), ("i4", RGB), ("i4", of_depth(16)),
-    ("f4", RGB), ("f4", RGB / 255), ("f4", of_depth(16)), ("f8", RGB), ("f8", RGB / 255), ("f8", of_depth(10)),
+    ("u1", RGB), ("i1", RGB.view(np.int8)), ("u2", RGB), ("u2", of_depth(10)), ("u2", of_depth(14)),
+    ("u2", RGB.astype(np.uint16) << 8), ("i2", of_depth(16).astype(np.uint16).view(np.int16)), ("u4", of_depth(32)),
+    ("i4", of_depth(16)), ("f4", RGB), ("f4", RGB / 255), ("f8", of_depth(10)),
 ]  # fmt: skip
 PLY_NAMES = {"u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "f4": "float",
              "f8": "double"}  # fmt: skip
@@ -147,15 +144,10 @@ def lines(texts: Sequence[str]) -> bytes:
 FLOATS = PACKED.view(np.float32)
 TEXTS = [
     pytest.param("f4", [str(each) for each in PACKED], id="whole"),
-    pytest.param("u4", [str(each) for each in PACKED], id="whole-U"),
-    pytest.param("f4", [str(each) for each in PACKED | ALPHA], id="alpha"),
     pytest.param("u4", [str(each) for each in (PACKED | ALPHA).view(np.int32)], id="negative-U"),
     pytest.param("i4", [str(each) for each in PACKED | ALPHA], id="large-I"),
-    pytest.param("f4", [f"{each:.1f}" for each in PACKED], id="decimal"),
     pytest.param("f4", [f"{each:.9e}" for each in PACKED], id="scientific"),
     pytest.param("f4", [f"{each:.9g}" for each in FLOATS], id="bits"),
-    pytest.param("f8", [f"{each:.9g}" for each in FLOATS], id="bits-8"),
-    pytest.param("f4", [f"0x{each:06X}" for each in PACKED], id="hexadecimal"),
     pytest.param("u4", [f"0xff{each:06x}" for each in PACKED], id="hexadecimal-alpha"),
     pytest.param("u4", [f"#{each:06x}" for each in PACKED], id="hash"),
 ]
@@ -167,9 +159,7 @@ def test_packed_colours_in_text(tmp_path: Path, kind: str, texts: list[str]):
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
 
 
-@pytest.mark.parametrize(
-    "nan", ["nan", "-nan", "NaN", "-1.#IND", "1.#QNAN", "-1.#IND00", "1.#R", "nan(ind)", "-nan(ind)"]
-)
+@pytest.mark.parametrize("nan", ["nan", "-1.#IND", "1.#R", "-nan(ind)"])
 def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path, nan: str):
     texts = [nan, *map(str, PACKED[1:])]
     body = lines(texts).splitlines(keepends=True)
@@ -185,14 +175,6 @@ def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
     nan = np.full(N, np.nan, kind)
     columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
     assert from_columns(Path("a"), columns).rgb is None
-
-
-def test_a_text_that_is_no_number_is_named_plainly(tmp_path: Path):
-    (tmp_path / "a.pcd").write_bytes(
-        pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", lines(["1"] * 7 + ["red"] * 5))
-    )
-    with pytest.raises(FrameError, match="point 8: 'red' is not a number"):
-        read_cloud(tmp_path / "a.pcd")
 
 
 @pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
@@ -232,15 +214,15 @@ def test_a_dark_scan_has_the_scale_of_the_others():
     assert scaled.rgb is not None and (scaled.rgb == 1).all()
 
 
-@pytest.mark.parametrize("highest", [255, 65535])
-def test_reflectances_that_are_all_saturated_are_none(highest: int):
-    columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
-    assert from_columns(Path("a"), columns).reflectance is None
-    columns["intensity"][0] = 5
-    assert from_columns(Path("a"), columns).reflectance is not None
+def test_reflectances_that_are_all_saturated_are_none():
+    for highest in (255, 65535):
+        columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
+        assert from_columns(Path("a"), columns).reflectance is None
+        columns["intensity"][0] = 5
+        assert from_columns(Path("a"), columns).reflectance is not None
 
 
-LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8"), ("int16", "i2", "uint8", "u1")]
+LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8")]
 
 
 def with_lists(form: str, lengths: Sequence[int], kinds: tuple[str, str, str, str], place: str) -> bytes:

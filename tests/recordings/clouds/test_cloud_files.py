@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.pcd_ply import lzf_decompress
 from annotator.types.errors import FrameError
 
@@ -23,17 +23,16 @@ RGB = np.random.default_rng(1).integers(0, 256, (500, 3)).astype(np.uint8)
 SHARE = np.random.default_rng(2).random(500).astype(np.float32)
 
 
+@pytest.mark.parametrize("has_colors", [True, False])
 @pytest.mark.parametrize(
     ("name", "options"),
     [
         ("a.ply", {"write_ascii": True}),
         ("a.ply", {}),
         ("a.pcd", {"write_ascii": True}),
-        ("a.pcd", {}),
         ("a.pcd", {"compressed": True}),
     ],
 )
-@pytest.mark.parametrize("has_colors", [True, False])
 def test_files_written_by_open3d_are_read(tmp_path: Path, name: str, options: dict[str, bool], has_colors: bool):
     import open3d as o3d
 
@@ -173,44 +172,26 @@ def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
 
 XYZ_FIELDS = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
 FALSE_HEADERS = [
-    (
-        "a.ply",
-        b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nend_header\n" % HUGE,
-        "declares",
-    ),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n" % HUGE, "declares"),
-    (
-        "a.ply",
-        b"ply\nformat ascii 1.0\nelement o %d\nelement vertex 1\nproperty int x\nend_header\n1\n" % HUGE,
-        "ends before",
-    ),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "only lists"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no column y z"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
     ("a.ply", ply("binary_big_endian")[:3000], "declares 500 points"),
     ("a.pcd", pcd("binary", bytes(120), HUGE, XYZ_FIELDS), "declares"),
-    ("a.pcd", pcd("ascii", b"1 2 3\n", HUGE, XYZ_FIELDS), "declares"),
     ("a.pcd", pcd("ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3, XYZ_FIELDS), "line 12 has 2 values instead of 3"),
-    (
-        "a.pcd",
-        pcd("ascii", b"1 2 3\n" * 20_000 + b"1" * 2_000_000 + b" 2 3\n", 20_001, XYZ_FIELDS),
-        "line 20011 has a value of more than 400 characters",
-    ),
     ("a.pcd", pcd("binary_compressed", compressed(bytes(120), HUGE % 2**32), HUGE, XYZ_FIELDS), "declares"),
     ("a.pcd", pcd("binary_compressed", compressed(bytes(120))[:50], 10, XYZ_FIELDS), "compressed bytes but has"),
     ("a.pcd", pcd("binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10, XYZ_FIELDS), "before the beg"),
     ("a.pcd", pcd("gzip", b"", 10, XYZ_FIELDS), "encoding 'gzip' is unknown"),
-    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 999999\n"), "field z"),
     ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4\nTYPE F F F\n"), "different lengths"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
-    ("a.pcd", b"GIF89a\n", "its header has a line 'GIF89a'"),
     ("a.npy", npy_header((HUGE, 3)) + bytes(36), "declares"),
     ("a.npy", npy_header((3, 3)) + bytes(35), "is truncated"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
-    *(("a.npy", npy_header(shape), "impossible shape") for shape in ((0, 2**63), (2**62, 4, 0), (0,) * 70)),
+    ("a.npy", npy_header((2**62, 4, 0)), "impossible shape"),
     ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "header of its array is damaged"),
     ("a.npz", b"PK\x03\x04 no archive", "archive is damaged"),
-    *((f"a{suffix}", b"", "the file is empty") for suffix in CLOUD_SUFFIXES),
+    ("a.pcd", b"", "the file is empty"),
 ]
 
 
@@ -280,15 +261,11 @@ def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_n
         read_cloud(path)
 
 
-@pytest.mark.parametrize("text", ["1_000"])
 @pytest.mark.parametrize("rows", [1, 3])
-def test_a_number_with_an_underscore_is_refused(tmp_path: Path, text: str, rows: int):
-    head = (
-        "ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    )
+def test_a_number_with_an_underscore_is_refused(tmp_path: Path, rows: int):
     path = tmp_path / "a.ply"
-    path.write_text(head % rows + "1 2 3\n" * (rows - 1) + f"1 {text} 3\n")
-    with pytest.raises(FrameError, match=f"point {rows}: '{text}' is not a number"):
+    path.write_text(TEXT_CLOUDS[".ply"].replace("vertex 2", f"vertex {rows}") + "1 2 3\n" * (rows - 1) + "1 1_000 3\n")
+    with pytest.raises(FrameError, match=f"point {rows}: '1_000' is not a number"):
         read_cloud(path)
 
 
