@@ -23,22 +23,21 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from jaxtyping import Float64
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file, read_file, read_text_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
-from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
+from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS, in_time, too_late
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.messages import first_problem
 
 REMEDY = "export the dataset again"
 # A document may describe a whole recording.
@@ -77,7 +76,7 @@ def exported_frame(
     """
     image, cloud = files
     picture = read_color_image(image, (camera.width_px, camera.height_px))
-    _check_size(image, picture.rgb, camera)
+    require_size(image, picture.rgb, (camera.width_px, camera.height_px), "its camera has", REMEDY)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:
         raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
     raw = read_cloud(cloud)
@@ -93,14 +92,6 @@ def exported_frame(
         T_world_camera=T_world_camera,
         exif_orientation=picture.exif_orientation,
     )
-
-
-def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
-    height, width = rgb.shape[:2]
-    if (width, height) != (camera.width_px, camera.height_px):
-        raise FrameError(
-            path, f"has {width} x {height} pixels, but its camera {camera.width_px} x {camera.height_px}", REMEDY
-        )
 
 
 OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
@@ -239,9 +230,8 @@ def _openlabel_camera(document: Path, key: str, record: Any) -> Camera:
         distortion = tuple(float(value) for value in record["distortion_coeffs"])
         if not is_pinhole(K) or not 0 < min(size) <= max(size) <= LARGEST_SIDE_PX:
             raise ValueError("not a pinhole camera")
-        fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         # the format needs at least five coefficients
-        return Camera(*size, fx, fy, cx, cy, distortion if any(distortion) else ())
+        return pinhole(K, *size, distortion if any(distortion) else ())
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FrameError(document, f"frame {key}: its intrinsics are invalid ({str(error)[:80]})", REMEDY) from error
 
@@ -315,11 +305,9 @@ class RcvFolder(KeyedFrames):
         """Reads frame `i`."""
         key = self.key(i)
         path, record = self._record(key)
-        try:
+        with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
             world = None if record.world is None else record.world.transform()
-        except ValueError as error:
-            raise FrameError(path, f"does not describe a frame ({error})", REMEDY) from error
         up = None if record.up is None else np.array(record.up)
         if up is not None:
             length = np.linalg.norm(up)
@@ -332,12 +320,8 @@ class RcvFolder(KeyedFrames):
     def _record(self, key: str) -> tuple[Path, FrameFile]:
         """Returns the path and the content of a frame's file."""
         path = self.path / LABELS / f"{key}.json"
-        try:
+        with file_errors(path, REMEDY):
             return path, FrameFile.model_validate_json(read_text_file(path))
-        except OSError as error:
-            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-        except ValueError as error:  # pydantic's errors, too
-            raise FrameError(path, f"does not describe a frame ({_first_line(error)})", REMEDY) from error
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:
@@ -348,17 +332,9 @@ def open_rcv(path: Path) -> RcvFolder | NotFound:
     content = read_document(manifest)
     if not isinstance(content, dict) or content.get("format") != FORMAT_NAME:
         return NotFound(RCV_LOOKED_FOR)
-    try:
+    with file_errors(manifest, REMEDY, kind=RecordingError):
         keys = ManifestFile.model_validate(content).frames
-    except ValidationError as error:
-        raise RecordingError(f"{manifest}: {_first_line(error)}; {REMEDY}") from error
     if len(set(keys)) < len(keys):
         raise RecordingError(f"{manifest}: a frame is listed twice; {REMEDY}")
     sorted_keys(path, set(keys), f"frames in {MANIFEST}")  # raises without frames; the manifest has their order
     return RcvFolder(path, keys)
-
-
-def _first_line(error: ValueError) -> str:
-    if not isinstance(error, ValidationError):
-        return str(error)
-    return first_problem(error)

@@ -254,7 +254,7 @@ def test_names_may_have_blanks_and_another_unicode_form(tmp_path: Path):
             r"depth\.txt:1: the time 1305031102000000000 s is beyond the year 2262",
         ),
         ("groundtruth.txt", "1305031102,2 0 0 0 0 0 0 1", r"groundtruth\.txt:1: begins with a time with a decimal"),
-        ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"txt:1: '0,5' has a decimal comma; write a point"),
+        ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"line 1: '0,5' has a decimal comma; write a point"),
     ],
 )
 def test_decimal_commas_and_nanoseconds_are_named(tmp_path: Path, name: str, text: str, says: str):

@@ -11,14 +11,13 @@ from __future__ import annotations
 import io
 import struct
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 
 from annotator.fence import fenced
 from annotator.frame_limits import require_memory
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, at_limits, from_columns
-from annotator.types.errors import FrameError, MissingExtraError
+from annotator.recordings.clouds.columns import RawCloud, at_limits, from_columns
+from annotator.types.errors import MissingExtraError
 
 SIGNATURE = b"LASF"
 # From byte 94: header size, offset of the points, number of records before them, point format, bytes per point, points.
@@ -29,21 +28,18 @@ RECORD_HEAD_BYTES = 54
 COLORS = ("red", "green", "blue")
 
 
-def parse_las(path: Path, data: bytes) -> RawCloud:
+def parse_las(data: bytes) -> RawCloud:
     """Parses the points of a LAS or LAZ file, without withheld ones; its unit is assumed to be metres."""
     # laspy imports lazrs by itself, without an error if it is missing
     if find_spec("laspy") is None or find_spec("lazrs") is None:
         raise MissingExtraError("laspy[lazrs]", "las")
-    try:
-        columns = fenced(f"{__name__}:decode", data) if _is_compressed(data) else decode(data)
-    except ValueError as error:
-        raise FrameError(path, str(error), CLOUD_REMEDY) from error
-    kept = ~at_limits(path, [columns.pop(name) for name in "XYZ"]) & (columns.pop("withheld") == 0)
+    columns = fenced(f"{__name__}:decode", data) if _is_compressed(data) else decode(data)
+    kept = ~at_limits([columns.pop(name) for name in "XYZ"]) & (columns.pop("withheld") == 0)
     # zeros throughout: not measured
     has_colors = any(columns[name].any() for name in COLORS if name in columns)
     unused = set() if has_colors else {*COLORS}
     unused |= set() if columns["intensity"].any() else {"intensity"}
-    return from_columns(path, {name: values[kept] for name, values in columns.items() if name not in unused})
+    return from_columns({name: values[kept] for name, values in columns.items() if name not in unused})
 
 
 def _is_compressed(data: bytes) -> bool:

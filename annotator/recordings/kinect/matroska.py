@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from annotator.files import open_file
-from annotator.types.errors import RecordingError
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 TRACK_ENTRY, VIDEO = 0xAE, 0xE0
@@ -32,8 +31,6 @@ NO_LIMIT = 1 << 60
 LACING_BITS = 0x06
 LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
-# Several hours of recording; a block takes about 150 bytes of memory.
-MOST_BLOCKS = 4_000_000
 # A century; sums and differences of two such times fit into 64 bits.
 MOST_NS = 1 << 62
 # Chunk sizes for the search after a damaged part: they grow, so that many small damaged parts stay cheap.
@@ -82,7 +79,6 @@ def read_index(path: Path) -> MatroskaIndex | None:
 
     Raises:
         OSError: the file cannot be read.
-        RecordingError: it has more than `MOST_BLOCKS` blocks.
     """
     with open_file(path, buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
@@ -183,8 +179,6 @@ class _IndexReader:
         is_laced = bool(head[length + 2] & LACING_BITS)
         before = length + 3
         self.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
-        if len(self.blocks) > MOST_BLOCKS:
-            raise RecordingError(f"{self.path}: has more than {MOST_BLOCKS} blocks; cut the recording into parts")
 
     def _next_cluster(self, at: int, end: int) -> int:
         """Returns the offset of the next cluster, at `at` or later; `end` if there is none."""

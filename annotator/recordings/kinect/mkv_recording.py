@@ -35,6 +35,7 @@ from annotator.recordings.kinect.calibration import (
     up_at_rest,
 )
 from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index, read_tracks
+from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
@@ -216,10 +217,8 @@ class AzureKinect(KeyedFrames):
         """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i].color)
-        try:
+        with file_errors(self.path, REMEDY, f"frame {key}: colour image: "):
             return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
-        except ValueError as error:
-            raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
         """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
@@ -250,16 +249,12 @@ class AzureKinect(KeyedFrames):
 
     def _contents(self, key: str, blocks: Sequence[Block]) -> list[bytes]:
         """Reads the blocks, as far as the file reaches."""
-        contents = []
-        try:
-            with open_file(self.path) as file:
-                end = file.seek(0, os.SEEK_END)
-                for block in blocks:
-                    file.seek(block.offset)
-                    # a damaged size must not allocate more memory than the file needs
-                    contents.append(file.read(max(min(block.size, end - block.offset, frame_memory()), 0)))
-        except OSError as error:
-            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        with file_errors(self.path, REMEDY, f"frame {key}: "), open_file(self.path) as file:
+            end, contents = file.seek(0, os.SEEK_END), []
+            for block in blocks:
+                file.seek(block.offset)
+                # a damaged size must not allocate more memory than the file needs
+                contents.append(file.read(max(min(block.size, end - block.offset, frame_memory()), 0)))
         return contents
 
 
@@ -291,11 +286,13 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
     captures = find_captures(index, color, depth, tagged_ns(tags, "K4A_DEPTH_DELAY_NS"))
     if not captures:
         raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
+    with file_errors(path, REMEDY, "its calibration cannot be used: ", RecordingError):
+        calibration = parse_calibration(attached, _size(depth), _size(color))
     return AzureKinect(
         path=path,
         keys=tuple(f"{number:06d}" for number in captures),
         captures=tuple(captures.values()),
-        calibration=_calibration(path, attached, _size(depth), _size(color)),
+        calibration=calibration,
         fourcc=_fourcc(path, color),
         start_ns=tagged_ns(tags, "K4A_START_OFFSET_NS"),
         inertial=tuple(sorted(_blocks(index, tracks.get("IMU")), key=lambda block: block.time_ns)),
@@ -310,13 +307,6 @@ def _is_mkv(path: Path) -> bool:
 def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
     """Returns the cached index: adding a recording opens it several times."""
     return read_index(path)
-
-
-def _calibration(path: Path, attached: bytes, depth: Size, color: Size) -> KinectCalibration:
-    try:
-        return parse_calibration(attached, depth, color)
-    except ValueError as error:
-        raise RecordingError(f"{path}: its calibration cannot be used: {error}; {REMEDY}") from error
 
 
 def _size(track: Track) -> Size:

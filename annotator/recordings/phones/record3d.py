@@ -9,42 +9,38 @@ The format is described in issues of github.com/marek-simonik/record3d (7, 27, 3
 camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
 to the first image, so that the direction of gravity is not known.
 
-LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it reads, so it runs in the `fence`. The
-archive's files are read without `zipfile`, which would parse the list of all files again for each: 0.2 s for 10,000
-frames (PKWARE, "APPNOTE", 4.3.7, local file header).
+LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it reads, so it runs in the `fence`.
 """
 
 from __future__ import annotations
 
-import struct
+import os
 import zipfile
-import zlib
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from annotator.fence import fenced
-from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
+from annotator.files import ARCHIVE_ERRORS, check_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
-from annotator.recordings.listing import sorted_keys
+from annotator.recordings.listing import file_errors, sorted_keys
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
-from annotator.recordings.plausible import is_pinhole
+from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_folder import Number, Positive, Side, pinhole
+from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
-from annotator.types.messages import first_problem
 
 # Data that cannot be compressed gets a little larger.
 MOST_GROWTH, HEADS_BYTES = 1.1, 4096
@@ -77,14 +73,22 @@ def unpack(data: bytes) -> bytes:
         raise ValueError("its compression (LZFSE) is damaged") from error
 
 
-SIGNATURE, HEAD = b"PK\3\4", struct.Struct("<26xHH")
-ENCRYPTED = 1
+@lru_cache(maxsize=4)
+def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
+    """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
+    check_file(path)
+    return zipfile.ZipFile(path)
 
-# None: a file in a folder.
-Entries = dict[str, zipfile.ZipInfo | None]
+
+def _opened(path: Path) -> zipfile.ZipFile:
+    stat = path.stat()
+    try:
+        return _archive(path, stat.st_mtime_ns, stat.st_size, os.getpid())
+    except ARCHIVE_ERRORS as error:
+        raise ValueError(f"not a complete zip archive ({error})") from error
 
 
-def list_entries(path: Path) -> Entries:
+def list_entries(path: Path) -> frozenset[str]:
     """Lists the files of an archive by name, or of a folder and the folders in it.
 
     Raises:
@@ -93,45 +97,25 @@ def list_entries(path: Path) -> Entries:
     """
     if path.is_dir():
         files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
-        return {file.relative_to(path).as_posix(): None for file in files}
-    try:
-        with open_file(path) as file, open_archive(file) as archive:
-            return {info.filename: info for info in archive.infolist()}
-    except OSError:
-        raise
-    except ARCHIVE_ERRORS as error:
-        raise ValueError(f"not a complete zip archive ({error})") from error
+        return frozenset(file.relative_to(path).as_posix() for file in files)
+    return frozenset(_opened(path).namelist())
 
 
-def read_entry(path: Path, name: str, info: zipfile.ZipInfo | None) -> bytes:
+def read_entry(path: Path, name: str) -> bytes:
     """Reads one file.
 
     Raises:
         OSError: it cannot be read.
         ValueError: truncated, damaged, encrypted, too large, or compressed in an unknown way; the message says which.
     """
-    if info is None:
+    if path.is_dir():
         return read_frame_file(path / name)
-    if info.flag_bits & ENCRYPTED:
-        raise ValueError("it is encrypted")
-    require_memory(more_bytes=info.file_size + info.compress_size)
-    with open_file(path) as file:
-        file.seek(info.header_offset)
-        head = file.read(len(SIGNATURE) + HEAD.size - 4)
-        if not head.startswith(SIGNATURE) or len(head) < HEAD.size:
-            raise ValueError("the archive is damaged here")
-        file.seek(sum(HEAD.unpack(head)), 1)
-        data = file.read(info.compress_size)
-    if info.compress_type == zipfile.ZIP_DEFLATED:
-        try:
-            data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, info.file_size + 1)
-        except zlib.error as error:
-            raise ValueError("its compression is damaged") from error
-    elif info.compress_type != zipfile.ZIP_STORED:
-        raise ValueError("it is compressed in an unknown way; pack the archive again, without compression")
-    if len(data) != info.file_size or zlib.crc32(data) != info.CRC:
-        raise ValueError("it is truncated or damaged")
-    return data
+    archive = _opened(path)
+    require_memory(more_bytes=archive.getinfo(name).file_size)
+    try:
+        return archive.read(name)
+    except ARCHIVE_ERRORS as error:
+        raise ValueError(f"the archive is damaged here ({error})") from error
 
 
 LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
@@ -183,7 +167,7 @@ class Record3D(KeyedFrames):
     """
 
     metadata: Metadata
-    entries: Entries = field(repr=False)
+    entries: frozenset[str] = field(repr=False)
     min_confidence: int | None = None
     format: ClassVar[str] = "record3d"
     is_sequence: ClassVar[bool] = True
@@ -217,10 +201,8 @@ class Record3D(KeyedFrames):
         import cv2
 
         path, data = self._read(f"{key}.jpg")
-        try:
+        with file_errors(path, REMEDY):
             bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        except ValueError as error:
-            raise FrameError(path, str(error), REMEDY) from error
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
     def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
@@ -245,7 +227,7 @@ class Record3D(KeyedFrames):
         """Returns the path and the pixels of a depth or confidence image."""
         path, data = self._read(f"{key}.{suffix}")
         meta, bytes_each = self.metadata, np.dtype(dtype).itemsize
-        try:
+        with file_errors(path, REMEDY):
             if meta.dw is None or meta.dh is None:
                 long, short = self._depth_size
                 size = (short, long) if camera.height_px > camera.width_px else (long, short)
@@ -253,14 +235,12 @@ class Record3D(KeyedFrames):
                 size = (meta.dw, meta.dh)
             require_pixels(*size, give_points=True)
             pixels = decompress(data, bytes_each * size[0] * size[1])
-        except ValueError as error:
-            raise FrameError(path, str(error), REMEDY) from error
         return path, np.frombuffer(pixels, np.dtype(dtype).newbyteorder("<")).astype(dtype).reshape(size[::-1])
 
     @cached_property
     def _depth_size(self) -> tuple[int, int]:
         """The long and the short side of the depth images, which the metadata does not name."""
-        _, data = self._read(next(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
+        _, data = self._read(min(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
         for expected, size in DEPTH_SIZES.items():
             try:
                 decompress(data, expected)
@@ -273,10 +253,8 @@ class Record3D(KeyedFrames):
         path = self.path / f"{FOLDER}{name}"
         if FOLDER + name not in self.entries:
             raise FrameError(path, "missing", REMEDY)
-        try:
-            return path, read_entry(self.path, FOLDER + name, self.entries[FOLDER + name])
-        except (OSError, ValueError) as error:
-            raise FrameError(path, f"cannot be read: {error}", REMEDY) from error
+        with file_errors(path, REMEDY, "cannot be read: "):
+            return path, read_entry(self.path, FOLDER + name)
 
     def _place(self, i: int, length: int) -> int | None:
         """Returns the place of frame `i` in a list of the metadata: by order, or by number if some were removed."""
@@ -322,10 +300,8 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
     """Opens the Record3D recording at `path`; `NotFound` if it is not one."""
     if not is_record3d(path):
         return NotFound(LOOKED_FOR)
-    try:
+    with file_errors(path, REMEDY, kind=RecordingError):
         entries = list_entries(path)
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}; {REMEDY}") from error
     keys = {
         name[len(FOLDER) : -len(suffix)]
         for suffix in (".jpg", ".depth")
@@ -337,12 +313,8 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
     return Record3D(path, ordered, _metadata(path, entries), entries, options.min_confidence)
 
 
-def _metadata(path: Path, entries: Entries) -> Metadata:
+def _metadata(path: Path, entries: frozenset[str]) -> Metadata:
     if METADATA not in entries:
         raise RecordingError(f"{path}: has no file {METADATA}; {REMEDY}")
-    try:
-        return Metadata.model_validate_json(read_entry(path, METADATA, entries[METADATA]))
-    except ValidationError as error:
-        raise RecordingError(f"{path}/{METADATA}: {first_problem(error)}; {REMEDY}") from error
-    except ValueError as error:
-        raise RecordingError(f"{path}/{METADATA}: {error}; {REMEDY}") from error
+    with file_errors(path / METADATA, REMEDY, kind=RecordingError):
+        return Metadata.model_validate_json(read_entry(path, METADATA))

@@ -24,7 +24,6 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,7 +33,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.frame_limits import require_pixels
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
 from annotator.recordings.ros.bag import Topic, short_type
 from annotator.recordings.ros.bag_files import Channel
 from annotator.types import Camera
@@ -200,7 +199,7 @@ MOST_FIELDS = 256
 LARGEST_POINT = 1 << 16
 
 
-def cloud_of(path: Path, content: Any) -> RawCloud:
+def cloud_of(content: Any) -> RawCloud:
     """Returns the cloud of a decoded message, in the frame that it names.
 
     Raises:
@@ -208,7 +207,7 @@ def cloud_of(path: Path, content: Any) -> RawCloud:
         FrameError: it has no coordinates, or no valid point.
     """
     if hasattr(content, "point_stride"):
-        return _foxglove_cloud(path, content)
+        return _foxglove_cloud(content)
     width, height, row = int(content.width), int(content.height), int(content.row_step)
     size, data = int(content.point_step), byte_array(content.data)
     row = row or width * size
@@ -225,14 +224,14 @@ def cloud_of(path: Path, content: Any) -> RawCloud:
         points = np.frombuffer(data, dtype, width * height)
     else:
         points = np.ndarray((height, width), dtype, data, 0, (row, size)).reshape(-1)
-    return from_columns(path, _point_columns(points))
+    return from_columns(_point_columns(points))
 
 
-def _foxglove_cloud(path: Path, content: Any) -> RawCloud:
+def _foxglove_cloud(content: Any) -> RawCloud:
     size, data = int(content.point_stride), byte_array(content.data)
     fields = [(str(field.name), int(field.offset), "<" + FOXGLOVE_TYPES.get(int(field.type), ""), 1)
               for field in content.fields]  # fmt: skip
-    raw = from_columns(path, _point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
+    raw = from_columns(_point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
     pose = getattr(content, "pose", None)
     if pose is None:
         return raw
@@ -349,13 +348,13 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
         T = RigidTransform.from_translation(baseline_m(content)) * T
     model = str(content.distortion_model).lower()
     if is_rectified or not D.any():
-        return BagCamera(_pinhole_camera(width, height, matrix), T)
+        return BagCamera(pinhole(matrix, width, height), T)
     if not are_plausible(D):
         raise ValueError("has a D with implausible numbers")
     if model in FISHEYE:
         return _undistorted(width, height, matrix, D)
     if "inverse" in model:
-        return BagCamera(_pinhole_camera(width, height, matrix, _inverted(width, height, matrix, D)), T)
+        return BagCamera(pinhole(matrix, width, height, _inverted(width, height, matrix, D)), T)
     # longer lists may end with zeros
     length = next((length for length in DISTORTION_LENGTHS if length >= len(D)), None)
     if length is None or model in ("ftheta", "omni", "cata"):
@@ -363,7 +362,7 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
             f"has the distortion {model or 'without a name'} with {len(D)} numbers; known are plumb_bob, "
             "rational_polynomial and equidistant"
         )
-    return BagCamera(_pinhole_camera(width, height, matrix, (*D.tolist(), *[0.0] * (length - len(D)))), T)
+    return BagCamera(pinhole(matrix, width, height, (*D.tolist(), *[0.0] * (length - len(D)))), T)
 
 
 def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
@@ -400,11 +399,6 @@ def _field(content: Any, name: str) -> Float64[np.ndarray, "n"]:
     return np.array(list(values), np.float64).reshape(-1)
 
 
-def _pinhole_camera(width: int, height: int, K: np.ndarray, distortion: tuple[float, ...] = ()) -> Camera:
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Camera(width, height, fx, fy, cx, cy, distortion)
-
-
 def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCamera:
     import cv2
 
@@ -415,7 +409,7 @@ def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCa
     ideal = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
     if not is_pinhole(ideal):
         raise ValueError("has a distortion that cannot be undone")
-    return BagCamera(_pinhole_camera(width, height, ideal), RigidTransform.identity(), (K, D))
+    return BagCamera(pinhole(ideal, width, height), RigidTransform.identity(), (K, D))
 
 
 def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[float, ...]:

@@ -96,7 +96,7 @@ def message(rows: np.ndarray) -> RawCloud:
         is_bigendian=rows.dtype["x"].str[0] == ">",
         data=np.frombuffer(rows.tobytes(), np.uint8),
     )
-    return read_message(Path("bag"), content)
+    return read_message(content)
 
 
 def read(tmp_path: Path, form: str, rows: np.ndarray) -> RawCloud:
@@ -174,7 +174,7 @@ def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Pat
 def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
     nan = np.full(N, np.nan, kind)
     columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
-    assert from_columns(Path("a"), columns).rgb is None
+    assert from_columns(columns).rgb is None
 
 
 @pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
@@ -195,7 +195,7 @@ def test_highlights_do_not_turn_fractions_into_bytes():
     bright = np.repeat(RGB, 20, axis=0) / 255
     bright[7, 1] = 3.5
     columns = dict(zip(NAMES, bright.T, strict=True)) | dict.fromkeys("xyz", np.ones(len(bright)))
-    rgb = np.asarray(from_columns(Path("a"), columns).rgb)
+    rgb = np.asarray(from_columns(columns).rgb)
     expected = np.repeat(RGB, 20, axis=0)
     expected[7, 1] = 255
     np.testing.assert_array_equal(rgb, expected)
@@ -207,7 +207,7 @@ def test_a_dark_scan_has_the_scale_of_the_others():
 
     def cloud(number: int) -> RawCloud:
         columns = dict(zip(("x", "y", "z", *NAMES), [*XYZ.T, *scans[number].astype(np.uint16).T], strict=True))
-        return from_columns(Path("a"), columns)
+        return from_columns(columns)
 
     assert cloud(1).rgb is not None and (cloud(1).rgb == 200).all()
     scaled = CommonScale().apply("place", cloud(1), lambda: (0, 1), cloud)
@@ -217,9 +217,9 @@ def test_a_dark_scan_has_the_scale_of_the_others():
 def test_reflectances_that_are_all_saturated_are_none():
     for highest in (255, 65535):
         columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
-        assert from_columns(Path("a"), columns).reflectance is None
+        assert from_columns(columns).reflectance is None
         columns["intensity"][0] = 5
-        assert from_columns(Path("a"), columns).reflectance is not None
+        assert from_columns(columns).reflectance is not None
 
 
 LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8")]

@@ -185,12 +185,11 @@ FALSE_HEADERS = [
     ("a.pcd", pcd("gzip", b"", 10, XYZ_FIELDS), "encoding 'gzip' is unknown"),
     ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4\nTYPE F F F\n"), "different lengths"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
-    ("a.npy", npy_header((HUGE, 3)) + bytes(36), "declares"),
-    ("a.npy", npy_header((3, 3)) + bytes(35), "is truncated"),
+    ("a.npy", npy_header((HUGE, 3)) + bytes(36), "its array is damaged"),
+    ("a.npy", npy_header((3, 3)) + bytes(35), "its array is damaged"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
-    ("a.npy", npy_header((2**62, 4, 0)), "impossible shape"),
-    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "header of its array is damaged"),
-    ("a.npz", b"PK\x03\x04 no archive", "archive is damaged"),
+    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "its array is damaged"),
+    ("a.npz", b"PK\x03\x04 no archive", "archive cannot be read"),
     ("a.pcd", b"", "the file is empty"),
 ]
 
@@ -274,5 +273,5 @@ def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, m
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
     monkeypatch.setenv("ANNOTATOR_FRAME_MEMORY", "10")
-    with pytest.raises(FrameError, match=r"too large: 100000 points take about 15 MiB .* limit is 10 MiB"):
+    with pytest.raises(FrameError, match=r"too large: 100000 points take about 13 MiB .* limit is 10 MiB"):
         read_cloud(tmp_path / "a.npz")

@@ -98,9 +98,7 @@ TURNED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 BROKEN = [
     pytest.param(lambda p: None, "calibration of the images is missing; write camera_intrinsic.json", id="none"),
     pytest.param(calibrated(cloud_to_camera=TURNED), "not a rigid transform", id="pose-mirrored"),
-    pytest.param(
-        calibrated(width=99), "the camera is for images of 99 x 40 pixels, but the image has 120 x 40", id="size"
-    ),
+    pytest.param(calibrated(width=99), "the image is 120 x 40 pixels, but the camera is for 99 x 40", id="size"),
     pytest.param(
         calibrated(cloud_to_camera=[*LIDAR_TO_CAMERA[:2], [1, 0, 0, -99], LIDAR_TO_CAMERA[3]]),
         r"none of its points lies in the image \(3000 in all\)",
@@ -140,9 +138,9 @@ def test_the_drawn_image_shows_the_nearest_point():
 def test_reflectance_is_scaled_to_0_to_1():
     xyz = dict(zip("xyz", np.ones((3, 2)), strict=True))
     for values, expected in (([0.0, 0.5], [0, 0.5]), ([0.0, 51.0], [0, 0.2]), ([0.0, 65535.0], [0, 1])):
-        read = from_columns(Path("a"), xyz | {"intensity": np.array(values)})
+        read = from_columns(xyz | {"intensity": np.array(values)})
         np.testing.assert_allclose(read.reflectance, expected, atol=1e-6)
-    read = from_columns(Path("a"), xyz | {"intensity": np.array([0, 51], np.uint8)})
+    read = from_columns(xyz | {"intensity": np.array([0, 51], np.uint8)})
     np.testing.assert_allclose(read.reflectance, [0, 0.2], atol=1e-6)
 
 

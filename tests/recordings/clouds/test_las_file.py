@@ -14,7 +14,7 @@ import pytest
 
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.las_file import parse_las
-from annotator.types.errors import FrameError, MissingExtraError
+from annotator.types.errors import MissingExtraError
 
 COUNT = 300
 RANDOM = np.random.default_rng(0)
@@ -64,7 +64,7 @@ def test_withheld_points_8_bit_colours_and_empty_columns_are_handled():
     cloud.withheld = np.arange(COUNT) % 3 == 0
     out = io.BytesIO()
     cloud.write(out)
-    read = parse_las(Path("a.las"), out.getvalue())
+    read = parse_las(out.getvalue())
     np.testing.assert_allclose(read.xyz_m, XYZ[np.arange(COUNT) % 3 > 0], atol=1e-9)
     np.testing.assert_array_equal(read.rgb, RGB[np.arange(COUNT) % 3 > 0])
     assert read.reflectance is None
@@ -91,35 +91,35 @@ def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count:
     for limit in LIMITS:
         content = saturated(axes, count, limit)
         if left:
-            np.testing.assert_allclose(parse_las(Path("a.las"), content).xyz_m, XYZ[count:], atol=1e-9)
+            np.testing.assert_allclose(parse_las(content).xyz_m, XYZ[count:], atol=1e-9)
             continue
         with pytest.raises(
-            FrameError, match=rf"saturated: {axes} is at the limit of int32 in {count} of {COUNT} points"
+            ValueError, match=rf"saturated: {axes} is at the limit of int32 in {count} of {COUNT} points"
         ):
-            parse_las(Path("a.las"), content)
+            parse_las(content)
 
 
 def test_a_saturated_laz_file_is_refused_in_the_same_words():
     content = laspy.read(io.BytesIO(saturated("y", COUNT, LIMITS[0])))
     out = io.BytesIO()
     content.write(out, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
-    with pytest.raises(FrameError, match=rf"a\.laz: its coordinates are saturated: y is .* {COUNT} points; save it"):
-        parse_las(Path("a.laz"), out.getvalue())
+    with pytest.raises(ValueError, match=rf"its coordinates are saturated: y is .* {COUNT} points; an offset"):
+        parse_las(out.getvalue())
 
 
 def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
     """Found by `scripts/fuzz files`: on these bytes lazrs reads memory that is not its own."""
     sound = written("1.2", 3, 0, True)
     damaged = sound[:2015] + b"\xff" * 2024 + sound[4039:]
-    with pytest.raises(FrameError, match=r"a\.laz: is damaged: its decoder crashed, .*; save the cloud again"):
-        parse_las(tmp_path / "a.laz", damaged)
-    assert len(parse_las(tmp_path / "a.laz", sound).xyz_m) == COUNT
+    with pytest.raises(ValueError, match="is damaged: its decoder crashed"):
+        parse_las(damaged)
+    assert len(parse_las(sound).xyz_m) == COUNT
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "lazrs", None)
     with pytest.raises(MissingExtraError, match=r"laspy\[lazrs\] is not installed; .*scripts/setup las"):
-        parse_las(Path("a.las"), b"")
+        parse_las(b"")
 
 
 def patched(data: bytes, at: int, code: str, value: int) -> bytes:
@@ -145,6 +145,5 @@ FALSE_HEADERS = [
 
 @pytest.mark.parametrize(("content", "complaint"), FALSE_HEADERS)
 def test_a_false_header_is_an_error(content: bytes, complaint: str):
-    with pytest.raises(FrameError, match=complaint) as caught:
-        parse_las(Path("a.laz"), content)
-    assert str(caught.value).startswith("a.laz: ")
+    with pytest.raises(ValueError, match=complaint):
+        parse_las(content)

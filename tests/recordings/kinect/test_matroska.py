@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from annotator.recordings import detect_format
 from annotator.recordings.kinect import matroska
 from annotator.recordings.kinect.matroska import Block, element_head, read_index, read_tracks
-from annotator.types.errors import RecordingError
 
 HEADS = [
     (b"\xe7\x81", (0xE7, 1, 2)),
@@ -103,14 +102,6 @@ def test_any_bytes_give_an_index(tmp_path_factory: pytest.TempPathFactory, data:
     index = read_index(path)
     assert index is not None
     assert all(0 < block.offset <= path.stat().st_size for block in index.blocks)
-
-
-def test_too_many_blocks_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
-    path = tmp_path / "x.mkv"
-    path.write_bytes(b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff" + b"\xa3\x84\x81\x00\x00\x80" * 11)
-    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
-        read_index(path)
 
 
 def test_many_damaged_elements_are_skipped_without_reading_the_file_repeatedly(

@@ -164,7 +164,7 @@ DAMAGES = [
         calib_path, replaced("P2: 7.", "P2: 7,"), "P2: '7,0*e.01' has a decimal comma; write a point", id="p2-comma"
     ),
     pytest.param(calib_path, replaced("P2: 7", "P2: -7"), "not a pinhole camera", id="p2-negative"),
-    pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "cannot be read", id="no-text"),
+    pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "the calibration: not UTF-16", id="no-text"),
 ]
 
 

@@ -56,7 +56,7 @@ def test_kitti_frames_come_back_from_a_bag(shared: Path, tmp_path: Path):
         assert_same_camera(frame.camera, expected.camera)
         assert frame.timestamp_ns == START_NS + i * 100_000_000 + late_ns
         # the message's points bit for bit
-        raw = cloud_of(recording.path, message(recording.chosen.partner, int(recording.pairs.cloud[i])))
+        raw = cloud_of(message(recording.chosen.partner, int(recording.pairs.cloud[i])))
         scan = read_scan(folder / "velodyne" / f"{i:06d}.bin")
         np.testing.assert_array_equal(raw.xyz_m.astype(np.float32), scan[:, :3])
         np.testing.assert_array_equal(raw.reflectance, scan[:, 3])

@@ -140,7 +140,7 @@ EXTRACTED_DAMAGES = [
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n1 0 0 0 -1 0 0 0 1"), "not a pinhole camera"),
     (damage("image/000001.png", None), "missing; put 000001.png"),
-    (damage("[dp]*/000001.*", b""), "cannot be read as a MATLAB file|the file is empty"),
+    (damage("[dp]*/000001.*", b""), "is not a MATLAB file|the file is empty"),
 ]
 
 
