@@ -14,7 +14,6 @@ from annotator.workflows.recorded.condition import broken_frames
 
 FILES: list[tuple[Callable[[Path], None], list[str]]] = [
     (made.rcv, ["labels/take-0.json", "images/take-0.png", "clouds/take-0.ply"]),
-    (made.openlabel, ["images/take-0.png", "clouds/take-0.ply"]),
     (made.argoverse2, ["sensors/lidar/1532402927000000000.feather", "sensors/cameras/CAMERA/1532402927012000000.png"]),
     (made.stray_scanner, ["depth/000000.png", "confidence/000000.png"]),
     (made.sunrgbd_scene, ["intrinsics.txt", "extrinsics/LAST", "image/LAST", "depth/LAST"]),

@@ -60,11 +60,6 @@ def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     assert image_problem(bytes(data))
 
 
-def test_a_missing_image_is_named(tmp_path: Path):
-    with pytest.raises(FrameError, match=r"nothing\.png: cannot be read"):
-        read_rgb(tmp_path / "nothing.png")
-
-
 def bmp_header(width: int, height: int) -> bytes:
     """The first bytes of a file of another format, which OpenCV decodes."""
     return b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0)
@@ -170,12 +165,6 @@ def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Pa
     np.testing.assert_allclose(read(tmp_path), METRES, rtol=1e-6)
 
 
-def test_the_cloud_has_no_point_of_a_saturated_pixel(tmp_path: Path):
-    cloud = open_recording(rgbd(tmp_path, [COLOR])).frame(0).cloud
-    assert len(cloud) == WIDTH * HEIGHT - 3
-    assert {0, 1, 2}.isdisjoint(np.asarray(cloud.pixel_index).tolist())
-
-
 def test_saturated_pixels_are_not_taken_for_rotated_bits():
     raw = np.full((HEIGHT, WIDTH), 2000, np.uint16)
     raw[0] = 65535
@@ -183,7 +172,7 @@ def test_saturated_pixels_are_not_taken_for_rotated_bits():
     assert not looks_rotated(raw, 1000.0)
 
 
-DEEP = [(bits, channels) for bits in (8, 10, 12, 14, 16) for channels in (1, 3)]
+DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
 
 
 def deep(bits: int, channels: int) -> np.ndarray:
@@ -203,9 +192,9 @@ def test_pictures_of_10_to_16_bits_have_their_own_range(tmp_path: Path, bits: in
     assert frame.cloud.rgb is not None
 
 
-@pytest.mark.parametrize("dark", [0, 1, 2])
-def test_one_range_is_that_of_all_pictures(tmp_path: Path, dark: int):
+def test_one_range_is_that_of_all_pictures(tmp_path: Path):
     """12 bits; the dark picture uses four."""
+    dark = 1
     pictures = [deep(12, 3)] * 3
     pictures[dark] = np.full_like(pictures[0], 15)
     recording = open_recording(rgbd(tmp_path, pictures))
@@ -213,14 +202,7 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path, dark: int):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
 
 
-def test_a_brighter_picture_than_the_first_ones_has_its_own_range(tmp_path: Path):
-    recording = open_recording(rgbd(tmp_path, [deep(10, 3)] * 3 + [deep(16, 3)]))
-    np.testing.assert_array_equal(recording.frame(3).rgb, COLOR)
-    np.testing.assert_array_equal(recording.frame(0).rgb, COLOR)
-
-
-@pytest.mark.parametrize("bits", [10, 12, 16])
-@pytest.mark.parametrize("encoding", ["rgb16", "bgr16", "png"])
+@pytest.mark.parametrize(("encoding", "bits"), [("rgb16", 10), ("bgr16", 16), ("png", 12)])
 def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
     pixels = deep(bits, 3)
     if encoding == "png":
@@ -242,11 +224,6 @@ def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
     np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
     dark = color_image(ros("mono16", np.full_like(grey, 530)), lambda own: own.with_all(ranges))
     assert dark.max() <= 1
-
-
-def test_pictures_of_8_bits_are_as_they_are(tmp_path: Path):
-    (tmp_path / "a.png").write_bytes(as_png(np.full((HEIGHT, WIDTH, 3), 3, np.uint8)))
-    assert (read_rgb(tmp_path / "a.png") == 3).all()
 
 
 @pytest.mark.shared

@@ -7,29 +7,19 @@ from pathlib import Path
 import av
 import kinect_recording as made
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from annotator.recordings import detect_format
 from annotator.recordings.kinect import matroska
 from annotator.recordings.kinect.matroska import Block, element_head, read_index, read_tracks
 
-HEADS = [
-    (b"\xe7\x81", (0xE7, 1, 2)),
-    (b"\x1f\x43\xb6\x75\x01\xff\xff\xff\xff\xff\xff\xff", (0x1F43B675, None, 12)),
-    (b"\xa3\x10\x03\x50\x11", (0xA3, 217105, 5)),
-    (b"\x2a\xd7\xb1\x83", (0x2AD7B1, 3, 4)),
-    (b"\x00\x81", None),
-    (b"\x08\x11\x11\x11\x11\x81", None),
-    (b"\xa3\x10\x03", None),
-    (b"\xa3", None),
-    (b"", None),
-]
 
-
-@pytest.mark.parametrize(("data", "expected"), HEADS)
-def test_element_heads_are_parsed(data: bytes, expected: tuple[int, int | None, int] | None):
-    assert element_head(data) == expected
+def test_element_heads_are_parsed():
+    assert element_head(b"\xe7\x81") == (0xE7, 1, 2)
+    assert element_head(b"\x1f\x43\xb6\x75\x01\xff\xff\xff\xff\xff\xff\xff") == (0x1F43B675, None, 12)
+    assert element_head(b"\xa3\x10\x03\x50\x11") == (0xA3, 217105, 5)
+    assert [element_head(data) for data in (b"\x00\x81", b"\x08\x11\x11\x11\x11\x81", b"\xa3\x10\x03", b"")] == [
+        None
+    ] * 4
 
 
 def test_blocks_are_where_pyav_finds_them(tmp_path: Path):
@@ -92,16 +82,6 @@ def test_unknown_and_huge_sizes_are_handled(tmp_path: Path):
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
-
-
-@given(st.binary(max_size=300), st.integers(0, 3))
-@settings(deadline=None)
-def test_any_bytes_give_an_index(tmp_path_factory: pytest.TempPathFactory, data: bytes, clusters: int):
-    path = tmp_path_factory.getbasetemp() / "any.mkv"
-    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + data + b"\x1f\x43\xb6\x75\xff\xe7\x81\x05" * clusters)
-    index = read_index(path)
-    assert index is not None
-    assert all(0 < block.offset <= path.stat().st_size for block in index.blocks)
 
 
 def test_many_damaged_elements_are_skipped_without_reading_the_file_repeatedly(

@@ -33,16 +33,15 @@ def image(pixels: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int
 ALPHA = np.full((6, 8, 1), 9, np.uint8)
 GREY = RGB[:, :, :1]
 COLORS = [
-    ("rgb8", RGB, RGB), ("bgr8", RGB[:, :, ::-1], RGB), ("8UC3", RGB[:, :, ::-1], RGB),
-    ("rgba8", np.dstack([RGB, ALPHA]), RGB), ("bgra8", np.dstack([RGB[:, :, ::-1], ALPHA]), RGB),
-    ("mono8", GREY, np.repeat(GREY, 3, 2)), ("8UC1", GREY, np.repeat(GREY, 3, 2)),
-    ("rgb16", RGB.astype(np.uint16) * 257, RGB), ("bgr16", RGB[:, :, ::-1].astype(np.uint16) << 8, RGB),
+    ("rgb8", RGB, RGB), ("8UC3", RGB[:, :, ::-1], RGB), ("bgra8", np.dstack([RGB[:, :, ::-1], ALPHA]), RGB),
+    ("mono8", GREY, np.repeat(GREY, 3, 2)), ("rgb16", RGB.astype(np.uint16) * 257, RGB),
+    ("bgr16", RGB[:, :, ::-1].astype(np.uint16) << 8, RGB),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("padding", [0, 3])
 @pytest.mark.parametrize(("encoding", "pixels", "expected"), COLORS)
-def test_colours_are_those_of_the_message(encoding: str, pixels: np.ndarray, expected: np.ndarray, padding: int):
+def test_colours_are_those_of_the_message(encoding: str, pixels: np.ndarray, expected: np.ndarray):
+    padding = 3
     np.testing.assert_array_equal(color_image(image(pixels, encoding, padding)), expected)
     swapped = image(pixels.astype(pixels.dtype.newbyteorder(">")), encoding, padding, is_bigendian=1)
     np.testing.assert_array_equal(color_image(swapped), expected)
@@ -79,11 +78,6 @@ def test_depths_are_those_of_the_message(encoding: str, padding: int, is_bigendi
     if encoding != "32FC1":
         with_unit = depth_image(image(stored[:, :, None], encoding, padding, int(is_bigendian)), 0.00025)
         np.testing.assert_array_equal(with_unit, metres.astype(np.float32) * np.float32(0.00025))
-
-
-def test_depths_that_are_not_numbers_are_none():
-    values = np.array([[np.nan, np.inf, -1.0, 2.0]], np.float32)
-    np.testing.assert_array_equal(depth_image(image(values[:, :, None], "32FC1")), [[0, 0, 0, 2]])
 
 
 def test_compressed_images_and_depths():
@@ -148,11 +142,8 @@ def test_rvl_depths_come_back(values: list[int]):
 WRONG_IMAGES = [
     (image(RGB, "rgb8", height=7), "6 pixels|do not fit its 144 bytes"),
     (image(RGB, "rgb8", step=8), "rows of 8 bytes"),
-    (image(RGB, "rgb8", width=0), "declares 0 x 6 pixels"),
     (image(RGB, "rgb8", width=1 << 30, height=1 << 30), "is too large"),
     (image(RGB, "hsv8"), "has the encoding 'hsv8'"),
-    (image(RGB, "bayer_xxxx8"), "bayer_xxxx8"),
-    (SimpleNamespace(format="jpeg", data=np.arange(9, dtype=np.uint8)), "cannot be decoded"),
 ]
 
 
@@ -226,10 +217,8 @@ def test_the_inverse_model_of_realsense_is_approximated():
 
 WRONG_INFOS = [
     (info(K=np.zeros(9)), "not calibrated: K is zero"),
-    (info(K=[np.nan] * 9), "not nine plausible numbers"),
     (info(K=[500.0, 3, 320, 0, 510, 240, 0, 0, 1]), "not a pinhole camera"),
     (info(D=[0.1] * 15), "15 numbers"),
-    (info(D=[np.inf] * 5), "implausible"),
     (info(D=[0.1], distortion_model="equidistant"), "equidistant has four"),
     (info(width=1 << 31, height=1 << 31), "is too large"),
 ]
@@ -239,6 +228,11 @@ WRONG_INFOS = [
 def test_calibrations_that_cannot_be_used_are_errors(content: Any, problem: str):
     with pytest.raises(ValueError, match=problem):
         read_camera_info(content, False)
+
+
+def test_an_image_of_another_size_than_its_calibration_is_refused():
+    with pytest.raises(ValueError, match="has 32 x 24 pixels, but its camera has 640 x 480"):
+        read_camera_info(info(), False).require_size((24, 32, 3))
 
 
 def cloud(points: np.ndarray, height: int = 1, row_padding: int = 0, **changed: Any) -> Any:
@@ -276,20 +270,11 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
     assert raw.reflectance is not None and raw.reflectance.max() <= 1
 
 
-def test_points_without_a_measurement_are_left_out():
-    xyz = np.array([[1, 2, 3], [np.nan, 0, 0], [0, np.inf, 0], [4, 5, 6]], np.float32)
-    raw = cloud_of(cloud(structured(dict(zip("xyz", xyz.T, strict=True)))))
-    np.testing.assert_array_equal(raw.xyz_m, xyz[[0, 3]])
-
-
 POINTS = structured({name: np.arange(4, dtype=np.float32) for name in "xyz"})
 WRONG_CLOUDS = [
     (cloud(POINTS, width=5), "declares 5 x 1 points"),
-    (cloud(POINTS, row_step=3, height=2), "rows of 3 bytes"),
-    (cloud(POINTS, point_step=0), "points of 0 bytes"),
     (cloud(POINTS, point_step=11, width=1, row_step=11), "field z at byte 8, outside of a point of 11 bytes"),
     (cloud(POINTS, fields=cloud(POINTS).fields[:2]), "no column z"),
-    (cloud(POINTS, width=0, row_step=0), "has no points"),
 ]
 
 
