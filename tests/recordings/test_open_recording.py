@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -83,29 +84,20 @@ def test_a_file_and_a_missing_path_have_different_errors(tmp_path: Path):
 @pytest.mark.parametrize("refused", ["take", "take/color", "parent"])
 def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str):
     """The system's errors are simulated, since root may read everything."""
-    for folder in ("take/color", "take/depth", "parent/take"):
-        (tmp_path / folder).mkdir(parents=True)
-    listed, scanned, looked = Path.iterdir, os.scandir, Path.is_dir
+    make(tmp_path, "take/color/", "take/depth/", "parent/take/")
 
-    def refuse(path: Path) -> None:
-        if path == tmp_path / refused:
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+    def refusing(look: Callable[..., Any], place: Callable[[Path], Path] = Path) -> Callable[..., Any]:
+        def refuse(path: Path) -> Any:
+            if place(path) == tmp_path / refused:
+                raise PermissionError(errno.EACCES, "Permission denied", str(place(path)))
+            return look(path)
 
-    def iterdir(self: Path) -> Iterator[Path]:
-        refuse(self)
-        return listed(self)
+        return refuse
 
-    def is_dir(self: Path) -> bool:
-        refuse(self.parent)  # without permission to search a folder, its entries cannot be inspected
-        return looked(self)
-
-    def scandir(folder: Path) -> object:
-        refuse(Path(folder))
-        return scanned(folder)
-
-    monkeypatch.setattr(os, "scandir", scandir)
-    monkeypatch.setattr(Path, "iterdir", iterdir)
-    monkeypatch.setattr(Path, "is_dir", is_dir)
+    monkeypatch.setattr(os, "scandir", refusing(os.scandir))
+    monkeypatch.setattr(Path, "iterdir", refusing(Path.iterdir))
+    # without permission to search a folder, its entries cannot be inspected
+    monkeypatch.setattr(Path, "is_dir", refusing(Path.is_dir, lambda path: path.parent))
     path = tmp_path / refused.split("/")[0]
     with pytest.raises(RecordingError, match="Permission denied; allow this user to read it") as caught:
         open_recording(path)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cloud_samples import npy, pcd, ply, ros_cloud
 
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
-from annotator.recordings.ros.messages import ROS_TYPES
 from annotator.recordings.ros.messages import cloud_of as read_message
 from annotator.types.errors import FrameError
 
@@ -35,9 +32,6 @@ COLUMNS = [
     ("u2", RGB.astype(np.uint16) << 8), ("i2", of_depth(16).astype(np.uint16).view(np.int16)), ("u4", of_depth(32)),
     ("i4", of_depth(16)), ("f4", RGB), ("f4", RGB / 255), ("f8", of_depth(10)),
 ]  # fmt: skip
-PLY_NAMES = {"u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "f4": "float",
-             "f8": "double"}  # fmt: skip
-PCD_KINDS = {"u": "U", "i": "I", "f": "F"}
 
 
 def table(kind: str, columns: np.ndarray, names: Sequence[str], order: str = "<") -> np.ndarray:
@@ -48,61 +42,10 @@ def table(kind: str, columns: np.ndarray, names: Sequence[str], order: str = "<"
     return rows
 
 
-def as_text(rows: np.ndarray) -> bytes:
-    return "".join(" ".join(format(value, ".17g") for value in row) + "\n" for row in rows.tolist()).encode()
-
-
-def ply(rows: np.ndarray, form: str) -> bytes:
-    kinds = [(name, PLY_NAMES[rows.dtype[name].str[1:]]) for name in rows.dtype.names or ()]
-    head = f"ply\nformat {form} 1.0\nelement vertex {N}\n" + "".join(f"property {k} {n}\n" for n, k in kinds)
-    return head.encode() + b"end_header\n" + (as_text(rows) if form == "ascii" else rows.tobytes())
-
-
-def pcd(rows: np.ndarray, form: str, body: bytes | None = None) -> bytes:
-    kinds = [rows.dtype[name] for name in rows.dtype.names or ()]
-    head = f"VERSION 0.7\nFIELDS {' '.join(rows.dtype.names or ())}\nSIZE {' '.join(str(k.itemsize) for k in kinds)}\n"
-    head += f"TYPE {' '.join(PCD_KINDS[k.kind] for k in kinds)}\nWIDTH {N}\nHEIGHT 1\nPOINTS {N}\nDATA {form}\n"
-    if body is None:
-        body = as_text(rows) if form == "ascii" else rows.tobytes()
-    if form == "binary_compressed":
-        plain = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names or ())
-        packed = b"".join(
-            bytes([len(part) - 1]) + part for part in (plain[i : i + 32] for i in range(0, len(plain), 32))
-        )
-        body = struct.pack("<II", len(packed), len(plain)) + packed
-    return head.encode() + body
-
-
-def npy(rows: np.ndarray) -> bytes:
-    out = io.BytesIO()
-    np.save(out, rows)
-    return out.getvalue()
-
-
-def message(rows: np.ndarray) -> RawCloud:
-    numbers = {name: number for number, name in ROS_TYPES.items()}
-    fields = [
-        SimpleNamespace(
-            name=name, offset=rows.dtype.fields[name][1], datatype=numbers[rows.dtype[name].str[1:]], count=1
-        )
-        for name in rows.dtype.names or ()
-    ]
-    content = SimpleNamespace(
-        width=N,
-        height=1,
-        row_step=0,
-        point_step=rows.dtype.itemsize,
-        fields=fields,
-        is_bigendian=rows.dtype["x"].str[0] == ">",
-        data=np.frombuffer(rows.tobytes(), np.uint8),
-    )
-    return read_message(content)
-
-
 def read(tmp_path: Path, form: str, rows: np.ndarray) -> RawCloud:
     kind, _, encoding = form.partition(" ")
     if kind == "ros":
-        return message(rows)
+        return read_message(ros_cloud(rows))
     content = npy(rows) if kind == "npy" else {"ply": ply, "pcd": pcd}[kind](rows, encoding)
     (tmp_path / f"a.{kind}").write_bytes(content)
     return read_cloud(tmp_path / f"a.{kind}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import laspy
 import numpy as np
 import pytest
 from bag_writer import BagWriter, structured
-from cloud_samples import camera_file
+from cloud_samples import camera_file, pcd, ply, ros_cloud
 from kitti_samples import OBJECT_CALIB
 
 from annotator.recordings import ReaderOptions, open_recording
@@ -32,14 +31,11 @@ def write_npy(path: Path, xyz: np.ndarray) -> None:
 
 
 def write_ply(path: Path, xyz: np.ndarray) -> None:
-    head = "".join(f"property double {axis}\n" for axis in "xyz")
-    text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\n{head}end_header\n"
-    path.with_suffix(".ply").write_bytes(text.encode() + xyz.astype("<f8").tobytes())
+    path.with_suffix(".ply").write_bytes(ply(structured(dict(zip("xyz", xyz.T, strict=True))), "binary_little_endian"))
 
 
 def write_pcd(path: Path, xyz: np.ndarray) -> None:
-    head = f"FIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nPOINTS {len(xyz)}\nDATA ascii\n"
-    path.with_suffix(".pcd").write_text(head + "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in xyz.tolist()))
+    path.with_suffix(".pcd").write_bytes(pcd(structured(dict(zip("xyz", xyz.T, strict=True))), "ascii"))
 
 
 def write_las(path: Path, xyz: np.ndarray) -> None:
@@ -199,12 +195,7 @@ def bin_file(folder: Path, xyz: np.ndarray) -> np.ndarray:
 
 def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
     rows = structured(dict(zip("xyz", xyz.astype(np.float32).T, strict=True)))
-    fields = [SimpleNamespace(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate("xyz")]
-    message = SimpleNamespace(
-        width=len(xyz), height=1, row_step=0, point_step=12, is_bigendian=False, fields=fields,
-        data=np.frombuffer(rows.tobytes(), np.uint8),
-    )  # fmt: skip
-    return messages.cloud_of(message).xyz_m
+    return messages.cloud_of(ros_cloud(rows)).xyz_m
 
 
 @pytest.mark.parametrize("read", [bin_file, ros_message])

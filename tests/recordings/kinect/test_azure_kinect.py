@@ -160,28 +160,13 @@ def test_unusable_recordings_are_errors_with_a_cause(tmp_path: Path, write: Call
 def test_recordings_of_orbbecs_wrapper_are_read(tmp_path: Path):
     """As its k4arecorder writes them: two inertial sensors of another name, and a calibration padded with zeros."""
     content = made.calibration(MetricRadius=0)
-    information = content["CalibrationInformation"]
-    (accelerometer,) = information["InertialSensors"]
-    gyroscope = accelerometer | {
-        "SensorType": "CALIBRATION_InertialSensorType_Gyro",
-        "SensorId": "CALIBRATION_Inertial",
-    }
-    accelerometer |= {
-        "SensorId": "CALIBRATION_InertialSensorId_LSM6DSM",
-        "BiasUncertainty": [0, 0, 0],
-        "ModelTypeMask": 16,
-    }
-    information["InertialSensors"] = [
-        gyroscope | {"Rt": {"Rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "Translation": [0, 0, 0]}}
-    ]
-    information["InertialSensors"].append(accelerometer)
-    still = made.ACCELEROMETER @ [0, -9.8, 0]
-    path = made.write_recording(
-        tmp_path / "take.mkv",
-        "MJPG",
-        attached=json.dumps(content).encode() + bytes(300),
-        felt=[(time_us, still) for time_us in range(0, 100_000, 1000)],
-    )
+    sensors = content["CalibrationInformation"]["InertialSensors"]
+    turned = {"Rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "Translation": [0, 0, 0]}
+    sensors[0] |= {"SensorId": "CALIBRATION_InertialSensorId_LSM6DSM", "ModelTypeMask": 16}
+    sensors.insert(0, sensors[0] | {"SensorType": "CALIBRATION_InertialSensorType_Gyro", "Rt": turned})
+    still = [(time_us, made.ACCELEROMETER @ [0, -9.8, 0]) for time_us in range(0, 100_000, 1000)]
+    attached = json.dumps(content).encode() + bytes(300)
+    path = made.write_recording(tmp_path / "take.mkv", "MJPG", attached=attached, felt=still)
     frame = opened(path).frame(1)
     np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-3)
     assert len(frame.cloud) > 50_000

@@ -89,15 +89,6 @@ def test_tracking_frames_have_timestamps(folder: Path):
     assert times == expected
 
 
-def test_a_missing_file_affects_only_its_frame(folder: Path):
-    scan_path(folder).unlink()
-    recording = open_recording(folder)
-    assert recording.keys == ("000003", "000005")
-    with pytest.raises(FrameError, match=r"velodyne/000003\.bin: missing; put 000003\.bin beside the image 000003"):
-        recording.frame(0)
-    assert recording.frame(1).key == "000005"
-
-
 def root_of(folder: Path) -> Path:
     return open_recording(folder).root
 

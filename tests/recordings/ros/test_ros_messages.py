@@ -9,7 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bag_writer import TYPE_NUMBERS, structured
+from bag_writer import structured
+from cloud_samples import ros_cloud
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -235,18 +236,6 @@ def test_an_image_of_another_size_than_its_calibration_is_refused():
         read_camera_info(info(), False).require_size((24, 32, 3))
 
 
-def cloud(points: np.ndarray, height: int = 1, row_padding: int = 0, **changed: Any) -> Any:
-    dtype = points.dtype
-    places = {name: (dtype.fields[name][1], TYPE_NUMBERS[dtype[name].str[1:]]) for name in dtype.names}
-    fields = [SimpleNamespace(name=name, offset=at, datatype=kind, count=1) for name, (at, kind) in places.items()]
-    rows = np.frombuffer(points.tobytes(), np.uint8).reshape(height, -1)
-    rows = np.pad(rows, ((0, 0), (0, row_padding)), constant_values=255)
-    content = {"width": len(points) // height, "height": height, "fields": fields, "point_step": dtype.itemsize,
-               "is_bigendian": any(dtype[name].str[0] == ">" for name in dtype.names),
-               "row_step": rows.shape[1], "data": rows.reshape(-1)}  # fmt: skip
-    return SimpleNamespace(**(content | changed))
-
-
 @given(st.data())
 def test_clouds_of_any_layout_are_read(data: st.DataObject):
     """Any order and type of fields, padding, byte order, organised or not."""
@@ -263,7 +252,7 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
     order, padding = data.draw(st.sampled_from("<>")), data.draw(st.integers(0, 5))
     points = structured({name: columns[name] for name in names}, order, padding)
     height = data.draw(st.sampled_from([1, 3]))
-    raw = cloud_of(cloud(points, height, data.draw(st.integers(0, 9))))
+    raw = cloud_of(ros_cloud(points, height, data.draw(st.integers(0, 9))))
     np.testing.assert_array_equal(raw.xyz_m, xyz)
     shifts = np.array([16, 8, 0])
     np.testing.assert_array_equal(raw.rgb, packed[:, None] >> shifts & 255)
@@ -272,9 +261,9 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
 
 POINTS = structured({name: np.arange(4, dtype=np.float32) for name in "xyz"})
 WRONG_CLOUDS = [
-    (cloud(POINTS, width=5), "declares 5 x 1 points"),
-    (cloud(POINTS, point_step=11, width=1, row_step=11), "field z at byte 8, outside of a point of 11 bytes"),
-    (cloud(POINTS, fields=cloud(POINTS).fields[:2]), "no column z"),
+    (ros_cloud(POINTS, width=5), "declares 5 x 1 points"),
+    (ros_cloud(POINTS, point_step=11, width=1, row_step=11), "field z at byte 8, outside of a point of 11 bytes"),
+    (ros_cloud(POINTS, fields=ros_cloud(POINTS).fields[:2]), "no column z"),
 ]
 
 
