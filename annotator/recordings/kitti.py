@@ -147,8 +147,13 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
     name = next((name for name in names if name in rows), None)
     if name is None:
         raise FrameError(path, f"{' or '.join(names)} is missing", REMEDY)
+    return matrix_of(path, name, rows[name], shape)
+
+
+def matrix_of(path: Path, name: str, words: list[str], shape: tuple[int, int]) -> Float64[np.ndarray, "r c"]:
+    """Returns the matrix called `name` whose elements are words, row by row."""
     with file_errors(path, REMEDY, f"{name}: "):
-        values = np.array([to_number(value) for value in rows[name]])
+        values = np.array([to_number(word) for word in words])
     if values.size != shape[0] * shape[1]:
         raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
     if not are_plausible(values):

@@ -34,8 +34,8 @@ from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.mat_file import read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
-from annotator.recordings.kitti import calibration_text
+from annotator.recordings.image_file import ColorImage, decode_depth, read_color_image, read_depth
+from annotator.recordings.kitti import calibration_text, matrix_of
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
     file_errors,
@@ -47,9 +47,9 @@ from annotator.recordings.listing import (
     stems,
     unread_note,
 )
-from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
+from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.text import spelled, to_number
+from annotator.text import spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -90,48 +90,26 @@ def read_extracted_calibration(path: Path) -> SunCalibration:
     lines = [line for line in calibration_text(path).splitlines() if line.strip()]
     if len(lines) < 2:
         raise FrameError(path, f"must have two lines, Rtilt and K, not {len(lines)}", REMEDY)
-    Rtilt, K = (_nine(path, line).T for line in lines[:2])
+    Rtilt, K = (
+        matrix_of(path, name, line.split(), (3, 3)).T for name, line in zip(("Rtilt", "K"), lines, strict=False)
+    )
     return _calibration(path, K, Rtilt @ UPRIGHT_OF_LEVEL)
 
 
 def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration:
     """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row."""
-    K = _nine(intrinsics, calibration_text(intrinsics))
-    values = _numbers(extrinsics, calibration_text(extrinsics))
-    if len(values) not in (9, 12):
-        raise FrameError(extrinsics, f"must have 3 x 4 numbers, not {len(values)}", REMEDY)
-    E = values.reshape(3, -1)[:, :3]
-    calibration = _calibration(extrinsics, np.eye(3), UPRIGHT_OF_LEVEL @ E)
-    return SunCalibration(intrinsics, _pinhole(intrinsics, K), calibration.T_camera_upright)
+    K = matrix_of(intrinsics, "K", calibration_text(intrinsics).split(), (3, 3))
+    E = matrix_of(extrinsics, "the matrix", calibration_text(extrinsics).split(), (3, 4))[:, :3]
+    return _calibration(intrinsics, K, UPRIGHT_OF_LEVEL @ E, extrinsics)
 
 
-def _calibration(path: Path, K: np.ndarray, upright_of_camera: np.ndarray) -> SunCalibration:
-    R = upright_of_camera
+def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None = None) -> SunCalibration:
+    """Builds the calibration; `R` turns camera axes to upright ones, and may be of another file, `of_tilt`."""
     if not is_rotation(R, MOST_OFF_ROTATION):
-        raise FrameError(path, "the tilt is not a rotation", REMEDY)
-    T = RigidTransform.from_rotation(Rotation.from_matrix(R.T))
-    return SunCalibration(path, _pinhole(path, K), T)
-
-
-def _pinhole(path: Path, K: np.ndarray) -> np.ndarray:
+        raise FrameError(of_tilt or path, "the tilt is not a rotation", REMEDY)
     if not is_pinhole(K):
         raise FrameError(path, "K is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    return K
-
-
-def _nine(path: Path, text: str) -> np.ndarray:
-    values = _numbers(path, text)
-    if len(values) != 9:
-        raise FrameError(path, f"a matrix must have 9 numbers, not {len(values)}", REMEDY)
-    return values.reshape(3, 3)
-
-
-def _numbers(path: Path, text: str) -> np.ndarray:
-    with file_errors(path, REMEDY):
-        values = np.array([to_number(word) for word in text.split()])
-    if not are_plausible(values):
-        raise FrameError(path, "a number is not finite or is too large", REMEDY)
-    return values
+    return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
 EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
@@ -186,17 +164,15 @@ class SunRgbdExtracted(KeyedFrames):
         raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
         xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
         cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            depth_m,
-            calibration.up,
-            calibration.T_camera_upright,
-            exif_orientation=image.exif_orientation,
-        )
+        return _frame(key, i, calibration, image, cloud, depth_m)
+
+
+def _frame(
+    key: str, i: int, calibration: SunCalibration, image: ColorImage, cloud: PointCloud, depth_m: np.ndarray | None
+) -> Frame:
+    camera, T = calibration.camera(*image.rgb.shape[1::-1]), calibration.T_camera_upright
+    orientation = image.exif_orientation
+    return Frame(key, i, camera, image.rgb, cloud, depth_m, calibration.up, T, exif_orientation=orientation)
 
 
 def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
@@ -324,17 +300,7 @@ class SunRgbdScenes(KeyedFrames):
                 depth_path, "no pixel has a depth, so the cloud is empty", "copy it again, or remove the scene"
             )
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            depth_m,
-            calibration.up,
-            calibration.T_camera_upright,
-            exif_orientation=image.exif_orientation,
-        )
+        return _frame(key, i, calibration, image, cloud, depth_m)
 
 
 def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:

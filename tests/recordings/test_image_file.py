@@ -60,21 +60,15 @@ def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     assert image_problem(bytes(data))
 
 
-def bmp_header(width: int, height: int) -> bytes:
-    """The first bytes of a file of another format, which OpenCV decodes."""
-    return b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0)
+ODD = [
+    cv2.imencode(".tiff", PICTURE)[1].tobytes(),
+    b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, 15_000, 15_000, 1, 24, 0, 0, 0, 0, 0, 0),
+    # after a marker without a length, decoders and parsers that skip segments find different headers
+    BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
+]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [cv2.imencode(suffix, PICTURE)[1].tobytes() for suffix in (".tiff", ".bmp", ".webp")]
-    + [
-        bmp_header(15_000, 15_000),
-        # after a marker without a length, decoders and parsers that skip segments find different headers
-        BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
-    ],
-    ids=["tiff", "bmp", "webp", "large", "marker"],
-)
+@pytest.mark.parametrize("content", ODD, ids=["tiff", "large-bmp", "marker"])
 def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
@@ -82,15 +76,10 @@ def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content:
 
 
 def test_a_jpeg_of_too_many_pixels_is_refused():
-    at = BASELINE.index(b"\xff\xc0")
-    side = int(most_pixels() ** 0.5)
-    for height, refused in ((side + 1, True), (40, False)):
-        data = BASELINE[: at + 5] + struct.pack(">HH", height, side if refused else 56) + BASELINE[at + 9 :]
-        if refused:
-            with pytest.raises(ValueError, match=f"{side} x {height} pixels is too large: .* ANNOTATOR_FRAME_MEMORY"):
-                decode_image(data, cv2.IMREAD_COLOR)
-        else:
-            assert decode_image(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
+    at, side = BASELINE.index(b"\xff\xc0"), int(most_pixels() ** 0.5)
+    data = BASELINE[: at + 5] + struct.pack(">HH", side + 1, side) + BASELINE[at + 9 :]
+    with pytest.raises(ValueError, match=f"{side} x {side + 1} pixels is too large: .* ANNOTATOR_FRAME_MEMORY"):
+        decode_image(data, cv2.IMREAD_COLOR)
 
 
 @pytest.mark.shared
@@ -113,22 +102,13 @@ def as_png(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
 
 
-def rgbd(folder: Path, colors: list[np.ndarray], depth: np.ndarray = MILLIMETRES, **camera: object) -> Path:
+def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
     for name in ("color", "depth"):
         (folder / name).mkdir()
-    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | camera))
+    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA))
     for number, color in enumerate(colors):
         (folder / "color" / f"{number}.png").write_bytes(as_png(color[..., ::-1] if color.ndim == 3 else color))
-        (folder / "depth" / f"{number}.png").write_bytes(as_png(depth))
-    return folder
-
-
-def tum(folder: Path) -> Path:
-    for name, image in (("rgb", COLOR), ("depth", MILLIMETRES)):
-        (folder / name).mkdir()
-        (folder / name / "1.png").write_bytes(as_png(image))
-        (folder / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
-    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | {"depth_scale": 1000}))
+        (folder / "depth" / f"{number}.png").write_bytes(as_png(MILLIMETRES))
     return folder
 
 
@@ -153,7 +133,6 @@ def stray(folder: Path, suffix: str) -> np.ndarray:
 
 DEPTHS = [
     pytest.param(lambda p: open_recording(rgbd(p, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
-    pytest.param(lambda p: open_recording(tum(p)).frame(0).depth_m, id="tum"),
     pytest.param(lambda p: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
     *(pytest.param(lambda p, kind=kind: ros_depth(kind), id=kind) for kind in ("16UC1", "mono16", "32FC1")),
     *(pytest.param(lambda p, kind=kind: stray(p, kind), id=f"stray-{kind}") for kind in ("png", "npy")),

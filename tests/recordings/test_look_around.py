@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from cloud_samples import SCAN, camera_file
 from kitti_samples import OBJECT_CALIB
-from nuscenes_samples import real, small
+from nuscenes_samples import small
 from small_recordings import kitti_object, kitti_raw, rgbd_folder
 
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.look_around import LookAround, camera_names
-from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
@@ -132,16 +131,3 @@ def test_labels_all_around_belong_to_the_cameras_that_see_them(tmp_path: Path):
     }
     assert [len(labels[camera]) for camera in camera_names(4)] == [1, 0, 1, 0]
     assert labels["around-000"][0].track_id == 0 and labels["around-180"][0].track_id == 1
-
-
-@pytest.mark.shared
-def test_all_real_boxes_are_seen_by_a_camera_and_are_one_in_the_rig(shared: Path, tmp_path: Path):
-    real(shared / "data" / "nuscenes_frame", tmp_path)
-    placed: dict[tuple[Any, ...], OrientedBox] = {}
-    for camera in camera_names(4):
-        recording = around(tmp_path, look_around=4, camera=camera)
-        T = recording.T_rig_camera(0)
-        for truth in load_truth(recording, 0, recording.frame(0)):
-            box = truth.box.transformed(T)
-            placed[truth.label, *np.round([*box.center_m, *box.size_m], 3).tolist()] = box
-    assert len(placed) == 69

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -212,20 +211,6 @@ def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
 def test_depth_in_steps_of_eight_that_is_near_is_read_as_it_is(folder: Path, depth: np.ndarray):
     (folder / "depth" / "000000.png").write_bytes(png(depth // 8 * 8))
     np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth // 8 * 8 / 1000, atol=1e-6)
-
-
-@pytest.mark.shared
-def test_a_real_image_of_sun_rgbd_in_an_rgbd_folder_is_noticed(shared: Path, tmp_path: Path):
-    source = shared / "data" / "sunrgbd" / "raw"
-    for name, target, suffix in (("image", "color", ".jpg"), ("depth", "depth", ".png")):
-        (tmp_path / target).mkdir()
-        shutil.copy(next((source / name).glob(f"000001{suffix}")), tmp_path / target)
-    camera = {"width": 730, "height": 530, "intrinsic_matrix": [529.5, 0, 0, 0, 529.5, 0, 365, 265, 1]}
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
-    with pytest.raises(UnclearError, match="bits rotated by three"):
-        open_recording(tmp_path).frame(0)
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera | {"depth_encoding": "sunrgbd"}))
-    assert 0.5 < np.median(open_recording(tmp_path).frame(0).depth_m) < 8
 
 
 def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, color: np.ndarray):

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import project, resized, unproject_depth
-from annotator.recordings import open_recording
+from annotator.geometry.projection import project, resized
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
@@ -93,13 +90,3 @@ def test_images_of_another_size_than_their_camera_are_refused():
         registered(np.ascontiguousarray(depth_m.T), DEPTH, SAME_PLACE, rgb, COLOR)
     with pytest.raises(GeometryError, match="image has 120 x 160 px"):
         registered(depth_m, DEPTH, SAME_PLACE, np.ascontiguousarray(rgb.transpose(1, 0, 2)), COLOR)
-
-
-@pytest.mark.shared
-def test_a_real_frame_with_one_camera_is_the_same_as_registered(shared: Path):
-    frame = open_recording(shared / "data" / "human_turn").frame(0)
-    cloud, depth_m = registered(frame.depth_m, frame.camera, SAME_PLACE, frame.rgb, frame.camera)
-    xyz_m, pixel = unproject_depth(frame.camera, frame.depth_m)
-    np.testing.assert_array_equal(cloud.xyz_m, xyz_m)
-    np.testing.assert_array_equal(cloud.rgb, frame.rgb.reshape(-1, 3)[pixel])
-    np.testing.assert_array_equal(depth_m, frame.depth_m)

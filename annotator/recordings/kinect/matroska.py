@@ -86,18 +86,6 @@ def read_index(path: Path) -> MatroskaIndex | None:
         return _IndexReader(path, file).index()
 
 
-def read_tracks(path: Path) -> tuple[Track, ...] | None:
-    """Returns the tracks of a Matroska file from its head only; None for a file of another type.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
-    with open_file(path, buffering=0) as file:
-        if file.read(4) != EBML.to_bytes(4):
-            return None
-        return _IndexReader(path, file).head()
-
-
 @dataclass
 class _IndexReader:
     """Reads one file; holds the tracks and blocks read so far."""
@@ -135,20 +123,6 @@ class _IndexReader:
             self._read_element(kind, at, size)
             at += size
         return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
-
-    def head(self) -> tuple[Track, ...]:
-        """Returns the tracks described before the first cluster and before any damage."""
-        at = 0
-        while not self.tracks and (element := element_head(self._read(at, LONGEST_HEAD))):
-            kind, size, length = element
-            at += length
-            if kind == SEGMENT:
-                continue
-            if kind == CLUSTER or size is None or not self._is_known(kind):
-                break
-            self._read_element(kind, at, size)
-            at += size
-        return tuple(self.tracks)
 
     def _is_known(self, kind: int) -> bool:
         used = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}

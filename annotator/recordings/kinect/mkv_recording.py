@@ -34,7 +34,7 @@ from annotator.recordings.kinect.calibration import (
     parse_samples,
     up_at_rest,
 )
-from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index, read_tracks
+from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index
 from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud
@@ -259,12 +259,17 @@ class AzureKinect(KeyedFrames):
 
 
 def is_azure_kinect(path: Path) -> bool:
-    """True if a file's head has the tracks of such a recording; much faster than opening it.
+    """True if a file's head has the tracks of such a recording; much faster than opening it."""
+    import av
 
-    Raises:
-        OSError: the file cannot be read.
-    """
-    return _is_mkv(path) and {track.name for track in read_tracks(path) or ()} >= TRACKS
+    if not _is_mkv(path):
+        return False
+    check_file(path)
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            return {stream.metadata.get("title") for stream in container.streams} >= TRACKS
+    except (av.error.FFmpegError, ValueError):
+        return False
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:

@@ -172,17 +172,17 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     poses = path / POSES
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
         return NotFound(LOOKED_FOR)
-    try:
-        lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
-        header = [name.strip() for name in next(lines, [])]
-        values = [(lines.line_num, row) for row in lines if row]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{poses}: not a table ({error}); copy the recording from the phone again") from error
+    with file_errors(poses, "copy the recording from the phone again", kind=RecordingError):
+        try:
+            lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
+            header = [name.strip() for name in next(lines, [])]
+            values = [(lines.line_num, row) for row in lines if row]
+        except csv.Error as error:
+            raise ValueError(f"not a table ({error})") from error
     for line, row in values:
         if len(row) > len(header):
-            raise RecordingError(
-                f"{poses}:{line}: has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
-            )
+            problem = f"has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
+            raise RecordingError(f"{poses}:{line}: {problem}")
     rows = tuple({name: text.strip() for name, text in zip(header, row, strict=False)} for _, row in values)
     keys = tuple(row.get("frame", "") for row in rows)
     if not {"timestamp", "frame", *QUATERNION} <= {*header}:

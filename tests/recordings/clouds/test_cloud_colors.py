@@ -170,27 +170,24 @@ LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8")]
 
 def with_lists(form: str, lengths: Sequence[int], kinds: tuple[str, str, str, str], place: str) -> bytes:
     length_name, length_kind, value_name, value_kind = kinds
-    order = ">" if "big" in form else "<"
-    head = f"ply\nformat {form} 1.0\n"
+    order, is_text = ">" if "big" in form else "<", form == "ascii"
     listed = f"property list {length_name} {value_name} d\n"
-    if place == "before":
-        head += f"element other {N}\n{listed}"
+    head = f"ply\nformat {form} 1.0\n" + (f"element other {N}\n{listed}" if place == "before" else "")
     head += f"element vertex {N}\nproperty float x\n" + (listed if place == "inside" else "")
     head += "property float y\nproperty float z\n" + "".join(f"property uchar {name}\n" for name in NAMES)
-    above, rows = [], []
+
+    def packed(values: Sequence[float], kind: str) -> bytes:
+        return " ".join([*map(str, values), ""]).encode() if is_text else np.array(values, order + kind).tobytes()
+
+    above, rows = b"", b""
     for (x, y, z), color, length in zip(XYZ.tolist(), RGB.tolist(), lengths, strict=True):
-        values = [0.5] * length if value_kind[0] == "f" else [3] * length
-        if form == "ascii":
-            item = f"{length} {' '.join(map(str, values))} ".encode()
-            x_first, rest = f"{x} ".encode(), f"{y} {z} {color[0]} {color[1]} {color[2]}\n".encode()
-            end = b"\n"
-        else:
-            item = np.array(length, order + length_kind).tobytes() + np.array(values, order + value_kind).tobytes()
-            x_first, rest = np.array(x, order + "f4").tobytes(), np.array([y, z], order + "f4").tobytes() + bytes(color)
-            end = b""
-        above.append(item + end)
-        rows.append(x_first + (item if place == "inside" else b"") + rest)
-    return (head + "end_header\n").encode() + b"".join(above if place == "before" else []) + b"".join(rows)
+        item = packed([length], length_kind) + packed([3] * length, value_kind)
+        end = b"\n" if is_text else b""
+        above += item + end
+        rows += (
+            packed([x], "f4") + (item if place == "inside" else b"") + packed([y, z], "f4") + packed(color, "u1") + end
+        )
+    return (head + "end_header\n").encode() + (above if place == "before" else b"") + rows
 
 
 @pytest.mark.parametrize("place", ["inside", "before"])

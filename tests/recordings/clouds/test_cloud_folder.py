@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,20 +141,3 @@ def test_reflectance_is_scaled_to_0_to_1():
         np.testing.assert_allclose(read.reflectance, expected, atol=1e-6)
     read = from_columns(xyz | {"intensity": np.array([0, 51], np.uint8)})
     np.testing.assert_allclose(read.reflectance, [0, 0.2], atol=1e-6)
-
-
-@pytest.mark.shared
-def test_a_real_kitti_scan_is_read_alone_and_with_image_and_calibration(shared: Path, tmp_path: Path):
-    source = shared / "data" / "kitti" / "training"
-    (tmp_path / "velodyne").mkdir()
-    shutil.copy(source / "velodyne" / "000008.bin", tmp_path / "velodyne")
-    alone = open_recording(tmp_path).frame(0)
-    assert len(alone.cloud) > 100_000
-    assert alone.rgb.any(axis=2).mean() > 0.1
-    for folder, suffix in (("image", "png"), ("calib", "txt")):
-        (tmp_path / folder).mkdir()
-        shutil.copy(source / folder.replace("image", "image_2") / f"000008.{suffix}", tmp_path / folder)
-    whole = open_recording(tmp_path).frame(0)
-    kitti = next(frame for frame in map(open_recording(source).frame, range(10)) if frame.key == "000008")
-    np.testing.assert_allclose(whole.cloud.xyz_m, kitti.cloud.xyz_m, atol=1e-4)
-    np.testing.assert_array_equal(whole.rgb, kitti.rgb)

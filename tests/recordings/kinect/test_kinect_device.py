@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,8 @@ import pytest
 from fake_pyk4a import FPS, Capture, DepthMode, ImageFormat, Script, install
 from kinect_recording import ACCELEROMETER, DEPTH_HEIGHT, DEPTH_WIDTH, calibration, depth_mm, picture
 
-from annotator.recordings import open_recording
 from annotator.recordings.kinect import device as kinect_device
 from annotator.recordings.kinect.device import KinectDevice
-from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import DeviceError
 from annotator.workflows.live.open_source import KinectSource
 
@@ -84,23 +81,6 @@ def test_the_device_is_opened_for_synchronous_images_and_without_holding_the_gil
     assert all(made.synchronized_images_only for made in script.configs)
     assert all(made.color_format is ImageFormat.COLOR_BGRA32 for made in script.configs)
     assert not script.locked
-
-
-@pytest.mark.shared
-def test_a_real_capture_gives_the_same_frame_as_from_a_recording(shared: Path, script: Script) -> None:
-    """A real capture, returned by the stand-in, gives bitwise the same cloud as the recording."""
-    recording = open_recording(shared / "data" / "azure_kinect" / "recording.mkv")
-    assert isinstance(recording, AzureKinect)
-    script.calibration = (shared / "data" / "azure_kinect" / "calibration.json").read_text()
-    rgb = recording.color_image(0)
-    bgra = np.dstack([rgb[:, :, ::-1], np.full(rgb.shape[:2], 255, np.uint8)])
-    script.captures = [Capture(np.ascontiguousarray(bgra), recording.depth_image(0), 5, 0)]
-    found = KinectDevice().next_frame(GO_ON)
-    assert found is not None
-    expected = recording.frame(0)
-    assert (found.frame.cloud.xyz_m == expected.cloud.xyz_m).all()
-    assert (found.frame.cloud.rgb == expected.cloud.rgb).all()
-    assert found.frame.camera.distortion == expected.camera.distortion
 
 
 def test_a_device_is_selected_by_serial_number_or_index(script: Script) -> None:

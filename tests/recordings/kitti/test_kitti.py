@@ -110,13 +110,6 @@ def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-7])
 
 
-def without(name: str) -> Callable[[Path], None]:
-    def damage(path: Path) -> None:
-        path.write_text("\n".join(line for line in path.read_text().splitlines() if not line.startswith(name)))
-
-    return damage
-
-
 def replaced(old: str, new: str) -> Callable[[Path], None]:
     return lambda path: path.write_text(path.read_text().replace(old, new, 1)) and None
 
@@ -128,7 +121,7 @@ def points(values: list[list[float]]) -> Callable[[Path], None]:
 DAMAGES = [
     pytest.param(scan_path, truncate, "the scan is truncated: 47993 bytes", id="truncated-scan"),
     pytest.param(scan_path, points([[-5, 0, 0, 0.5]]), "none of its points lies in the image", id="all-behind"),
-    pytest.param(calib_path, without("P2"), "P2 is missing", id="no-p2"),
+    pytest.param(calib_path, replaced("P2", "P"), "P2 is missing", id="no-p2"),
     pytest.param(calib_path, replaced("P2: ", "P2: 1 "), "P2 must have 12 numbers, not 13", id="long-p2"),
     pytest.param(calib_path, replaced("P2: 7.", "P2: 7,"), "P2: '7,0*e.01' has a decimal comma", id="p2-comma"),
     pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "the calibration: not UTF-16", id="no-text"),
@@ -165,18 +158,15 @@ def test_damage_is_an_error_with_file_cause_and_solution(
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path: Path, image: np.ndarray, scan: np.ndarray) -> Path:
     """Frames 0, 2 and 3 of a drive; frame 1 was dropped by the recorder."""
     path = tmp_path / "2011_09_26" / "2011_09_26_drive_0005_sync"
     images, scans = path / "image_02" / "data", path / "velodyne_points" / "data"
     images.mkdir(parents=True)
     scans.mkdir(parents=True)
-    random = np.random.default_rng(0)
     for number in (0, 2, 3):
-        image = random.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
         (images / f"{number:010d}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-        points = np.c_[random.uniform(-20, 20, (2000, 3)) * [1, 1, 0.2], random.random(2000)].astype(np.float32)
-        (scans / f"{number:010d}.bin").write_bytes(points.tobytes())
+        (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
     # the day's calibration is above its drives, the LiDAR's beside it
     (path.parent / "calib_cam_to_cam.txt").write_text(CAMERAS)
     (path.parent / "calib_velo_to_cam.txt").write_text(LIDAR)

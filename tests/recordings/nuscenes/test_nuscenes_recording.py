@@ -109,15 +109,6 @@ def turn_rows(tables: Path, *names: str) -> None:
         (tables / f"{name}.json").write_text(json.dumps(rows))
 
 
-@pytest.mark.shared
-def test_a_real_vehicle_whose_quaternions_have_w_last_is_refused(shared: Path, tmp_path: Path):
-    real(shared / "data" / "nuscenes_frame", tmp_path)
-    turn_rows(tmp_path / "v1.0-mini", "ego_pose", "calibrated_sensor")
-    says = r"ego_pose\.json: .* x y z w, .* as w x y z, 7 of 7 poses of the vehicle are tilted, and as x y z w 0; write"
-    with pytest.raises(RecordingError, match=says):
-        opened(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("yaws_deg", "w_last", "refused"),
     [((0, 0), False, False), ((180, 180), False, False), ((30, 40), True, True), ((0, 45), True, True)],

@@ -80,33 +80,6 @@ def test_what_is_written_is_read(tmp_path: Path, write: Writer):
     assert frame.timestamp_ns == pytest.approx((start + 3 * step) * 1e9, abs=100)
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("write", [record3d, stray_scanner])
-def test_real_images_come_back(shared: Path, tmp_path: Path, write: Writer):
-    """With depth of a fifth of the image's resolution, as a phone has."""
-    real = open_recording(shared / "data" / "human_turn")
-    images: Images = []
-    for i in (0, 20, 40):
-        frame = real.frame(i)
-        images.append((frame.rgb, np.ascontiguousarray(frame.depth_m[2::5, 2::5]), None))
-    path = write(tmp_path, images, real.frame(0).camera.matrix)
-    (tmp_path / "take" / "confidence").exists() and (tmp_path / "take" / "confidence").rmdir()
-    recording = open_recording(path)
-    for i, written in enumerate(images):
-        frame = recording.frame(i)
-        require_same(frame, written, 1, 12)
-        original = real.frame((0, 20, 40)[i])
-        # the points are where they were, and have the colours that they had
-        pixel = original.depth_m[2::5, 2::5] > 0
-        grid = np.flatnonzero(pixel)
-        assert len(frame.cloud) == len(grid) > 5000
-        was = np.zeros((*original.rgb.shape[:2], 3), np.float32)
-        was.reshape(-1, 3)[original.cloud.pixel_index] = original.cloud.xyz_m
-        camera = frame.camera
-        moved = was[2::5, 2::5][pixel] * [original.camera.fx / camera.fx, original.camera.fy / camera.fy, 1]
-        np.testing.assert_allclose(frame.cloud.xyz_m, moved, atol=2e-3)
-
-
 def test_older_record3d_files_have_fewer_keys_and_no_gravity(tmp_path: Path):
     relative = [[1e-9, 0, 0, 1, 0, 0, 0], [0, 0.1, 0, 0.995, 0, 0, 0]]
     newer = ("dw", "dh", "perFrameIntrinsicCoeffs", "frameTimestamps", "initPose")

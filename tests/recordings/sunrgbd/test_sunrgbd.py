@@ -151,7 +151,7 @@ def test_errors_of_a_damaged_extracted_frame_name_the_file(
 
 SCENE_DAMAGES = [
     (damage("image/*", None), "has no .png or .jpg or .jpeg file"),
-    (damage("extrinsics/20160101.txt", b"1 2 3"), "must have 3 x 4 numbers"),
+    (damage("extrinsics/20160101.txt", b"1 2 3"), "must have 12 numbers"),
     (damage("depth/*", png(DEPTH_MM[:-1])), "the image"),
     (damage("depth/*", png(DEPTH_MM * 0)), "no pixel has a depth"),
 ]
