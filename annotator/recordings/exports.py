@@ -31,9 +31,9 @@ from annotator.files import open_file, read_file, read_text_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
-from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole, pinhole
+from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_folder import Number, Positive, Side
+from annotator.recordings.rgbd_folder import Four, Number, Positive, Side
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS, in_time, too_late
@@ -94,6 +94,7 @@ def exported_frame(
     )
 
 
+Vector = tuple[Number, Number, Number]
 OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
 CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
@@ -101,6 +102,46 @@ CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
 T_BASE_CAMERA = RigidTransform.from_matrix(np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
 # Documents of annotator have this word, and its name, near their beginning.
 HEAD_BYTES, HEAD = 1024, (b'"openlabel"', b'"annotator"')
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class IntrinsicsRecord(_Record):
+    """The camera of a document; `camera_matrix` is 3 x 4, row by row."""
+
+    width_px: Side
+    height_px: Side
+    camera_matrix: Annotated[tuple[Number, ...], Field(min_length=12, max_length=12)]
+    distortion_coeffs: tuple[Number, ...]
+
+    def camera(self) -> Camera:
+        """Raises ValueError if it is not a pinhole camera."""
+        K = np.array(self.camera_matrix).reshape(3, 4)[:, :3]
+        if not is_pinhole(K):
+            raise ValueError("its intrinsics are not those of a pinhole camera")
+        # the format needs at least five coefficients
+        distortion = self.distortion_coeffs if any(self.distortion_coeffs) else ()
+        return pinhole(K, self.width_px, self.height_px, distortion)
+
+
+class PlaceRecord(_Record):
+    """A pose; quaternion x y z w."""
+
+    translation: Vector
+    quaternion: Four
+
+
+class TransformRecord(_Record):
+    """The pose of a document's base in the world."""
+
+    transform_src_to_dst: PlaceRecord
+
+    def T_world_camera(self) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        data = self.transform_src_to_dst
+        return RigidTransform.from_components(data.translation, Rotation.from_quat(data.quaternion)) * T_BASE_CAMERA
 
 
 class DocumentFrame(NamedTuple):
@@ -138,8 +179,9 @@ class OpenLabelFolder(KeyedFrames):
         """Reads frame `i`; its up direction is unknown."""
         key = self.key(i)
         listed = self._listed(key)
-        camera = _openlabel_camera(listed.document, key, listed.intrinsics)
-        world = None if listed.place is None else _openlabel_pose(listed.document, key, listed.place)
+        with file_errors(listed.document, REMEDY, f"frame {key}: "):
+            camera = IntrinsicsRecord.model_validate(listed.intrinsics).camera()
+            world = None if listed.place is None else TransformRecord.model_validate(listed.place).T_world_camera()
         return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
@@ -211,40 +253,10 @@ def _nanoseconds(seconds: str) -> int:
     return time_ns
 
 
-def _openlabel_pose(document: Path, key: str, record: Any) -> RigidTransform:
-    """Returns the camera's pose from that of the base."""
-    try:
-        data = record["transform_src_to_dst"]
-        place, turn = (np.array(data[name], np.float64) for name in ("translation", "quaternion"))
-        if not (are_plausible(place) and are_plausible(turn)):
-            raise ValueError("numbers too large")
-        return RigidTransform.from_components(place, Rotation.from_quat(turn)) * T_BASE_CAMERA
-    except (KeyError, TypeError, ValueError) as error:
-        raise FrameError(document, f"frame {key}: its {PLACE} is invalid ({str(error)[:80]})", REMEDY) from error
-
-
-def _openlabel_camera(document: Path, key: str, record: Any) -> Camera:
-    try:
-        K = np.array(record["camera_matrix"], np.float64).reshape(3, 4)[:, :3]
-        size = int(record["width_px"]), int(record["height_px"])
-        distortion = tuple(float(value) for value in record["distortion_coeffs"])
-        if not is_pinhole(K) or not 0 < min(size) <= max(size) <= LARGEST_SIDE_PX:
-            raise ValueError("not a pinhole camera")
-        # the format needs at least five coefficients
-        return pinhole(K, *size, distortion if any(distortion) else ())
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FrameError(document, f"frame {key}: its intrinsics are invalid ({str(error)[:80]})", REMEDY) from error
-
-
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
 RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
 LEAST_LENGTH = 1e-6
-Vector = tuple[Number, Number, Number]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 class ManifestFile(_Record):
@@ -271,7 +283,7 @@ class PoseRecord(_Record):
     """The camera's pose in map coordinates; quaternion w x y z."""
 
     translation: Vector
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Four
 
     def transform(self) -> RigidTransform:
         """Raises ValueError for a quaternion of length zero."""

@@ -166,24 +166,6 @@ NEAREST_Z_M = 0.1
 UP = np.array([0.0, -1.0, 0.0])
 
 
-def read_frame(
-    key: str,
-    index: int,
-    image_path: Path,
-    scan_path: Path,
-    scans: Scans,
-    calibration: KittiCalibration,
-    timestamp_ns: int | None,
-) -> Frame:
-    """Reads the frame of an image and a scan; `camera` is colour camera 2."""
-    rgb = read_rgb(image_path)
-    camera = calibration.camera(rgb.shape[1], rgb.shape[0])
-    scan = scans.read(scan_path)
-    remedy = f"check that {calibration.path} belongs to this scan"
-    cloud = visible_cloud(scan_path, camera, calibration.to_camera(scan.xyz_m), scan, rgb, remedy)
-    return Frame(key, index, camera, rgb, cloud, None, UP, calibration.T_camera_label, timestamp_ns)
-
-
 def visible_cloud(
     path: Path,
     camera: Camera,
@@ -241,7 +223,11 @@ class KittiFolder(KeyedFrames, ABC):
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
         key, (image, scan) = self.key(i), self.files(i)
-        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
+        rgb, calibration, raw = read_rgb(image), self.calibration(key), self.reader.read(scan)
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+        remedy = f"check that {calibration.path} belongs to this scan"
+        cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)
+        return Frame(key, i, camera, rgb, cloud, None, UP, calibration.T_camera_label, self._time_of(i))
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`."""

@@ -24,7 +24,7 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
-from annotator.image_bytes import JPEG_START, declared_size, image_problem
+from annotator.image_bytes import declared_size, decode_image, image_problem
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
@@ -111,42 +111,22 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
     Raises:
         ValueError: the bytes are not an image of this format and size; the message says why.
     """
-    if fourcc == "MJPG":
-        return _decode_jpeg(data, width_px, height_px)
-    return _convert(fourcc, data, width_px, height_px)
-
-
-def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    import cv2
-
-    problem = image_problem(data)
-    if problem:
-        raise ValueError(problem)
-    # checked before decoding: damaged bytes could declare an image of gigabytes
-    if not data.startswith(JPEG_START) or declared_size(data) != (width_px, height_px):
-        raise ValueError(f"it is not a JPEG image of {width_px} x {height_px} pixels")
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if bgr is None:
-        raise ValueError("the JPEG image cannot be decoded")
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
-
-
-def _convert(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
     import cv2
 
     halves = FORMATS[fourcc]
-    assert halves is not None
+    if halves is None:
+        # checked before decoding: damaged bytes could declare an image of gigabytes
+        if declared_size(data) != (width_px, height_px):
+            raise ValueError(image_problem(data) or f"it is not a JPEG image of {width_px} x {height_px} pixels")
+        return np.asarray(
+            cv2.cvtColor(decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), cv2.COLOR_BGR2RGB)
+        )
     expected = width_px * height_px * halves // 2
     if len(data) != expected:
         raise ValueError(f"it has {len(data)} bytes, but {width_px} x {height_px} pixels of {fourcc} have {expected}")
-    raw = np.frombuffer(data, np.uint8)
-    if fourcc == "NV12":
-        rgb = cv2.cvtColor(raw.reshape(height_px * 3 // 2, width_px), cv2.COLOR_YUV2RGB_NV12)
-    elif fourcc == "YUY2":
-        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 2), cv2.COLOR_YUV2RGB_YUY2)
-    else:
-        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 4), cv2.COLOR_BGRA2RGB)
-    return np.asarray(rgb)
+    raw = np.frombuffer(data, np.uint8).reshape(height_px * 3 // 2 if halves == 3 else height_px, width_px, -1)
+    code = {"NV12": cv2.COLOR_YUV2RGB_NV12, "YUY2": cv2.COLOR_YUV2RGB_YUY2, "BGRA": cv2.COLOR_BGRA2RGB}[fourcc]
+    return np.asarray(cv2.cvtColor(raw, code))
 
 
 TRACKS = frozenset({"COLOR", "DEPTH"})
