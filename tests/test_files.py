@@ -320,7 +320,7 @@ def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv(VARIABLE, "1")
     with pytest.raises(FrameError, match=rf"limit is 1 MiB \(.*{VARIABLE} sets another, such as 2\)"):
         read_cloud(tmp_path / "a.npy")
-    with pytest.raises(FrameError, match=f"is larger than 0 MiB; raise {VARIABLE}"):
+    with pytest.raises(FrameError, match=f"is larger than 0 MiB; .*raise {VARIABLE}"):
         _read_mat(tmp_path / "a.mat")
     monkeypatch.setenv(VARIABLE, "16")
     assert len(read_cloud(tmp_path / "a.npy").xyz_m) == 100_000

@@ -39,7 +39,8 @@ def is_pinhole(K: np.ndarray) -> bool:
 
 def pinhole(K: np.ndarray, width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
     """Returns the camera with matrix K, (3, 3)."""
-    return Camera(width_px, height_px, *K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), distortion)
+    fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
 
 
 def is_rotation(R: np.ndarray, most_off: float) -> bool:

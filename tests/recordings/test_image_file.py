@@ -185,9 +185,8 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path):
 def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
     pixels = deep(bits, 3)
     if encoding == "png":
-        content = SimpleNamespace(
-            format="rgb16; png compressed bgr16", data=np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
-        )
+        data = np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
+        content = SimpleNamespace(format="rgb16; png compressed bgr16", data=data)
     else:
         content = ros(encoding, pixels[..., ::-1] if encoding == "bgr16" else pixels)
     np.testing.assert_array_equal(color_image(content), COLOR)

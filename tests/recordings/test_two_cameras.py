@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -11,7 +10,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import project, resized
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera
-from annotator.types.errors import GeometryError
 
 DEPTH = Camera(64, 48, 60.0, 61.0, 31.0, 23.5)
 COLOR = Camera(160, 120, 140.0, 141.0, 80.0, 58.0, (0.05, -0.02, 0.001, -0.001))
@@ -82,11 +80,3 @@ def test_from_the_same_place_no_point_is_hidden():
     cloud, in_color_m = registered(depth_m, resized(camera, 64, 48), SAME_PLACE, picture(camera), camera)
     assert len(cloud) == depth_m.size == np.count_nonzero(in_color_m)
     np.testing.assert_allclose(project(camera, cloud.xyz_m)[0], [4.5, 4.5], atol=1e-3)  # the middle of ten pixels
-
-
-def test_images_of_another_size_than_their_camera_are_refused():
-    depth_m, rgb = np.ones((48, 64), np.float32), picture(COLOR)
-    with pytest.raises(GeometryError, match="depth image has 48 x 64 px"):
-        registered(np.ascontiguousarray(depth_m.T), DEPTH, SAME_PLACE, rgb, COLOR)
-    with pytest.raises(GeometryError, match="image has 120 x 160 px"):
-        registered(depth_m, DEPTH, SAME_PLACE, np.ascontiguousarray(rgb.transpose(1, 0, 2)), COLOR)

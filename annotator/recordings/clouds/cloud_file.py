@@ -11,13 +11,15 @@ import codecs
 import io
 import warnings
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
 
 from annotator.files import ARCHIVE_ERRORS, open_archive
-from annotator.frame_limits import read_frame_file, require_memory
+from annotator.frame_limits import memory_problem, read_frame_file
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
@@ -37,7 +39,7 @@ COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
 
 def parse_npy(data: bytes) -> RawCloud:
     """Parses the points of an `.npy` file."""
-    return from_columns(_columns(read_array(data)))
+    return from_columns(_columns(read_array(io.BytesIO(data))))
 
 
 def parse_npz(data: bytes) -> RawCloud:
@@ -45,22 +47,24 @@ def parse_npz(data: bytes) -> RawCloud:
     try:
         with open_archive(io.BytesIO(data)) as archive:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            require_memory(more_bytes=sum(info.file_size for info in infos.values()))
-            content = {name: archive.read(info) for name, info in infos.items() if name in (*POINT_NAMES, *COLOR_NAMES)}
+            # of an archive, the sizes are read before the values are unpacked
+            arrays = {
+                name: read_array(archive.open(infos[name])) for name in (*POINT_NAMES, *COLOR_NAMES) if name in infos
+            }
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"its archive cannot be read ({error})") from error
-    points, colors = (next((name for name in names if name in content), None) for names in (POINT_NAMES, COLOR_NAMES))
+    points, colors = (next((name for name in names if name in arrays), None) for names in (POINT_NAMES, COLOR_NAMES))
     if points is None:
         present = ", ".join(sorted(infos)[:5]) or "none"
         raise ValueError(f"has no array {' or '.join(POINT_NAMES)} (its arrays: {present})")
-    columns = _columns(read_array(content[points]))
+    columns = _columns(arrays[points])
     if colors is not None:
-        columns |= _color_columns(read_array(content[colors]), len(columns["x"]))
+        columns |= _color_columns(arrays[colors], len(columns["x"]))
     return from_columns(columns)
 
 
-def read_array(data: bytes, *, is_image: bool = False) -> np.ndarray:
-    """Returns the array of an `.npy` file's content.
+def read_array(file: IO[bytes], *, is_image: bool = False) -> np.ndarray:
+    """Returns the array of an `.npy` file, or of a member of an archive.
 
     Args:
         is_image: each value gives a point; otherwise, each row does.
@@ -72,13 +76,19 @@ def read_array(data: bytes, *, is_image: bool = False) -> np.ndarray:
         # numpy warns about headers written by Python 2
         warnings.simplefilter("ignore")
         try:
-            array = npy.read_array(io.BytesIO(data), allow_pickle=False)
+            is_old = npy.read_magic(file) == (1, 0)
+            shape, _, dtype = npy.read_array_header_1_0(file) if is_old else npy.read_array_header_2_0(file)
+            values = prod(shape)
+            problem = memory_problem(points=values if is_image else prod(shape[:1]), more_bytes=values * dtype.itemsize)
+            file.seek(0)
+            array = np.empty(0) if problem else npy.read_array(file, allow_pickle=False)
         # the header is a Python expression: a damaged one can raise any exception
         except Exception as error:
             raise ValueError(f"its array is damaged ({str(error)[:80]})") from error
+    if problem:
+        raise ValueError(problem)
     if array.dtype.kind not in "fiu" and array.dtype.names is None:
         raise ValueError(f"its array holds {array.dtype}, not numbers")
-    require_memory(points=array.size if is_image else min(array.size, *array.shape[:1]))
     return array
 
 

@@ -216,7 +216,7 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
         raw: np.ndarray = read_depth(path)
     else:
         with file_errors(path, REMEDY):
-            raw = read_array(read_frame_file(path), is_image=True)
+            raw = read_array(io.BytesIO(read_frame_file(path)), is_image=True)
             if raw.ndim != 2 or raw.dtype.names is not None:
                 raise ValueError("it is not an image of numbers")
     return in_metres(raw, MM_PER_M)

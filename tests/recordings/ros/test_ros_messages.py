@@ -82,21 +82,17 @@ def test_depths_are_those_of_the_message(encoding: str, padding: int, is_bigendi
 
 
 def test_compressed_images_and_depths():
-    ok, png = cv2.imencode(".png", RGB[:, :, ::-1])
-    assert ok
-    content = SimpleNamespace(format="bgr8; png compressed bgr8", data=png)
-    np.testing.assert_array_equal(color_image(content), RGB)
+    png = cv2.imencode(".png", RGB[:, :, ::-1])[1]
+    np.testing.assert_array_equal(color_image(SimpleNamespace(format="bgr8; png compressed bgr8", data=png)), RGB)
     millimetres = np.arange(48, dtype=np.uint16).reshape(6, 8) * 1000
     packed = cv2.imencode(".png", millimetres)[1].tobytes()
-    head = struct.pack("<iff", 0, 0, 0)
-    for form, data in (("16UC1; compressedDepth png", head + packed), ("16UC1; png compressed ", packed)):
+    for form, data in (("16UC1; compressedDepth png", bytes(12) + packed), ("16UC1; png compressed ", packed)):
         content = SimpleNamespace(format=form, data=np.frombuffer(data, np.uint8))
         assert describe(content, "/x").is_depth
         np.testing.assert_array_equal(depth_image(content), millimetres.astype(np.float32) / np.float32(1000))
     # compressed_depth_image_transport: quantised inverse depth
     a, b = 100.0, -5.0
-    metres = np.linspace(0.5, 9, 48, dtype=np.float32).reshape(6, 8)
-    quantised = np.rint(a / metres + b).astype(np.uint16)
+    quantised = np.rint(a / np.linspace(0.5, 9, 48, dtype=np.float32).reshape(6, 8) + b).astype(np.uint16)
     data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", quantised)[1].tobytes()
     content = SimpleNamespace(format="32FC1; compressedDepth", data=np.frombuffer(data, np.uint8))
     np.testing.assert_allclose(depth_image(content), a / (quantised - np.float32(b)), rtol=1e-6)
@@ -166,9 +162,8 @@ def test_distortions_keep_their_order():
     D = [0.1, -0.05, 0.001, -0.002, 0.01]
     assert read_camera_info(info(D=D), False).camera.distortion == tuple(D)
     rational = [0.1, -0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.004]
-    assert read_camera_info(info(D=rational, distortion_model="rational_polynomial"), False).camera.distortion == tuple(
-        rational
-    )
+    content = info(D=rational, distortion_model="rational_polynomial")
+    assert read_camera_info(content, False).camera.distortion == tuple(rational)
     assert read_camera_info(info(D=[0.0] * 5, distortion_model="?"), False).camera.distortion == ()
 
 
