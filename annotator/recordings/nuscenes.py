@@ -71,11 +71,7 @@ class Shot:
     height_px: int
 
     def T_global_sensor(self) -> RigidTransform:
-        """Returns the sensor's pose when it was taken.
-
-        Raises:
-            TableError: a rotation is not a unit quaternion.
-        """
+        """Returns the sensor's pose when it was taken."""
         return pose(self.ego.translation, self.ego.rotation) * pose(self.mount.translation, self.mount.rotation)
 
 

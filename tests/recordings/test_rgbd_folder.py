@@ -215,6 +215,7 @@ def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, colo
 
 
 def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth: np.ndarray):
+    (folder / "color").rename(folder / "rgb")
     for name, content in (
         ("camera_intrinsic.json", json.dumps(INTRINSICS | {"depth_scale": 5000}, indent=1)),
         ("gravity.json", '{"up": [0, -2, 0]}\n'),

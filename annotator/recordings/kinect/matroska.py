@@ -75,11 +75,7 @@ class MatroskaIndex:
 
 
 def read_index(path: Path) -> MatroskaIndex | None:
-    """Returns the tracks and blocks of a Matroska file; None for a file of another type.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Returns the tracks and blocks of a Matroska file; None for a file of another type."""
     with open_file(path, buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None

@@ -106,11 +106,7 @@ FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
 
 
 def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the RGB image in the bytes of one block.
-
-    Raises:
-        ValueError: the bytes are not an image of this format and size; the message says why.
-    """
+    """Returns the RGB image in the bytes of one block."""
     import cv2
 
     halves = FORMATS[fourcc]

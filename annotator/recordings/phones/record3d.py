@@ -47,12 +47,7 @@ MOST_GROWTH, HEADS_BYTES = 1.1, 4096
 
 
 def decompress(data: bytes, expected_bytes: int) -> bytes:
-    """Returns the `expected_bytes` bytes in a compressed stream.
-
-    Raises:
-        MissingExtraError: the package is not installed.
-        ValueError: damaged, or of another length; the message says which.
-    """
+    """Returns the `expected_bytes` bytes in a compressed stream."""
     if find_spec("lzfse") is None:
         raise MissingExtraError("lzfse", "phones")
     if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
@@ -89,12 +84,7 @@ def _opened(path: Path) -> zipfile.ZipFile:
 
 
 def list_entries(path: Path) -> frozenset[str]:
-    """Lists the files of an archive by name, or of a folder and the folders in it.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: not an archive, or its list of files is damaged.
-    """
+    """Lists the files of an archive by name, or of a folder and the folders in it."""
     if path.is_dir():
         files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
         return frozenset(file.relative_to(path).as_posix() for file in files)
@@ -102,12 +92,7 @@ def list_entries(path: Path) -> frozenset[str]:
 
 
 def read_entry(path: Path, name: str) -> bytes:
-    """Reads one file.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: truncated, damaged, encrypted, too large, or compressed in an unknown way; the message says which.
-    """
+    """Reads one file."""
     if path.is_dir():
         return read_frame_file(path / name)
     archive = _opened(path)

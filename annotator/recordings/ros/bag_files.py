@@ -79,12 +79,7 @@ class BagFile:
         self.is_slow = False
 
     def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        """Reads message `i` of a channel, or its first `most` bytes or a few more.
-
-        Raises:
-            ValueError: damaged or truncated.
-            OSError: the file cannot be read.
-        """
+        """Reads message `i` of a channel, or its first `most` bytes or a few more."""
         raise NotImplementedError
 
     def many(self) -> AbstractContextManager[None]:
@@ -166,12 +161,7 @@ class ChunkedFile(BagFile):
         self.chunks: list[Chunk] = []
 
     def content(self, number: int, start: int, size: int) -> bytes:
-        """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself.
-
-        Raises:
-            ValueError: the chunk is damaged before their end.
-            OSError: the file cannot be read.
-        """
+        """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself."""
         require_memory(more_bytes=size)
         if number < 0:
             return self._stored(start, size)
@@ -219,11 +209,7 @@ class ChunkedFile(BagFile):
 
 
 def unpack(compression: str, pieces: Iterable[bytes], most: int) -> tuple[bytes, str]:
-    """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing).
-
-    Raises:
-        ValueError: an unknown compression.
-    """
+    """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing)."""
     stream, parts, length = _decompressor(compression), [], 0
     for piece in pieces:
         try:

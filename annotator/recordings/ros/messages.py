@@ -49,12 +49,7 @@ FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticEr
 
 
 def decode(channel: Channel, data: bytes) -> Any:
-    """Decodes a message.
-
-    Raises:
-        ValueError: it is damaged, or its encoding is unknown.
-        MissingExtraError: rosbags or protobuf is not installed.
-    """
+    """Decodes a message."""
     try:
         return _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)(data)
     except MissingExtraError:
@@ -65,23 +60,13 @@ def decode(channel: Channel, data: bytes) -> Any:
 
 
 def message(topic: Topic, i: int) -> Any:
-    """Reads and decodes message `i` of a topic.
-
-    Raises:
-        ValueError: it is damaged.
-        OSError: the file cannot be read.
-        MissingExtraError: rosbags or protobuf is not installed.
-    """
+    """Reads and decodes message `i` of a topic."""
     channel, data = topic.read(i)
     return decode(channel, data)
 
 
 def stamp_ns(content: Any) -> int:
-    """Returns the time in a message's header, nanoseconds; 0 = not set.
-
-    Raises:
-        ValueError: it is before 1970 or after 2262.
-    """
+    """Returns the time in a message's header, nanoseconds; 0 = not set."""
     time = content.header.stamp if hasattr(content, "header") else content.timestamp
     if hasattr(time, "nanosec"):
         stamp = int(time.sec) * SECOND + int(time.nanosec)
@@ -177,11 +162,7 @@ def _from_json(data: bytes) -> Any:
 
 
 def byte_array(data: Any) -> np.ndarray:
-    """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers.
-
-    Raises:
-        ValueError: something else.
-    """
+    """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers."""
     if isinstance(data, str):
         try:
             data = base64.b64decode(data, validate=True)
@@ -200,12 +181,7 @@ LARGEST_POINT = 1 << 16
 
 
 def cloud_of(content: Any) -> RawCloud:
-    """Returns the cloud of a decoded message, in the frame that it names.
-
-    Raises:
-        ValueError: the message contradicts itself.
-        FrameError: it has no coordinates, or no valid point.
-    """
+    """Returns the cloud of a decoded message, in the frame that it names."""
     if hasattr(content, "point_stride"):
         return _foxglove_cloud(content)
     width, height, row = int(content.width), int(content.height), int(content.row_step)
@@ -286,11 +262,7 @@ class BagCamera:
     fisheye: tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4"]] | None = None
 
     def picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """Returns an image of the bag as this camera sees it.
-
-        Raises:
-            ValueError: it has another size.
-        """
+        """Returns an image of the bag as this camera sees it."""
         import cv2
 
         self.require_size(rgb.shape)
@@ -302,10 +274,6 @@ class BagCamera:
         return np.asarray(cv2.remap(rgb, *maps, cv2.INTER_LINEAR))
 
     def require_size(self, shape: tuple[int, ...]) -> None:
-        """
-        Raises:
-            ValueError: an image of this shape is not of this camera.
-        """
         size = (self.camera.width_px, self.camera.height_px)
         if shape[1::-1] != size:
             raise ValueError(
@@ -320,9 +288,6 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
     Args:
         is_rectified: its images are.
         first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
-
-    Raises:
-        ValueError: it is not calibrated, or its numbers contradict each other; the message says which.
     """
     K, D, R, P = (_field(content, name) for name in "KDRP")
     if not K.any():
@@ -366,11 +331,7 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
 
 
 def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
-    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one.
-
-    Raises:
-        ValueError: P is damaged.
-    """
+    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one."""
     P = _field(content, "P")
     if len(P) != 12 or not P.any():
         return np.zeros(3)

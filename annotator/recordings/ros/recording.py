@@ -114,12 +114,7 @@ class RosBag(KeyedFrames):
         return tuple(self.pairs.time_ns.tolist())
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; from depth images, with `depth_m`.
-
-        Raises:
-            FrameError: a message is damaged or contradicts another one, a transform is missing, or no point is seen.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; from depth images, with `depth_m`."""
         with self._errors(i) as key:
             if self.chosen.image is None:
                 return self._cloud_frame(key, i)
@@ -209,12 +204,7 @@ class RosBag(KeyedFrames):
         return self.scale.apply(topic, raw, lambda: map(int, first), lambda number: cloud_of(message(topic, number)))
 
     def camera(self, log_ns: int) -> BagCamera:
-        """Returns the camera of the images, as calibrated at a log time.
-
-        Raises:
-            ValueError: it is not calibrated, or the message is damaged.
-            OSError: the file cannot be read.
-        """
+        """Returns the camera of the images, as calibrated at a log time."""
         assert self.chosen.info is not None and self.chosen.image is not None
         return self._camera(self.chosen.info, self.chosen.image, log_ns)
 
