@@ -182,13 +182,13 @@ def visible_cloud(
         path: of the cloud, for the message if no point is seen.
         raw: the same points, with reflectances and colours.
     """
-    in_front = np.flatnonzero(xyz_m[:, 2] > NEAREST_Z_M)
+    in_front = xyz_m[:, 2] > NEAREST_Z_M
     px = project(camera, xyz_m[in_front])
     inside = inside_image(camera, px)
     if not inside.any():
         problem = f"none of its points lies in the image ({len(xyz_m)} in all), so the cloud is empty"
         raise FrameError(path, problem, remedy)
-    chosen = in_front[inside]
+    chosen = np.flatnonzero(in_front)[inside]
     u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
     colors = rgb[v, u] if raw.rgb is None else raw.rgb[chosen]
     reflectance = None if raw.reflectance is None else raw.reflectance[chosen]

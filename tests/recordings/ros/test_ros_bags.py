@@ -140,6 +140,7 @@ WRONG_OPTIONS = [
     ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
     ({"image": "/left/image_raw", "points": "/points", "depth_info": "/left/camera_info"}, "is for depth images"),
     ({"columns": 4}, "not --columns"),
+    ({"image": "/left/image_raw", "points": "/points", "origin": (1, 2, 3)}, "so --origin is not taken"),
 ]
 
 
@@ -373,6 +374,18 @@ def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
     frame = recording.frame(1)
     expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
     np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
+
+
+def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        for i, most in enumerate((1, 255)):
+            columns = dict(zip("xyz", POINTS_M.T, strict=True)) | {
+                "intensity": np.linspace(0, most, 200, dtype=np.float32)
+            }
+            bag.cloud("/points", START_NS + i * 100 * MS, structured(columns))
+    for i, most in enumerate((1 / 255, 1.0)):
+        reflectance = open_recording(bag.path).frame(i).cloud.reflectance
+        assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
 
 
 def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):
