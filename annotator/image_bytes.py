@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,19 +94,35 @@ def image_problem(data: bytes) -> str:
     return ""
 
 
-def _png_problem(data: bytes) -> str:
+def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yields kind, start and end of the content of each part of a PNG file; the last one may be cut."""
     at = len(PNG_SIGNATURE)
     while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4])
-        end = at + 12 + length
-        if end > len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4])
+        yield data[at + 4 : at + 8], at + 8, end
+        at = end + 4
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yields marker, start and end of the content of the segments of a JPEG file, up to the first damage."""
+    at = len(JPEG_START)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        if data[at + 1] == 0xFF:  # fill byte
+            at += 1
+            continue
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4])
+        yield data[at + 1], at + 4, end
+        at = end
+
+
+def _png_problem(data: bytes) -> str:
+    for kind, start, end in _chunks(data):
+        if end + 4 > len(data):
             break
-        kind = data[at + 4 : at + 8]
-        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end]):
+        if zlib.crc32(data[start - 4 : end]) != int.from_bytes(data[end : end + 4]):
             return f"the PNG image is damaged (checksum of its {kind.decode('latin-1')} part)"
         if kind == b"IEND":
             return ""
-        at = end
     return "the PNG image is truncated"
 
 
@@ -133,14 +150,12 @@ def declared_size(data: bytes) -> tuple[int, int]:
     """Width and height from the header of a PNG or JPEG file; (0, 0) for other formats or without a header."""
     if data.startswith(PNG_SIGNATURE) and data[12:16] == b"IHDR":
         return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
-    at = len(JPEG_START) if data.startswith(JPEG_START) else len(data)
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        if data[at + 1] in JPEG_FRAMES:
-            return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
-        if data[at + 1] in JPEG_WITHOUT_LENGTH:
+    for marker, start, _ in _segments(data) if data.startswith(JPEG_START) else ():
+        if marker in JPEG_FRAMES:
+            return int.from_bytes(data[start + 3 : start + 5]), int.from_bytes(data[start + 1 : start + 3])
+        if marker in JPEG_WITHOUT_LENGTH:
             # a decoder would continue after this byte and might find another header
             break
-        at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4])
     return 0, 0
 
 
@@ -164,7 +179,7 @@ ENTRY_BYTES = 12
 
 def orientation_of(data: bytes) -> int:
     """Returns the EXIF orientation of a PNG or JPEG file, 1 to 8; 1 without a valid one."""
-    tiff = _png_exif(data) if data.startswith(PNG_SIGNATURE) else _jpeg_exif(data)
+    tiff = _exif(data)
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
     if order is None or len(tiff) < 8:
         return UPRIGHT
@@ -235,24 +250,13 @@ def described(orientation: int) -> str:
     return f"EXIF orientation {orientation} ({HOW[orientation]} when it is shown)"
 
 
-def _jpeg_exif(data: bytes) -> bytes:
-    at = len(JPEG_START) if data.startswith(JPEG_START) else len(data)
-    while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != JPEG_SCAN:
-        if data[at + 1] == 0xFF:  # fill byte
-            at += 1
-            continue
-        content = data[at + 4 : at + 2 + int.from_bytes(data[at + 2 : at + 4])]
-        if data[at + 1] == APP1 and content.startswith(EXIF_MARK):
-            return content[len(EXIF_MARK) :]
-        at += 2 + int.from_bytes(data[at + 2 : at + 4])
-    return b""
-
-
-def _png_exif(data: bytes) -> bytes:
-    at = len(PNG_SIGNATURE)
-    while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4])
-        if data[at + 4 : at + 8] == b"eXIf":
-            return data[at + 8 : at + 8 + length]
-        at += 12 + length
+def _exif(data: bytes) -> bytes:
+    """Returns the TIFF part of a PNG or JPEG file; empty without one."""
+    if data.startswith(PNG_SIGNATURE):
+        return next((data[start:end] for kind, start, end in _chunks(data) if kind == b"eXIf"), b"")
+    for marker, start, end in _segments(data) if data.startswith(JPEG_START) else ():
+        if marker == JPEG_SCAN:
+            break
+        if marker == APP1 and data.startswith(EXIF_MARK, start):
+            return data[start + len(EXIF_MARK) : end]
     return b""

@@ -22,15 +22,16 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.feather import FeatherError, Kind, read_feather
+from annotator.feather import Kind, read_feather
 from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
+from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
-from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole
+from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
@@ -95,14 +96,9 @@ class ArgoverseLog(KeyedFrames):
         camera = self._intrinsics(rgb.shape[1], rgb.shape[0])
         T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
         T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
-        xyz_m, reflectance = self._sweep(key)
-        cloud = visible_cloud(camera, T_camera_ego.apply(xyz_m), reflectance, rgb)
-        if len(cloud) == 0:
-            raise FrameError(
-                sweep,
-                f"none of its points lies in the image {image.name} ({len(xyz_m)} in all), so the cloud is empty",
-                f"check {MOUNTS} and {POSES}",
-            )
+        raw = self._sweep(key)
+        xyz_m = T_camera_ego.apply(raw.xyz_m)
+        cloud = visible_cloud(sweep, camera, xyz_m, raw, rgb, f"check {MOUNTS} and {POSES}")
         up = T_city_camera.rotation.inv().apply(UP)
         time_ns = int(self.images[i])
         return Frame(
@@ -122,12 +118,12 @@ class ArgoverseLog(KeyedFrames):
     def scan(self, i: int) -> Scan:
         """Reads the whole sweep of frame `i`."""
         key = self.key(i)
-        xyz_m, reflectance = self._sweep(key)
+        raw = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
         up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+        return Scan(raw.xyz_m, None, raw.reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def intrinsics(self, i: int) -> Camera:
         """Returns the camera of frame `i`, with the size that the calibration names."""
@@ -149,8 +145,8 @@ class ArgoverseLog(KeyedFrames):
     def _sweep_file(self, key: str) -> Path:
         return self.path / SWEEPS / f"{key}.feather"
 
-    def _sweep(self, key: str) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the valid points (n, 3) in the ego frame, and their reflectance (n,)."""
+    def _sweep(self, key: str) -> RawCloud:
+        """Returns the valid points in the ego frame."""
         path = self._sweep_file(key)
         columns = _table(path, {"x": "float", "y": "float", "z": "float", "intensity": "int"})
         xyz_m = np.stack([columns[name] for name in "xyz"], axis=1)
@@ -158,7 +154,7 @@ class ArgoverseLog(KeyedFrames):
         if not valid.any():
             raise FrameError(path, "has no points", REMEDY)
         intensity = columns["intensity"][valid].astype(np.float32)
-        return xyz_m[valid], np.clip(intensity / MOST_INTENSITY, 0, 1)
+        return RawCloud(xyz_m[valid], None, np.clip(intensity / MOST_INTENSITY, 0, 1))
 
     def _T_city_ego(self, time_ns: str) -> RigidTransform:
         poses = _poses(self.path / POSES)
@@ -187,9 +183,10 @@ class ArgoverseLog(KeyedFrames):
         if self.camera not in rows:
             raise FrameError(path, f"has no row for {self.camera} (it has {', '.join(rows)})", REMEDY)
         fx, fy, cx, cy = rows[self.camera].tolist()
-        if not is_pinhole(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])):
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        if not is_pinhole(K):
             raise FrameError(path, f"{self.camera} is not a pinhole camera", REMEDY)
-        return Camera(width_px, height_px, fx, fy, cx, cy)
+        return pinhole(K, width_px, height_px)
 
 
 def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFound:
@@ -244,20 +241,14 @@ def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, 
 
 
 def _table(path: Path, columns: dict[str, Kind]) -> dict[str, np.ndarray]:
-    try:
+    with file_errors(path, REMEDY):
         return read_feather(path, columns)
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-    except FeatherError as error:
-        raise FrameError(path, str(error), REMEDY) from error
 
 
 def _poses(path: Path) -> dict[int, np.ndarray]:
     """Returns the vehicle's poses by time; cached, because every frame needs two of a log's thousands."""
-    try:
+    with file_errors(path, REMEDY):
         status = path.stat()
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     return _read_poses(path, status.st_mtime_ns, status.st_size)
 
 

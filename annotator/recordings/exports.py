@@ -23,22 +23,21 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, UInt8
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from jaxtyping import Float64
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file, read_file, read_text_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
-from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
+from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_folder import Number, Positive, Side
+from annotator.recordings.rgbd_folder import Four, Number, Positive, Side
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS, in_time, too_late
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.messages import first_problem
 
 REMEDY = "export the dataset again"
 # A document may describe a whole recording.
@@ -77,7 +76,7 @@ def exported_frame(
     """
     image, cloud = files
     picture = read_color_image(image, (camera.width_px, camera.height_px))
-    _check_size(image, picture.rgb, camera)
+    require_size(image, picture.rgb, (camera.width_px, camera.height_px), "its camera has", REMEDY)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:
         raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
     raw = read_cloud(cloud)
@@ -95,14 +94,7 @@ def exported_frame(
     )
 
 
-def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
-    height, width = rgb.shape[:2]
-    if (width, height) != (camera.width_px, camera.height_px):
-        raise FrameError(
-            path, f"has {width} x {height} pixels, but its camera {camera.width_px} x {camera.height_px}", REMEDY
-        )
-
-
+Vector = tuple[Number, Number, Number]
 OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
 CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
@@ -110,6 +102,46 @@ CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
 T_BASE_CAMERA = RigidTransform.from_matrix(np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
 # Documents of annotator have this word, and its name, near their beginning.
 HEAD_BYTES, HEAD = 1024, (b'"openlabel"', b'"annotator"')
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class IntrinsicsRecord(_Record):
+    """The camera of a document; `camera_matrix` is 3 x 4, row by row."""
+
+    width_px: Side
+    height_px: Side
+    camera_matrix: Annotated[tuple[Number, ...], Field(min_length=12, max_length=12)]
+    distortion_coeffs: tuple[Number, ...]
+
+    def camera(self) -> Camera:
+        """Raises ValueError if it is not a pinhole camera."""
+        K = np.array(self.camera_matrix).reshape(3, 4)[:, :3]
+        if not is_pinhole(K):
+            raise ValueError("its intrinsics are not those of a pinhole camera")
+        # the format needs at least five coefficients
+        distortion = self.distortion_coeffs if any(self.distortion_coeffs) else ()
+        return pinhole(K, self.width_px, self.height_px, distortion)
+
+
+class PlaceRecord(_Record):
+    """A pose; quaternion x y z w."""
+
+    translation: Vector
+    quaternion: Four
+
+
+class TransformRecord(_Record):
+    """The pose of a document's base in the world."""
+
+    transform_src_to_dst: PlaceRecord
+
+    def T_world_camera(self) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        data = self.transform_src_to_dst
+        return RigidTransform.from_components(data.translation, Rotation.from_quat(data.quaternion)) * T_BASE_CAMERA
 
 
 class DocumentFrame(NamedTuple):
@@ -147,8 +179,9 @@ class OpenLabelFolder(KeyedFrames):
         """Reads frame `i`; its up direction is unknown."""
         key = self.key(i)
         listed = self._listed(key)
-        camera = _openlabel_camera(listed.document, key, listed.intrinsics)
-        world = None if listed.place is None else _openlabel_pose(listed.document, key, listed.place)
+        with file_errors(listed.document, REMEDY, f"frame {key}: "):
+            camera = IntrinsicsRecord.model_validate(listed.intrinsics).camera()
+            world = None if listed.place is None else TransformRecord.model_validate(listed.place).T_world_camera()
         return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
@@ -220,41 +253,10 @@ def _nanoseconds(seconds: str) -> int:
     return time_ns
 
 
-def _openlabel_pose(document: Path, key: str, record: Any) -> RigidTransform:
-    """Returns the camera's pose from that of the base."""
-    try:
-        data = record["transform_src_to_dst"]
-        place, turn = (np.array(data[name], np.float64) for name in ("translation", "quaternion"))
-        if not (are_plausible(place) and are_plausible(turn)):
-            raise ValueError("numbers too large")
-        return RigidTransform.from_components(place, Rotation.from_quat(turn)) * T_BASE_CAMERA
-    except (KeyError, TypeError, ValueError) as error:
-        raise FrameError(document, f"frame {key}: its {PLACE} is invalid ({str(error)[:80]})", REMEDY) from error
-
-
-def _openlabel_camera(document: Path, key: str, record: Any) -> Camera:
-    try:
-        K = np.array(record["camera_matrix"], np.float64).reshape(3, 4)[:, :3]
-        size = int(record["width_px"]), int(record["height_px"])
-        distortion = tuple(float(value) for value in record["distortion_coeffs"])
-        if not is_pinhole(K) or not 0 < min(size) <= max(size) <= LARGEST_SIDE_PX:
-            raise ValueError("not a pinhole camera")
-        fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        # the format needs at least five coefficients
-        return Camera(*size, fx, fy, cx, cy, distortion if any(distortion) else ())
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FrameError(document, f"frame {key}: its intrinsics are invalid ({str(error)[:80]})", REMEDY) from error
-
-
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
 RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
 LEAST_LENGTH = 1e-6
-Vector = tuple[Number, Number, Number]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 class ManifestFile(_Record):
@@ -281,7 +283,7 @@ class PoseRecord(_Record):
     """The camera's pose in map coordinates; quaternion w x y z."""
 
     translation: Vector
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Four
 
     def transform(self) -> RigidTransform:
         """Raises ValueError for a quaternion of length zero."""
@@ -315,11 +317,9 @@ class RcvFolder(KeyedFrames):
         """Reads frame `i`."""
         key = self.key(i)
         path, record = self._record(key)
-        try:
+        with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
             world = None if record.world is None else record.world.transform()
-        except ValueError as error:
-            raise FrameError(path, f"does not describe a frame ({error})", REMEDY) from error
         up = None if record.up is None else np.array(record.up)
         if up is not None:
             length = np.linalg.norm(up)
@@ -332,12 +332,8 @@ class RcvFolder(KeyedFrames):
     def _record(self, key: str) -> tuple[Path, FrameFile]:
         """Returns the path and the content of a frame's file."""
         path = self.path / LABELS / f"{key}.json"
-        try:
+        with file_errors(path, REMEDY):
             return path, FrameFile.model_validate_json(read_text_file(path))
-        except OSError as error:
-            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-        except ValueError as error:  # pydantic's errors, too
-            raise FrameError(path, f"does not describe a frame ({_first_line(error)})", REMEDY) from error
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:
@@ -348,17 +344,9 @@ def open_rcv(path: Path) -> RcvFolder | NotFound:
     content = read_document(manifest)
     if not isinstance(content, dict) or content.get("format") != FORMAT_NAME:
         return NotFound(RCV_LOOKED_FOR)
-    try:
+    with file_errors(manifest, REMEDY, kind=RecordingError):
         keys = ManifestFile.model_validate(content).frames
-    except ValidationError as error:
-        raise RecordingError(f"{manifest}: {_first_line(error)}; {REMEDY}") from error
     if len(set(keys)) < len(keys):
         raise RecordingError(f"{manifest}: a frame is listed twice; {REMEDY}")
     sorted_keys(path, set(keys), f"frames in {MANIFEST}")  # raises without frames; the manifest has their order
     return RcvFolder(path, keys)
-
-
-def _first_line(error: ValueError) -> str:
-    if not isinstance(error, ValidationError):
-        return str(error)
-    return first_problem(error)

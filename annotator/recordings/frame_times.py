@@ -16,6 +16,7 @@ from jaxtyping import Int64
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.kitti import KittiFolder
+from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import Recording
 from annotator.text import normal
 from annotator.types.checks import LATEST_NS, too_dense, too_late
@@ -59,10 +60,8 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
     path = folder / FILE_NAME
     if not path.is_file():
         return None, ()
-    try:
+    with file_errors(path, REMEDY, kind=RecordingError):
         lines = read_text_file(path, TABLE_BYTES).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: cannot be read ({error}); {REMEDY}") from error
     if not lines or lines[0].strip() != HEADER:
         raise RecordingError(f"{path}:1: the header must be {HEADER}; {REMEDY}")
     times: dict[str, int] = {}

@@ -22,6 +22,7 @@ from annotator.frame_limits import read_frame_file
 from annotator.geometry.projection import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
+from annotator.recordings.listing import file_errors
 from annotator.types.errors import FrameError
 
 
@@ -152,13 +153,9 @@ def _plane(path: Path, dtype: type[np.generic], what: str, remedy: str) -> np.nd
 
 def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, np.ndarray]:
     """Returns a file's bytes and its pixels."""
-    try:
+    with file_errors(path, REMEDY):
         data = read_frame_file(path)
         return data, decode_image(data, flags, give_points=give_points)
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-    except ValueError as error:
-        raise FrameError(path, str(error), REMEDY) from error
 
 
 # Depths below 8.192 m become multiples of eight, which few plain values are.

@@ -36,10 +36,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
+from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan
-from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
@@ -88,8 +89,7 @@ class KittiCalibration:
 
     def camera(self, width_px: int, height_px: int) -> Camera:
         """Returns colour camera 2 for an image of this size."""
-        K = self.matrix
-        return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+        return pinhole(self.matrix, width_px, height_px)
 
     def to_camera(self, xyz_lidar_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Returns LiDAR points in the camera frame, metres."""
@@ -117,12 +117,10 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
 
 def calibration_text(path: Path) -> str:
     """Returns the text of a calibration file."""
-    try:
+    if not path.exists():
+        raise FrameError(path, "the calibration is missing", "copy it from the data set")
+    with file_errors(path, REMEDY, "the calibration: "):
         return read_text_file(path)
-    except FileNotFoundError as error:
-        raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
 
 
 def _read_rows(path: Path) -> dict[str, list[str]]:
@@ -149,10 +147,13 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
     name = next((name for name in names if name in rows), None)
     if name is None:
         raise FrameError(path, f"{' or '.join(names)} is missing", REMEDY)
-    try:
-        values = np.array([to_number(value) for value in rows[name]])
-    except ValueError as error:
-        raise FrameError(path, f"{name}: {error}", REMEDY) from error
+    return matrix_of(path, name, rows[name], shape)
+
+
+def matrix_of(path: Path, name: str, words: list[str], shape: tuple[int, int]) -> Float64[np.ndarray, "r c"]:
+    """Returns the matrix called `name` whose elements are words, row by row."""
+    with file_errors(path, REMEDY, f"{name}: "):
+        values = np.array([to_number(word) for word in words])
     if values.size != shape[0] * shape[1]:
         raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
     if not are_plausible(values):
@@ -165,38 +166,33 @@ NEAREST_Z_M = 0.1
 UP = np.array([0.0, -1.0, 0.0])
 
 
-def read_frame(
-    key: str,
-    index: int,
-    image_path: Path,
-    scan_path: Path,
-    scans: Scans,
-    calibration: KittiCalibration,
-    timestamp_ns: int | None,
-) -> Frame:
-    """Reads the frame of an image and a scan; `camera` is colour camera 2."""
-    rgb = read_rgb(image_path)
-    camera = calibration.camera(rgb.shape[1], rgb.shape[0])
-    scan = scans.read(scan_path)
-    cloud = visible_cloud(camera, calibration.to_camera(scan.xyz_m), scan.reflectance, rgb)
-    if len(cloud) == 0:
-        raise FrameError(
-            scan_path,
-            f"none of its points lies in the image ({len(scan.xyz_m)} in all), so the cloud is empty",
-            f"check that {calibration.path} belongs to this scan",
-        )
-    return Frame(key, index, camera, rgb, cloud, None, UP, calibration.T_camera_label, timestamp_ns)
+def visible_cloud(
+    path: Path,
+    camera: Camera,
+    xyz_m: np.ndarray,
+    raw: RawCloud,
+    rgb: np.ndarray,
+    remedy: str,
+) -> PointCloud:
+    """Returns the points (n, 3) in the camera frame that project inside the image.
 
+    Without colours of their own, they have those of the nearest pixels.
 
-def visible_cloud(camera: Camera, xyz_m: np.ndarray, reflectance: np.ndarray | None, rgb: np.ndarray) -> PointCloud:
-    """Returns the points (n, 3) in the camera frame that project inside the image, coloured by the nearest pixel."""
+    Args:
+        path: of the cloud, for the message if no point is seen.
+        raw: the same points, with reflectances and colours.
+    """
     in_front = xyz_m[:, 2] > NEAREST_Z_M
     px = project(camera, xyz_m[in_front])
     inside = inside_image(camera, px)
+    if not inside.any():
+        problem = f"none of its points lies in the image ({len(xyz_m)} in all), so the cloud is empty"
+        raise FrameError(path, problem, remedy)
     chosen = np.flatnonzero(in_front)[inside]
     u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
-    seen = None if reflectance is None else reflectance[chosen]
-    return PointCloud(xyz_m[chosen].astype(np.float32), rgb=rgb[v, u], reflectance=seen)
+    colors = rgb[v, u] if raw.rgb is None else raw.rgb[chosen]
+    reflectance = None if raw.reflectance is None else raw.reflectance[chosen]
+    return PointCloud(xyz_m[chosen].astype(np.float32), rgb=colors, reflectance=reflectance)
 
 
 # The rotating LiDAR triggers KITTI's sensors ten times a second.
@@ -227,7 +223,11 @@ class KittiFolder(KeyedFrames, ABC):
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
         key, (image, scan) = self.key(i), self.files(i)
-        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
+        rgb, calibration, raw = read_rgb(image), self.calibration(key), self.reader.read(scan)
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+        remedy = f"check that {calibration.path} belongs to this scan"
+        cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)
+        return Frame(key, i, camera, rgb, cloud, None, UP, calibration.T_camera_label, self._time_of(i))
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`."""
@@ -347,11 +347,9 @@ class KittiRaw(KittiFolder):
         path = self.path / "image_02" / "timestamps.txt"
         if not path.is_file():
             return number * PERIOD_NS
-        try:
+        with file_errors(path, "copy it again from the data set"):
             stat = path.stat()
             times = _times(path, stat.st_mtime_ns, stat.st_size)
-        except (OSError, UnicodeDecodeError) as error:
-            raise FrameError(path, f"cannot be read ({error})", "copy it again from the data set") from error
         time_ns = times[number] if number < len(times) else None
         if time_ns is None:
             raise FrameError(

@@ -10,9 +10,12 @@ from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
+import numpy as np
+from pydantic import ValidationError
+
 from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.messages import first_few
+from annotator.types.messages import first_few, first_problem
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("[0-9]+")
@@ -37,6 +40,33 @@ def path_errors(path: Path) -> Iterator[None]:
         raise RecordingError(
             f"{error.filename or path}: cannot be read: {error.strerror or error}; {remedy}"
         ) from error
+
+
+@contextmanager
+def file_errors(path: Path, remedy: str, what: str = "", kind: type[RecordingError] = FrameError) -> Iterator[None]:
+    """Converts what is wrong with a file (OSError, ValueError) into a FrameError, or a RecordingError, that names it.
+
+    Args:
+        what: of the file is wrong, such as "frame 7: ".
+    """
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        problem = f"{what}{error}"
+        if isinstance(error, OSError):
+            problem = f"{what}cannot be read ({error.strerror or error})"
+        elif isinstance(error, ValidationError):
+            problem = what + first_problem(error)
+        if kind is FrameError:
+            raise FrameError(path, problem, remedy) from error
+        raise RecordingError(f"{path}: {problem}; {remedy}") from error
+
+
+def require_size(path: Path, image: np.ndarray, size: tuple[int, int], whose: str, remedy: str) -> None:
+    """Requires that an image has a size (width, height), `whose` it is."""
+    height, width = image.shape[:2]
+    if (width, height) != size:
+        raise FrameError(path, f"the image is {width} x {height} pixels, but {whose} {size[0]} x {size[1]}", remedy)
 
 
 def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:

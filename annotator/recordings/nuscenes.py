@@ -17,7 +17,6 @@ from pathlib import Path, PurePosixPath
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.transforms import FORWARD, Quaternions
@@ -29,16 +28,17 @@ from annotator.nuscenes_tables import (
     SampleData,
     Scene,
     Sensor,
-    TableError,
     find_rows,
     pose,
     read_rows,
 )
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
+from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
+from annotator.recordings.listing import file_errors
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
-from annotator.recordings.plausible import is_pinhole
+from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
 from annotator.text import posix_path, spelled
@@ -71,11 +71,7 @@ class Shot:
     height_px: int
 
     def T_global_sensor(self) -> RigidTransform:
-        """Returns the sensor's pose when it was taken.
-
-        Raises:
-            TableError: a rotation is not a unit quaternion.
-        """
+        """Returns the sensor's pose when it was taken."""
         return pose(self.ego.translation, self.ego.rotation) * pose(self.mount.translation, self.mount.rotation)
 
 
@@ -192,12 +188,8 @@ def _has_tables(folder: Path) -> bool:
 def _rows(tables: Path, model: type[Row], field: str = "", wanted: Collection[str] = ()) -> list[Row]:
     """Returns the rows of a table; with `field`, those with one of the `wanted` values in it."""
     path = tables / f"{_table(model)}.json"
-    try:
+    with file_errors(path, REMEDY, kind=RecordingError):
         return list(find_rows(path, model, field, wanted) if field else read_rows(path, model))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}; {REMEDY}") from error
-    except TableError as error:
-        raise RecordingError(f"{path}: {error}; {REMEDY}") from error
 
 
 def _row(tables: Path, table: str, token: str, rows: dict[str, Row], model: type[Row], wanted: str) -> Row:
@@ -293,14 +285,8 @@ class NuScenes(KeyedFrames):
         camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
         points = read_scan(scan_file)
-        xyz_m = (T_camera_global * T_global_lidar).apply(points[:, :3])
-        cloud = visible_cloud(camera, xyz_m, np.clip(points[:, 3] / MOST_INTENSITY, 0, 1), rgb)
-        if len(cloud) == 0:
-            raise FrameError(
-                scan_file,
-                f"none of its points lies in the image {image.file} ({len(points)} in all), so the cloud is empty",
-                "check the poses of both in calibrated_sensor.json and ego_pose.json",
-            )
+        xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
+        cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
         return Frame(
             key,
@@ -328,9 +314,9 @@ class NuScenes(KeyedFrames):
         else:
             ahead = pose(scan.mount.translation, scan.mount.rotation).rotation.inv().apply(AHEAD)
         return Scan(
-            points[:, :3].astype(np.float64),
+            points.xyz_m,
             None,
-            np.clip(points[:, 3] / MOST_INTENSITY, 0, 1),
+            points.reflectance,
             level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
             np.zeros(3),
             T_global_lidar.inv(),
@@ -363,10 +349,8 @@ class NuScenes(KeyedFrames):
         return (T_camera_global * T_global_lidar).inv()
 
     def _poses(self, image: Shot, scan: Shot) -> tuple[RigidTransform, RigidTransform]:
-        try:
+        with file_errors(self.tables, REMEDY, f"the pose of {image.file} or {scan.file}: "):
             return image.T_global_sensor().inv(), scan.T_global_sensor()
-        except TableError as error:
-            raise FrameError(self.tables, f"the pose of {image.file} or {scan.file}: {error}", REMEDY) from error
 
 
 def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
@@ -410,9 +394,10 @@ def is_nuscenes(path: Path) -> bool:
     return bool(table_folders(path))
 
 
-def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
-    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring."""
-    return valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
+def read_scan(path: Path) -> RawCloud:
+    """Returns the valid points of a scan: x y z intensity (0..255) ring."""
+    rows = valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
+    return RawCloud(rows[:, :3].astype(np.float64), None, np.clip(rows[:, 3] / MOST_INTENSITY, 0, 1))
 
 
 def _knows_world(shot: Shot) -> bool:
@@ -424,7 +409,7 @@ def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:
     K = np.array(image.mount.camera_intrinsic)
     if K.shape != (3, 3) or not is_pinhole(K):
         raise FrameError(path, f"its camera_intrinsic (row {image.mount.token}) is not a pinhole camera", REMEDY)
-    return Camera(width_px, height_px, *K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
+    return pinhole(K, width_px, height_px)
 
 
 def _pairs(data: SceneData, camera: str, tolerance_s: float) -> tuple[tuple[Shot, Shot], ...]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Num
 
+from annotator.types import Camera
+
 # Limit for all numbers, metres or pixels.
 LARGEST = 1e9
 SMALLEST_FOCAL_PX = 1e-3
@@ -33,6 +35,12 @@ def is_pinhole(K: np.ndarray) -> bool:
     """True for `fx 0 cx / 0 fy cy / 0 0 1`, (3, 3), with plausible focal lengths."""
     zeros = (K[0, 1], K[1, 0], K[2, 0], K[2, 1])
     return are_plausible(K) and not any(zeros) and bool(K[2, 2] == 1 and min(K[0, 0], K[1, 1]) >= SMALLEST_FOCAL_PX)
+
+
+def pinhole(K: np.ndarray, width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
+    """Returns the camera with matrix K, (3, 3)."""
+    fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
 
 
 def is_rotation(R: np.ndarray, most_off: float) -> bool:

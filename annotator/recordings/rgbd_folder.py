@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt16
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import open_file, read_text_file
@@ -25,13 +25,20 @@ from annotator.geometry.projection import in_metres, pixel_colors, resized, unpr
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import ColorImage, decode_depth, looks_rotated, read_color_image, read_depth
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
-from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
+from annotator.recordings.listing import (
+    IMAGE_SUFFIXES,
+    file_errors,
+    frame_file,
+    joined,
+    require_size,
+    sorted_keys,
+    stems,
+)
+from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError
-from annotator.types.messages import first_problem
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
@@ -132,18 +139,14 @@ def camera_file(folder: Path) -> Path:
 
 
 def _has_matrix(path: Path) -> bool:
-    try:
+    with file_errors(path, "correct or remove it"):
         return path.is_file() and '"intrinsic_matrix"' in read_text_file(path)
-    except (OSError, ValueError) as error:
-        raise FrameError(path, f"cannot be read ({_brief(error)})", "correct or remove it") from error
 
 
 def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
     """Reads a camera file; `depth_scale` is used if it has none."""
-    try:
+    with file_errors(path, "compare it with Open3D's format", "not a camera file: "):
         content = IntrinsicFile.model_validate_json(read_text_file(path))
-    except (OSError, ValueError) as error:
-        raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
     K = np.array(content.intrinsic_matrix).reshape(3, 3).T
     if not is_pinhole(K):
         raise FrameError(
@@ -151,10 +154,8 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
             "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, or a focal length is implausible",
             "write it column by column",
         )
-    try:
+    with file_errors(path, "correct the camera file"):
         camera = pinhole(K, content.width, content.height, content.distortion)
-    except ValueError as error:
-        raise FrameError(path, str(error), "correct the camera file") from error
     scale = depth_scale if content.depth_scale is None else content.depth_scale
     return RgbdCamera(path, camera, scale, content.depth_encoding)
 
@@ -173,12 +174,6 @@ def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera)
     return in_metres(raw, camera.depth_scale)
 
 
-def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
-    """Returns the camera with matrix K."""
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
-
-
 def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[int, int]) -> RgbdCamera | None:
     """Returns the camera of a depth image of `size` (width, height); None if it is registered to the colour camera.
 
@@ -190,21 +185,13 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
         if size == color.size:
             return None
         if size[0] * color.size[1] != size[1] * color.size[0]:
-            raise FrameError(
-                image,
-                f"the image is {size[0]} x {size[1]} pixels, but the colour image has "
-                f"{color.size[0]} x {color.size[1]}",
-                f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
-                "intrinsic_matrix, depth_to_color)",
-            )
+            remedy = f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
+            remedy += "intrinsic_matrix, depth_to_color)"
+            require_size(image, np.empty(size[::-1]), color.size, "the colour image has", remedy)
         return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
     read = read_camera(path, color.depth_scale)
-    try:
+    with file_errors(path, "write four rows of four numbers"):
         more = DepthFile.model_validate_json(read_text_file(path))
-    except (OSError, ValueError) as error:
-        raise FrameError(
-            path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
-        ) from error
     T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
     return replace(read, T_color_depth=T_color_depth)
 
@@ -223,21 +210,12 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     """Returns the unit vector against gravity; None if there is no such file."""
     if not path.exists():
         return None
-    try:
+    with file_errors(path, 'write {"up": [x, y, z]}', "not a gravity file: "):
         up = np.array(GravityFile.model_validate_json(read_text_file(path)).up)
-    except (OSError, ValueError) as error:
-        raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
         raise FrameError(path, "up has length 0", "write the direction against gravity in the camera frame")
     return up / length
-
-
-def _brief(error: OSError | ValueError) -> str:
-    """Returns the first problem in one line."""
-    if isinstance(error, OSError):
-        return str(error.strerror)
-    return first_problem(error) if isinstance(error, ValidationError) else str(error)
 
 
 LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"
@@ -334,7 +312,7 @@ def read_images(
     """
     image = read_color_image(color_path, color.size, has_depth=True)
     rgb = image.rgb
-    _check_size(color_path, rgb, color, "make images and camera the same size")
+    require_size(color_path, rgb, color.size, f"the camera in {color.path.name} has", "make them the same size")
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
     if depth is None or depth.T_color_depth is None:
@@ -343,7 +321,7 @@ def read_images(
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
         problem = "no pixel has a depth, so the cloud is empty"
     else:
-        _check_size(depth_path, raw, depth, "correct the file")
+        require_size(depth_path, raw, depth.size, f"the camera in {depth.path.name} has", "correct the file")
         cloud, depth_m = registered(
             depth_metres(depth_path, raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera
         )
@@ -351,14 +329,3 @@ def read_images(
     if len(cloud) == 0:
         raise FrameError(depth_path, problem, "record the frame again, or remove it")
     return image, cloud, depth_m
-
-
-def _check_size(path: Path, image: np.ndarray, camera: RgbdCamera, remedy: str) -> None:
-    height, width = image.shape[:2]
-    if (width, height) != camera.size:
-        raise FrameError(
-            path,
-            f"the image is {width} x {height} pixels, but the camera in {camera.path.name} has "
-            f"{camera.size[0]} x {camera.size[1]}",
-            remedy,
-        )

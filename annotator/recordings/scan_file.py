@@ -36,6 +36,7 @@ from annotator.recordings.clouds.columns import (
     files_like,
     fractions,
 )
+from annotator.recordings.listing import file_errors
 from annotator.recordings.plausible import LARGEST, are_returns
 from annotator.types.errors import FrameError, UnclearError
 
@@ -329,10 +330,8 @@ def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Fl
 
 def scan_bytes(path: Path) -> bytes:
     """Returns the content of a scan."""
-    try:
+    with file_errors(path, "copy it from the data set"):
         data = read_frame_file(path)
-    except OSError as error:
-        raise FrameError(path, f"the scan cannot be read ({error.strerror})", "copy it from the data set") from error
     if not data:
         raise FrameError(path, "the file is empty", REMEDY)
     if len(data) % BYTES_PER_VALUE:

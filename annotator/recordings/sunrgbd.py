@@ -31,24 +31,25 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import open_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
-from annotator.mat_file import MatFileError, MatSizeError, read_mat
+from annotator.mat_file import read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
-from annotator.recordings.kitti import calibration_text
+from annotator.recordings.image_file import ColorImage, decode_depth, read_color_image, read_depth
+from annotator.recordings.kitti import calibration_text, matrix_of
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
-    REMEDIES,
+    file_errors,
     frame_file,
     joined,
     path_errors,
+    require_size,
     sorted_keys,
     stems,
     unread_note,
 )
-from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.text import spelled, to_number
+from annotator.text import spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -56,6 +57,8 @@ REMEDY = "copy the calibration again from the data set"
 # From camera axes (x right, y down, z forward) to upright ones (x right, y forward, z up), both without tilt.
 UPRIGHT_OF_LEVEL = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 MOST_OFF_ROTATION = 1e-2
+# Of K: pixels are counted from 1.
+FIRST_PIXEL = np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +77,7 @@ class SunCalibration:
 
     def camera(self, width_px: int, height_px: int) -> Camera:
         """Returns the camera for an image of this size."""
-        K = self.matrix
-        return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - 1.0, float(K[1, 2]) - 1.0)
+        return pinhole(self.matrix - FIRST_PIXEL, width_px, height_px)
 
     @property
     def up(self) -> Float64[np.ndarray, "3"]:
@@ -88,50 +90,26 @@ def read_extracted_calibration(path: Path) -> SunCalibration:
     lines = [line for line in calibration_text(path).splitlines() if line.strip()]
     if len(lines) < 2:
         raise FrameError(path, f"must have two lines, Rtilt and K, not {len(lines)}", REMEDY)
-    Rtilt, K = (_nine(path, line).T for line in lines[:2])
+    Rtilt, K = (
+        matrix_of(path, name, line.split(), (3, 3)).T for name, line in zip(("Rtilt", "K"), lines, strict=False)
+    )
     return _calibration(path, K, Rtilt @ UPRIGHT_OF_LEVEL)
 
 
 def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration:
     """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row."""
-    K = _nine(intrinsics, calibration_text(intrinsics))
-    values = _numbers(extrinsics, calibration_text(extrinsics))
-    if len(values) not in (9, 12):
-        raise FrameError(extrinsics, f"must have 3 x 4 numbers, not {len(values)}", REMEDY)
-    E = values.reshape(3, -1)[:, :3]
-    calibration = _calibration(extrinsics, np.eye(3), UPRIGHT_OF_LEVEL @ E)
-    return SunCalibration(intrinsics, _pinhole(intrinsics, K), calibration.T_camera_upright)
+    K = matrix_of(intrinsics, "K", calibration_text(intrinsics).split(), (3, 3))
+    E = matrix_of(extrinsics, "the matrix", calibration_text(extrinsics).split(), (3, 4))[:, :3]
+    return _calibration(intrinsics, K, UPRIGHT_OF_LEVEL @ E, extrinsics)
 
 
-def _calibration(path: Path, K: np.ndarray, upright_of_camera: np.ndarray) -> SunCalibration:
-    R = upright_of_camera
+def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None = None) -> SunCalibration:
+    """Builds the calibration; `R` turns camera axes to upright ones, and may be of another file, `of_tilt`."""
     if not is_rotation(R, MOST_OFF_ROTATION):
-        raise FrameError(path, "the tilt is not a rotation", REMEDY)
-    T = RigidTransform.from_rotation(Rotation.from_matrix(R.T))
-    return SunCalibration(path, _pinhole(path, K), T)
-
-
-def _pinhole(path: Path, K: np.ndarray) -> np.ndarray:
+        raise FrameError(of_tilt or path, "the tilt is not a rotation", REMEDY)
     if not is_pinhole(K):
         raise FrameError(path, "K is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    return K
-
-
-def _nine(path: Path, text: str) -> np.ndarray:
-    values = _numbers(path, text)
-    if len(values) != 9:
-        raise FrameError(path, f"a matrix must have 9 numbers, not {len(values)}", REMEDY)
-    return values.reshape(3, 3)
-
-
-def _numbers(path: Path, text: str) -> np.ndarray:
-    try:
-        values = np.array([to_number(word) for word in text.split()])
-    except ValueError as error:
-        raise FrameError(path, str(error), REMEDY) from error
-    if not are_plausible(values):
-        raise FrameError(path, "a number is not finite or is too large", REMEDY)
-    return values
+    return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
 EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
@@ -147,10 +125,8 @@ EXTRACTED_READ = (
     "frames.csv",
     "classes.txt",
 )
-CLOUD_REMEDY = "extract it again from the data set"
 # A cloud is organised if its points project to pixel centres within this distance.
 ON_PIXEL_PX = 0.05
-# About ten million points.
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,17 +164,15 @@ class SunRgbdExtracted(KeyedFrames):
         raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
         xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
         cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            depth_m,
-            calibration.up,
-            calibration.T_camera_upright,
-            exif_orientation=image.exif_orientation,
-        )
+        return _frame(key, i, calibration, image, cloud, depth_m)
+
+
+def _frame(
+    key: str, i: int, calibration: SunCalibration, image: ColorImage, cloud: PointCloud, depth_m: np.ndarray | None
+) -> Frame:
+    camera, T = calibration.camera(*image.rgb.shape[1::-1]), calibration.T_camera_upright
+    orientation = image.exif_orientation
+    return Frame(key, i, camera, image.rgb, cloud, depth_m, calibration.up, T, exif_orientation=orientation)
 
 
 def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
@@ -222,17 +196,11 @@ def _is_kitti(path: Path) -> bool:
 
 def _read_mat(path: Path) -> RawCloud:
     """Reads the cloud of a MATLAB file of version 5 to 7."""
-    try:
-        table = read_mat(path, "instance", frame_memory() // 2, numbers_only=True)
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
-    except MatSizeError as error:
-        raise FrameError(path, f"is too large: it {error}", f"raise {VARIABLE} (MiB), or save fewer points") from error
-    except MatFileError as error:
-        raise FrameError(path, f"cannot be read as a MATLAB file: it {error}", CLOUD_REMEDY) from error
-    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:
-        raise FrameError(path, "has no variable `instance` of n x 6 numbers (x y z r g b)", CLOUD_REMEDY)
-    return from_columns(path, dict(zip(("x", "y", "z", "red", "green", "blue"), table.T, strict=True)))
+    with file_errors(path, f"extract it again from the data set, or raise {VARIABLE}"):
+        table = read_mat(path, "instance", frame_memory() // 2)
+        if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:
+            raise ValueError("has no variable `instance` of n x 6 numbers (x y z r g b)")
+        return from_columns(dict(zip(("x", "y", "z", "red", "green", "blue"), table.T, strict=True)))
 
 
 def _organised(
@@ -324,12 +292,7 @@ class SunRgbdScenes(KeyedFrames):
         image = read_color_image(image_path, has_depth=True)
         rgb = image.rgb
         raw = read_depth(depth_path)
-        if raw.shape != rgb.shape[:2]:
-            raise FrameError(
-                depth_path,
-                f"is {raw.shape[1]} x {raw.shape[0]} pixels, but the image is {rgb.shape[1]} x {rgb.shape[0]}",
-                "copy both again",
-            )
+        require_size(depth_path, raw, rgb.shape[1::-1], "the colour image has", "copy both again")
         camera, depth_m = calibration.camera(rgb.shape[1], rgb.shape[0]), decode_depth(raw)
         xyz_m, pixel = unproject_depth(camera, depth_m)
         if len(xyz_m) == 0:
@@ -337,17 +300,7 @@ class SunRgbdScenes(KeyedFrames):
                 depth_path, "no pixel has a depth, so the cloud is empty", "copy it again, or remove the scene"
             )
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
-        return Frame(
-            key,
-            i,
-            camera,
-            rgb,
-            cloud,
-            depth_m,
-            calibration.up,
-            calibration.T_camera_upright,
-            exif_orientation=image.exif_orientation,
-        )
+        return _frame(key, i, calibration, image, cloud, depth_m)
 
 
 def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
@@ -391,12 +344,9 @@ def _latest(scene: Path, folders: tuple[str, ...], suffixes: tuple[str, ...]) ->
     """Returns the file of a scene's subfolder; the last one if there are several (they are named by date)."""
     for name in folders:
         folder = scene / name
-        try:
-            files = (
-                sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes) if folder.is_dir() else []
-            )
-        except OSError as error:
-            raise FrameError(folder, f"cannot be read: {error.strerror}", REMEDIES.get(error.errno or 0, "")) from error
+        with file_errors(folder, "copy the scene again from the data set"):
+            names = folder.iterdir() if folder.is_dir() else ()
+            files = sorted(file for file in names if file.suffix.lower() in suffixes)
         if files:
             return files[-1]
     raise FrameError(

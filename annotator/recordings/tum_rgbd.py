@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.frame_times import nearest
-from annotator.recordings.listing import IMAGE_SUFFIXES
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
@@ -179,10 +179,8 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Returns the numbers and the texts of all lines that are neither blank nor comments."""
-    try:
+    with file_errors(path, "correct or copy it", kind=RecordingError):
         lines = read_text_file(path, TABLE_BYTES).split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: cannot be read ({error})") from error
     rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
     return [(number, line) for number, line in rows if line and not line.startswith("#")]
 
@@ -261,10 +259,8 @@ def _quaternion(path: Path, number: int, line: str) -> list[float]:
         _require_points(path, number, line)
         # commas within values that blanks separate
         words = line.split()
-    try:
+    with file_errors(path, REMEDY, f"line {number}: ", RecordingError):
         numbers = [to_number(word) for word in words[4:8]]
-    except ValueError as error:
-        raise RecordingError(f"{path}:{number}: {error}; {REMEDY}") from error
     if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:
         raise RecordingError(f"{path}:{number}: must be a time, a place and a unit quaternion; {REMEDY}")
     return numbers

@@ -52,9 +52,6 @@ def registered(
 
         The colour camera's z of the nearest point in each pixel, metres; 0 without a point. A coarse depth image
         gives few pixels of a fine colour image, so no neighbours are to be expected.
-
-    Raises:
-        GeometryError: an image has not the size of its camera.
     """
     if rgb.shape[:2] != (color_camera.height_px, color_camera.width_px):
         raise GeometryError(
@@ -82,9 +79,6 @@ def seen_points(
     Args:
         depth_m, depth_camera, T_color_depth, color_camera: as for `registered`.
         reach: calibrated radius of the depth lens, as distance of (x/z, y/z) from the axis.
-
-    Raises:
-        GeometryError: the depth image has not the size of its camera.
     """
     require_image_size(depth_camera, depth_m)
     pose = T_color_depth.as_matrix()

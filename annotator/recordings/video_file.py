@@ -37,11 +37,7 @@ class VideoFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Lists the images, without decoding them.
-
-        Raises:
-            ValueError: not a video, or it is damaged; the message says which.
-        """
+        """Lists the images, without decoding them."""
         import av
 
         self.path = path
@@ -75,11 +71,7 @@ class VideoFile:
         return len(self._number)
 
     def image(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Decodes an image, RGB order; a rotation that the file asks players for is not applied.
-
-        Raises:
-            ValueError: there is no such image, or it is damaged; the message says which.
-        """
+        """Decodes an image, RGB order; a rotation that the file asks players for is not applied."""
         import av
 
         if not 0 <= number < len(self):
@@ -131,12 +123,7 @@ class VideoFile:
 
 
 def open_video(path: Path) -> VideoFile:
-    """Returns the video at `path`; the last few of a process stay open.
-
-    Raises:
-        OSError: it does not exist.
-        ValueError: not a video, or it is damaged.
-    """
+    """Returns the video at `path`; the last few of a process stay open."""
     stat = path.stat()
     # by process, since decoders cannot be shared with a fork
     return _opened(path, stat.st_mtime_ns, stat.st_size, os.getpid())

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cloud_samples
 import cv2
 import laspy
 import numpy as np
@@ -219,34 +220,20 @@ def put(path: Path, content: bytes | str) -> None:
     path.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def table(columns: dict[str, np.ndarray], is_text: bool) -> bytes:
-    """Rows of a cloud, as text or binary."""
-    if not is_text:
-        return structured(columns).tobytes()
-    rows = zip(*(each.tolist() for each in columns.values()), strict=True)
-    return "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
-
-
-def ply(is_text: bool, n: Numbers) -> bytes:
+def ply(form: str, n: Numbers) -> bytes:
     xyz, rgb, share = n.rows()
-    kinds = {"uint8": "uchar", "uint16": "ushort", "float64": "double"}
     columns = dict(zip(("x", "y", "z", "red", "green", "blue"), (*xyz.T, *rgb.T), strict=True)) | {"intensity": share}
-    head = f"ply\nformat {'ascii' if is_text else 'binary_little_endian'} 1.0\nelement vertex {len(xyz)}\n"
-    head += "".join(f"property {kinds[str(each.dtype)]} {name}\n" for name, each in columns.items()) + "end_header\n"
-    return head.encode() + table(columns, is_text)
+    return cloud_samples.ply(structured(columns), form)
 
 
-def pcd(is_text: bool, n: Numbers) -> bytes:
+def pcd(form: str, n: Numbers) -> bytes:
     """Colours are the bits of a whole number or of a float; `words`: in a text, whole numbers in a column of floats."""
     xyz, _, share = n.rows()
     packed = replace(n, colours="bytes").rows()[1].astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
     bits = packed if n.colours == "bytes" else packed.view(np.float32)
-    columns = dict(zip("xyz", xyz.T, strict=True)) | {"rgb": bits, "intensity": share}
-    kinds = [(str(each.itemsize), "F" if each.dtype.kind == "f" else "U") for each in columns.values()]
-    sizes, types = (" ".join(each) for each in zip(*kinds, strict=True))
-    head = f"VERSION .7\nFIELDS {' '.join(columns)}\nSIZE {sizes}\nTYPE {types}\nCOUNT 1 1 1 1 1\nWIDTH {len(xyz)}\n"
-    head += f"HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(xyz)}\nDATA {'ascii' if is_text else 'binary'}\n"
-    return head.encode() + table(columns | ({"rgb": packed} if is_text and n.colours == "words" else {}), is_text)
+    rows = structured(columns := dict(zip("xyz", xyz.T, strict=True)) | {"rgb": bits, "intensity": share})
+    whole = structured(columns | {"rgb": packed}) if n.colours == "words" else rows
+    return cloud_samples.pcd(rows, form, cloud_samples.as_text(whole) if form == "ascii" else None)
 
 
 def las(is_compressed: bool, n: Numbers) -> bytes:
@@ -293,11 +280,8 @@ def write_tum(folder: Path, n: Numbers) -> None:
 
 
 def write_phone(write: Callable[..., object], folder: Path, n: Numbers) -> None:
-    image = (
-        cv2.resize(n.image, (4 * WIDTH, 4 * HEIGHT)),
-        n.depths(np.float32, 1.0),
-        np.full((HEIGHT, WIDTH), 2, np.uint8),
-    )
+    large, sure = cv2.resize(n.image, (4 * WIDTH, 4 * HEIGHT)), np.full((HEIGHT, WIDTH), 2, np.uint8)
+    image = (large, n.depths(np.float32, 1.0), sure)
     write(folder / "take", [image] * 2, phone_samples.K / [[4], [4], [1]])
 
 
@@ -386,7 +370,7 @@ def sample(name: str, *edits: str) -> Target:
 
 
 def npy(n: Numbers) -> bytes:
-    return small.npy(np.c_[n.rows()[:2]])
+    return cloud_samples.npy(np.c_[n.rows()[:2]])
 
 
 def read_phone(folder: Path) -> Reading:
@@ -402,12 +386,12 @@ OF_CAMERA, IMAGES = ("image", "depth"), ("grey_8", "grey_10", "grey_12", "grey_1
 HOLES = ("hole_nan", "hole_inf", "hole_-inf", "hole_-1", "hole_65504")
 NAMES = small.CLASSES
 TARGETS: list[Target] = [
-    cloud("ply", partial(ply, False), *FLOATS, *COLOURS, *MAP, "share_bytes"),
-    cloud("ply_ascii", partial(ply, True), *FLOATS, *COLOURS, *MAP, "share_words"),
-    cloud("pcd", partial(pcd, False), *FLOATS, "words", *MAP, "share_bytes"),
-    cloud("pcd_ascii", partial(pcd, True), *FLOATS, "words", "float_bytes", *MAP),
+    cloud("ply", partial(ply, "binary_little_endian"), *FLOATS, *COLOURS, *MAP, "share_bytes"),
+    cloud("ply_ascii", partial(ply, "ascii"), *FLOATS, *COLOURS, *MAP, "share_words"),
+    cloud("pcd", partial(pcd, "binary"), *FLOATS, "words", *MAP, "share_bytes"),
+    cloud("pcd_ascii", partial(pcd, "ascii"), *FLOATS, "words", "float_bytes", *MAP),
     cloud("npy", npy, *FLOATS, "floats", *MAP),
-    cloud("npz", lambda n: small.npz(points=n.rows()[0], colors=n.rows()[1]), *FLOATS, *COLOURS, *MAP),
+    cloud("npz", lambda n: cloud_samples.npz(points=n.rows()[0], colors=n.rows()[1]), *FLOATS, *COLOURS, *MAP),
     cloud("bin", lambda n: np.c_[n.rows()[::2]].astype("<f4").tobytes(), *FLOATS, "share_bytes"),
     cloud("las", partial(las, False), "words", *MAP),
     cloud("laz", partial(las, True), "words", *MAP),

@@ -13,19 +13,18 @@ import json
 import os
 import random
 import resource
-import selectors
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
@@ -51,104 +50,66 @@ def main() -> int:
     parser.add_argument("--start", type=int, default=0, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.child:
-        read_all(given.child.split(","), given.seed, given.start, given.count, given.keep)
+        read_all(given.child, given.seed, given.start, given.count, given.keep)
         return 0
     from targets import TARGETS
 
-    began = time.monotonic()
+    began, found, total = time.monotonic(), 0, 0
     names = [target.name for target in TARGETS if given.only in target.name]
-    reports = {name: Report() for name in names}
-    shown = 0
-    for name in watch(names, given, reports):
-        # all before the one that is read now are complete
-        for done in names[shown : names.index(name) if name else len(names)]:
-            print(f"{done:28} {reports[done]}", flush=True)
-            shown += 1
-    found = sum(len(report.problems) for report in reports.values())
-    total = sum(report.kinds.total() for report in reports.values())
+    for name in names:
+        kinds, problems, slowest_s, most_bytes = watch(name, given)
+        print(
+            f"{name:28} {kinds.total():6} files: {kinds['read']:5} read, {kinds['refused']:5} refused, {len(problems)} "
+            f"problems; at most {slowest_s:.2f} s, {most_bytes / 2**20:.0f} MiB more",
+            *problems, sep="\n    ", flush=True,
+        )  # fmt: skip
+        found, total = found + len(problems), total + kinds.total()
     print(f"{len(names)} targets, {total} files, seed {given.seed}: {found} problems; {time.monotonic() - began:.0f} s")
     return 1 if found else 0
 
 
-@dataclass
-class Report:
-    """What came of a target's files."""
+def watch(name: str, given: argparse.Namespace) -> tuple[Counter[str], list[str], float, int]:
+    """Has children read the files of a target, another one after a crash or hang.
 
-    kinds: Counter[str] = field(default_factory=Counter)
-    problems: list[str] = field(default_factory=list)
-    slowest_s: float = 0.0
-    most_bytes: int = 0
-
-    def __str__(self) -> str:
-        text = (
-            f"{self.kinds.total():6} files: {self.kinds['read']:5} read, {self.kinds['refused']:5} refused, "
-            f"{len(self.problems)} problems; at most {self.slowest_s:.2f} s, {self.most_bytes / 2**20:.0f} MiB more"
-        )
-        return "\n    ".join([text, *self.problems])
-
-
-def watch(names: list[str], given: argparse.Namespace, reports: dict[str, Report]) -> Iterator[str]:
-    """Has a child read the files of the targets; starts it again after a crash or hang.
-
-    Yields the name of the target that is read now, "" at the end.
+    Returns what came of the files, the problems, the longest time (s), and the most bytes.
     """
-    left, start = names, 0
-    while left:
-        command = [sys.executable, __file__, "--child", ",".join(left), "--start", str(start)]
+    kinds, problems, slowest_s, most_bytes, start = Counter[str](), list[str](), 0.0, 0, 0
+    while start < given.count:
+        command = [sys.executable, __file__, "--child", name, "--start", str(start)]
         command += ["--seed", str(given.seed), "--count", str(given.count)]
         command += ["--keep", str(given.keep)] if given.keep else []
         with tempfile.TemporaryFile() as errors:
             child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
-            name, number = left[0], start - 1
             assert child.stdout is not None
-            for line in lines(child, child.stdout):
-                name, number, report = line["name"], line["number"], reports[line["name"]]
-                if "kind" not in line:
-                    yield name
-                    continue
-                report.kinds[line["kind"]] += 1
-                report.slowest_s = max(report.slowest_s, line["took_s"])
-                report.most_bytes = max(report.most_bytes, line["more_bytes"])
-                if line["problem"]:
-                    report.problems.append(f"{number}: {line['problem']}")
-            hangs = child.poll() is None
-            child.kill()
-            code = child.wait()
-            if not hangs and code == 0:
+            hanging = threading.Timer(START_S, child.kill)
+            hanging.start()
+            number = start - 1
+            for line in map(json.loads, child.stdout):
+                hanging.cancel()
+                hanging = threading.Timer(PATIENCE_S, child.kill)
+                hanging.start()
+                number = line["number"]
+                if "kind" in line:
+                    kinds[line["kind"]] += 1
+                    slowest_s, most_bytes = max(slowest_s, line["took_s"]), max(most_bytes, line["more_bytes"])
+                    problems += [f"{number}: {line['problem']}"] if line["problem"] else []
+            hanging.cancel()
+            if (code := child.wait()) == 0:
                 break
             errors.seek(0)
             last = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
-            what = f"hangs for more than {PATIENCE_S:g} s" if hangs else f"ends the process ({code}) {last}"
-            reports[name].problems.append(f"{number}: {what}")
-            reports[name].kinds["ended"] += 1
-            left, start = names[names.index(name) :], number + 1
-            if number < 0 or start >= given.count:
-                # it cannot even be built, or this was its last file
-                left, start = left[1:], 0
-    yield ""
+            problems.append(f"{number}: ends the process, or hangs for more than {PATIENCE_S:g} s ({code}) {last}")
+            kinds["ended"] += 1
+            # if it cannot even be built, no other file can be tried
+            start = given.count if number < start else number + 1
+    return kinds, problems, slowest_s, most_bytes
 
 
-def lines(child: subprocess.Popen[bytes], stream: IO[bytes]) -> Iterator[dict[str, Any]]:
-    """Yields what a child reports; stops when it ends, or is silent for too long."""
-    selector = selectors.DefaultSelector()
-    selector.register(stream, selectors.EVENT_READ)
-    os.set_blocking(stream.fileno(), False)
-    rest, patience_s = b"", START_S
-    while selector.select(patience_s):
-        part = stream.read()
-        if not part:
-            child.wait()
-            return
-        *whole, rest = (rest + part).split(b"\n")
-        patience_s = PATIENCE_S
-        yield from map(json.loads, whole)
-
-
-def read_all(names: list[str], seed: int, start: int, count: int, keep: Path | None) -> None:
-    """Reads the damaged files of targets, and writes a line before and after each.
+def read_all(name: str, seed: int, start: int, count: int, keep: Path | None) -> None:
+    """Reads the damaged files of a target, and writes a line before and after each.
 
     Args:
-        start: number of the first file of the first target.
+        start: number of the first file.
     """
     from targets import TARGETS
 
@@ -156,24 +117,22 @@ def read_all(names: list[str], seed: int, start: int, count: int, keep: Path | N
     out = os.fdopen(os.dup(1), "w")
     # what libraries print belongs to the errors
     os.dup2(2, 1)
-    targets = {target.name: target for target in TARGETS}
-    for name in names:
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place) / "take_freiburg"
-            folder.mkdir()
-            targets[name].build(folder)
-            files = sorted(file for file in folder.rglob("*") if file.is_file())
-            targets[name].read(folder)
-            for number in range(start, count):
-                print(json.dumps({"name": name, "number": number}), file=out, flush=True)
-                with one_damaged(folder, files, f"{seed} {name} {number}") as file:
-                    result = examine(targets[name], folder)
-                    if result["problem"]:
-                        result["problem"] += f" [{file.relative_to(folder)}]"
-                        if keep:
-                            shutil.copytree(folder, keep / f"{name}_{seed}_{number}", dirs_exist_ok=True)
-                print(json.dumps({"name": name, "number": number, **result}), file=out, flush=True)
-        start = 0
+    target = next(target for target in TARGETS if target.name == name)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "take_freiburg"
+        folder.mkdir()
+        target.build(folder)
+        files = sorted(file for file in folder.rglob("*") if file.is_file())
+        target.read(folder)
+        for number in range(start, count):
+            print(json.dumps({"number": number}), file=out, flush=True)
+            with one_damaged(folder, files, f"{seed} {name} {number}") as file:
+                result = examine(target, folder)
+                if result["problem"]:
+                    result["problem"] += f" [{file.relative_to(folder)}]"
+                    if keep:
+                        shutil.copytree(folder, keep / f"{name}_{seed}_{number}", dirs_exist_ok=True)
+            print(json.dumps({"number": number, **result}), file=out, flush=True)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ boxes has no target here, so a format needs no test of damage of its own: a new 
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
@@ -17,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,12 +30,13 @@ for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
         sys.path.append(place)
 
 import small_recordings as small  # noqa: E402
-from bag_writer import BagWriter  # noqa: E402
+from bag_writer import BagWriter, structured  # noqa: E402
+from cloud_samples import npy, npz, pcd, ply  # noqa: E402
 from dataset_samples import make_item, make_label, write  # noqa: E402
 from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
 from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
-from test_cloud_files import RGB, XYZ, ply  # noqa: E402
+from test_cloud_files import RGB, XYZ  # noqa: E402
 from test_kitti_tracklets import PEDESTRIAN, VAN, document  # noqa: E402
 from test_las_file import written  # noqa: E402
 from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
@@ -106,40 +106,6 @@ def read_points(path: Path) -> None:
     raw = read_cloud(path)
     assert np.isfinite(raw.xyz_m).all()
     assert len(raw.xyz_m) > 0
-
-
-def npy(array: np.ndarray) -> bytes:
-    out = io.BytesIO()
-    np.save(out, array)
-    return out.getvalue()
-
-
-def npz(**arrays: np.ndarray) -> bytes:
-    out = io.BytesIO()
-    np.savez_compressed(out, **arrays)
-    return out.getvalue()
-
-
-def pcd(mode: Literal["ascii", "binary", "binary_compressed"]) -> bytes:
-    """A PCD file with colours; compressed as literal runs."""
-    head = "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
-    head += f"WIDTH {len(XYZ)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(XYZ)}\nDATA {mode}\n"
-    rows = np.c_[XYZ, np.ones(len(XYZ), np.float32)].astype("<f4")
-    if mode == "ascii":
-        return head.encode() + "\n".join(" ".join(map(str, row)) for row in rows.tolist()).encode()
-    if mode == "binary":
-        return head.encode() + rows.tobytes()
-    plain = rows.T.tobytes()
-    packed = b"".join(bytes([len(part) - 1]) + part for part in (plain[i : i + 32] for i in range(0, len(plain), 32)))
-    return head.encode() + np.array([len(packed), len(plain)], "<u4").tobytes() + packed
-
-
-def text_ply() -> bytes:
-    head = f"ply\nformat ascii 1.0\nelement vertex {len(XYZ)}\n"
-    head += "".join(f"property float {name}\n" for name in "xyz")
-    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
-    rows = zip(XYZ.tolist(), RGB.tolist(), strict=True)
-    return (head + "".join(" ".join(map(str, [*xyz, *rgb])) + "\n" for xyz, rgb in rows)).encode()
 
 
 def bag(container: str, compression: str = "") -> Callable[[Path], object]:
@@ -236,6 +202,8 @@ def label_file(name: str) -> Target:
 
 
 CLASSES = ("hand",)
+PCD_ROWS = structured(dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": np.ones(len(XYZ), np.float32)})
+ROWS = structured(dict(zip(("x", "y", "z", "red", "green", "blue"), (*XYZ.T, *RGB.T), strict=True)))
 RESULTS = {
     "meta": {"use_lidar": True},
     "results": {
@@ -263,9 +231,9 @@ TARGETS: list[Target] = [
     Target("nuscenes_around", BUILT["nuscenes"], read_around),
     Target("argoverse2_around", BUILT["argoverse2"], read_around),
     Target("kitti_around", BUILT["kitti_tracking"], read_around),
-    cloud("ply", lambda: ply("binary_little_endian")),
-    cloud("ply_ascii", text_ply),
-    *(cloud(f"pcd_{mode}", partial(pcd, mode)) for mode in ("ascii", "binary", "binary_compressed")),
+    cloud("ply", lambda: ply(ROWS, "binary_little_endian", after="element face 1\nproperty int v\n") + bytes(4)),
+    cloud("ply_ascii", lambda: ply(ROWS, "ascii")),
+    *(cloud(f"pcd_{mode}", partial(pcd, PCD_ROWS, mode)) for mode in ("ascii", "binary", "binary_compressed")),
     cloud("npy", lambda: npy(np.c_[XYZ, RGB])),
     cloud("npz", lambda: npz(points=XYZ, colors=RGB)),
     cloud("bin", lambda: np.c_[XYZ, np.ones(len(XYZ), np.float32)].astype("<f4").tobytes()),

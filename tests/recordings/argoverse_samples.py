@@ -57,15 +57,8 @@ def write_log(folder: Path, sweeps: int = 3, images: bool = True) -> Path:
         folder / "calibration" / "egovehicle_SE3_sensor.feather",
         poses({"sensor_name": list(mounts)}, list(mounts.values())),
     )
-    numbers = {
-        "fx_px": K[0][0],
-        "fy_px": K[1][1],
-        "cx_px": K[0][2],
-        "cy_px": K[1][2],
-        "k1": -0.2,
-        "width_px": WIDTH,
-        "height_px": HEIGHT,
-    }
+    numbers = {"fx_px": K[0][0], "fy_px": K[1][1], "cx_px": K[0][2], "cy_px": K[1][2], "k1": -0.2}
+    numbers |= {"width_px": WIDTH, "height_px": HEIGHT}
     intrinsics = {name: [value] * len(CAMERAS) for name, value in numbers.items()}
     put(folder / "calibration" / "intrinsics.feather", {"sensor_name": list(CAMERAS)} | intrinsics)
     rows = [(time_us * 1000, label, place) for time_us in times_us for label, place in PLACES.items()]

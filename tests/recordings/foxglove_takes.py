@@ -112,6 +112,6 @@ def write_mcap(path: Path, encoding: str, moments: list[tuple[int, dict[str, Any
 
 
 WRITERS: list[dict[str, Any]] = [
-    {}, {"use_chunking": False}, {"compression": CompressionType.NONE}, {"compression": CompressionType.LZ4},
-    {"index_types": IndexType.NONE}, {"repeat_channels": False, "repeat_schemas": False, "chunk_size": 100},
+    {"use_chunking": False}, {"compression": CompressionType.LZ4}, {"index_types": IndexType.NONE},
+    {"repeat_channels": False, "repeat_schemas": False, "chunk_size": 100},
 ]  # fmt: skip

@@ -53,20 +53,14 @@ def write_record3d(
     rgb, depth_m, _ = images[0]
     turns = [orientation(number) * Rotation.from_matrix(OPENCV_TO_OPENGL) for number in range(len(images))]
     metadata = {
-        "w": rgb.shape[1],
-        "h": rgb.shape[0],
-        "dw": depth_m.shape[1],
-        "dh": depth_m.shape[0],
-        "fps": FPS,
-        "K": matrix.T.ravel().tolist(),
-        "poses": [[*turn.as_quat().tolist(), 0.1, 0.2, 0.3] for turn in turns],
-        "initPose": [0, 0, 0, 1, 0, 0, 0],
-        "frameTimestamps": [number / 30 for number in range(len(images))],
+        "w": rgb.shape[1], "h": rgb.shape[0], "dw": depth_m.shape[1], "dh": depth_m.shape[0], "fps": FPS,
+        "K": matrix.T.ravel().tolist(), "poses": [[*turn.as_quat().tolist(), 0.1, 0.2, 0.3] for turn in turns],
+        "initPose": [0, 0, 0, 1, 0, 0, 0], "frameTimestamps": [number / 30 for number in range(len(images))],
         "perFrameIntrinsicCoeffs": [
             [matrix[0, 0] + number, matrix[1, 1] + number, matrix[0, 2], matrix[1, 2]] for number in range(len(images))
         ],
         "cameraType": 1,
-    } | changes
+    } | changes  # fmt: skip
     files = {"metadata": json.dumps({k: v for k, v in metadata.items() if k not in without}).encode(), "icon": b"x"}
     for number, (rgb, depth_m, confidence) in enumerate(images):
         files[f"rgbd/{number}.jpg"] = cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()

@@ -43,8 +43,7 @@ def kitti_tracking(folder: Path) -> None:
 
 
 def kitti_raw(folder: Path) -> None:
-    (folder / "image_02").mkdir()
-    (folder / "image_02" / "data").mkdir()
+    (folder / "image_02" / "data").mkdir(parents=True)
     put_image(folder / "image_02" / "data" / "0.png", 1)
     put(folder / "velodyne_points" / "data" / "0.bin", SCAN.tobytes())
     put(folder / "calib_cam_to_cam.txt", CAMERAS)
@@ -137,19 +136,6 @@ def tum_rgbd(folder: Path) -> None:
 
 
 BUILDERS: list[Callable[[Path], None]] = [
-    kitti_object,
-    kitti_tracking,
-    kitti_raw,
-    sunrgbd_extracted,
-    sunrgbd_scene,
-    rgbd_folder,
-    rgbd_folder_of_two_cameras,
-    nuscenes,
-    argoverse2,
-    cloud_folder,
-    rcv,
-    openlabel,
-    tum_rgbd,
-    record3d,
-    stray_scanner,
-]
+    kitti_object, kitti_tracking, kitti_raw, sunrgbd_extracted, sunrgbd_scene, rgbd_folder, rgbd_folder_of_two_cameras,
+    nuscenes, argoverse2, cloud_folder, rcv, openlabel, tum_rgbd, record3d, stray_scanner,
+]  # fmt: skip

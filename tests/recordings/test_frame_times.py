@@ -22,8 +22,6 @@ TABLE = [
     pytest.param((EPOCH, 0, EPOCH + STEP), (EPOCH, None, EPOCH + STEP), id="one"),
     pytest.param((0, EPOCH, EPOCH + STEP), (None, EPOCH, EPOCH + STEP), id="first"),
     pytest.param((0, None, STEP), (None, None, STEP), id="before a gap"),
-    pytest.param((0, STEP, 0), (None, STEP, None), id="two"),
-    pytest.param((None, EPOCH), (None, EPOCH), id="none"),
 ]
 
 
@@ -44,11 +42,13 @@ def test_times_of_0_are_unknown(tmp_path: Path, written: tuple[int | None, ...],
 
 # Unit in nanoseconds, frames per second, start in seconds, and the step that is told; None: they are read.
 UNITS = [
-    *((unit, rate, EPOCH / 1e9, 1e9 / rate / unit) for unit in (10**9, 10**6, 10**3) for rate in (1, 2, 10, 30)),
-    *((unit, rate, 0.5, 1e9 / rate / unit) for unit in (10**9, 10**6, 10**3) for rate in (10, 25)),
+    *(
+        (unit, rate, start, 1e9 / rate / unit)
+        for unit in (10**9, 10**6, 10**3)
+        for rate, start in ((1, 1.7e9), (25, 0.5))
+    ),
     # nanoseconds, also of a computer that has run for 20 days, and of fast sensors
-    *((1, rate, start, None) for rate in (0.1, 1, 30, 1000, 5000) for start in (0.5, EPOCH / 1e9)),
-    *((1, rate, 20 * 86_400, None) for rate in (0.1, 1, 30, 500)),
+    *((1, rate, start, None) for rate in (0.1, 30, 500) for start in (0.5, 20 * 86_400, 1.7e9)),
 ]
 
 

@@ -60,26 +60,15 @@ def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     assert image_problem(bytes(data))
 
 
-def test_a_missing_image_is_named(tmp_path: Path):
-    with pytest.raises(FrameError, match=r"nothing\.png: cannot be read"):
-        read_rgb(tmp_path / "nothing.png")
+ODD = [
+    cv2.imencode(".tiff", PICTURE)[1].tobytes(),
+    b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, 15_000, 15_000, 1, 24, 0, 0, 0, 0, 0, 0),
+    # after a marker without a length, decoders and parsers that skip segments find different headers
+    BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
+]
 
 
-def bmp_header(width: int, height: int) -> bytes:
-    """The first bytes of a file of another format, which OpenCV decodes."""
-    return b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [cv2.imencode(suffix, PICTURE)[1].tobytes() for suffix in (".tiff", ".bmp", ".webp")]
-    + [
-        bmp_header(15_000, 15_000),
-        # after a marker without a length, decoders and parsers that skip segments find different headers
-        BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
-    ],
-    ids=["tiff", "bmp", "webp", "large", "marker"],
-)
+@pytest.mark.parametrize("content", ODD, ids=["tiff", "large-bmp", "marker"])
 def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
@@ -87,15 +76,10 @@ def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content:
 
 
 def test_a_jpeg_of_too_many_pixels_is_refused():
-    at = BASELINE.index(b"\xff\xc0")
-    side = int(most_pixels() ** 0.5)
-    for height, refused in ((side + 1, True), (40, False)):
-        data = BASELINE[: at + 5] + struct.pack(">HH", height, side if refused else 56) + BASELINE[at + 9 :]
-        if refused:
-            with pytest.raises(ValueError, match=f"{side} x {height} pixels is too large: .* ANNOTATOR_FRAME_MEMORY"):
-                decode_image(data, cv2.IMREAD_COLOR)
-        else:
-            assert decode_image(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
+    at, side = BASELINE.index(b"\xff\xc0"), int(most_pixels() ** 0.5)
+    data = BASELINE[: at + 5] + struct.pack(">HH", side + 1, side) + BASELINE[at + 9 :]
+    with pytest.raises(ValueError, match=f"{side} x {side + 1} pixels is too large: .* ANNOTATOR_FRAME_MEMORY"):
+        decode_image(data, cv2.IMREAD_COLOR)
 
 
 @pytest.mark.shared
@@ -118,22 +102,13 @@ def as_png(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image)[1].tobytes()
 
 
-def rgbd(folder: Path, colors: list[np.ndarray], depth: np.ndarray = MILLIMETRES, **camera: object) -> Path:
+def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
     for name in ("color", "depth"):
         (folder / name).mkdir()
-    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | camera))
+    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA))
     for number, color in enumerate(colors):
         (folder / "color" / f"{number}.png").write_bytes(as_png(color[..., ::-1] if color.ndim == 3 else color))
-        (folder / "depth" / f"{number}.png").write_bytes(as_png(depth))
-    return folder
-
-
-def tum(folder: Path) -> Path:
-    for name, image in (("rgb", COLOR), ("depth", MILLIMETRES)):
-        (folder / name).mkdir()
-        (folder / name / "1.png").write_bytes(as_png(image))
-        (folder / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
-    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | {"depth_scale": 1000}))
+        (folder / "depth" / f"{number}.png").write_bytes(as_png(MILLIMETRES))
     return folder
 
 
@@ -158,7 +133,6 @@ def stray(folder: Path, suffix: str) -> np.ndarray:
 
 DEPTHS = [
     pytest.param(lambda p: open_recording(rgbd(p, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
-    pytest.param(lambda p: open_recording(tum(p)).frame(0).depth_m, id="tum"),
     pytest.param(lambda p: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
     *(pytest.param(lambda p, kind=kind: ros_depth(kind), id=kind) for kind in ("16UC1", "mono16", "32FC1")),
     *(pytest.param(lambda p, kind=kind: stray(p, kind), id=f"stray-{kind}") for kind in ("png", "npy")),
@@ -170,12 +144,6 @@ def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Pa
     np.testing.assert_allclose(read(tmp_path), METRES, rtol=1e-6)
 
 
-def test_the_cloud_has_no_point_of_a_saturated_pixel(tmp_path: Path):
-    cloud = open_recording(rgbd(tmp_path, [COLOR])).frame(0).cloud
-    assert len(cloud) == WIDTH * HEIGHT - 3
-    assert {0, 1, 2}.isdisjoint(np.asarray(cloud.pixel_index).tolist())
-
-
 def test_saturated_pixels_are_not_taken_for_rotated_bits():
     raw = np.full((HEIGHT, WIDTH), 2000, np.uint16)
     raw[0] = 65535
@@ -183,7 +151,7 @@ def test_saturated_pixels_are_not_taken_for_rotated_bits():
     assert not looks_rotated(raw, 1000.0)
 
 
-DEEP = [(bits, channels) for bits in (8, 10, 12, 14, 16) for channels in (1, 3)]
+DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
 
 
 def deep(bits: int, channels: int) -> np.ndarray:
@@ -203,9 +171,9 @@ def test_pictures_of_10_to_16_bits_have_their_own_range(tmp_path: Path, bits: in
     assert frame.cloud.rgb is not None
 
 
-@pytest.mark.parametrize("dark", [0, 1, 2])
-def test_one_range_is_that_of_all_pictures(tmp_path: Path, dark: int):
+def test_one_range_is_that_of_all_pictures(tmp_path: Path):
     """12 bits; the dark picture uses four."""
+    dark = 1
     pictures = [deep(12, 3)] * 3
     pictures[dark] = np.full_like(pictures[0], 15)
     recording = open_recording(rgbd(tmp_path, pictures))
@@ -213,20 +181,12 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path, dark: int):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
 
 
-def test_a_brighter_picture_than_the_first_ones_has_its_own_range(tmp_path: Path):
-    recording = open_recording(rgbd(tmp_path, [deep(10, 3)] * 3 + [deep(16, 3)]))
-    np.testing.assert_array_equal(recording.frame(3).rgb, COLOR)
-    np.testing.assert_array_equal(recording.frame(0).rgb, COLOR)
-
-
-@pytest.mark.parametrize("bits", [10, 12, 16])
-@pytest.mark.parametrize("encoding", ["rgb16", "bgr16", "png"])
+@pytest.mark.parametrize(("encoding", "bits"), [("rgb16", 10), ("bgr16", 16), ("png", 12)])
 def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
     pixels = deep(bits, 3)
     if encoding == "png":
-        content = SimpleNamespace(
-            format="rgb16; png compressed bgr16", data=np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
-        )
+        data = np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
+        content = SimpleNamespace(format="rgb16; png compressed bgr16", data=data)
     else:
         content = ros(encoding, pixels[..., ::-1] if encoding == "bgr16" else pixels)
     np.testing.assert_array_equal(color_image(content), COLOR)
@@ -242,11 +202,6 @@ def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
     np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
     dark = color_image(ros("mono16", np.full_like(grey, 530)), lambda own: own.with_all(ranges))
     assert dark.max() <= 1
-
-
-def test_pictures_of_8_bits_are_as_they_are(tmp_path: Path):
-    (tmp_path / "a.png").write_bytes(as_png(np.full((HEIGHT, WIDTH, 3), 3, np.uint8)))
-    assert (read_rgb(tmp_path / "a.png") == 3).all()
 
 
 @pytest.mark.shared

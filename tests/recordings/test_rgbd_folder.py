@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,16 +64,12 @@ def test_a_frame_has_its_image_depth_and_coloured_cloud(folder: Path, color: np.
     np.testing.assert_allclose(project(camera, cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-4)
 
 
-def test_depth_scale_is_in_units_per_metre(folder: Path, depth: np.ndarray):
-    (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"depth_scale": 5000}))
-    np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth / 5000, atol=1e-6)
-
-
-def test_distortion_is_part_of_the_camera(folder: Path):
-    distortion = [0.1, -0.2, 0.001, 0.002, 0.03]
-    (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"distortion": distortion}))
+def test_depth_scale_and_distortion_are_those_of_the_camera_file(folder: Path, depth: np.ndarray):
+    more = {"depth_scale": 5000, "distortion": [0.1, -0.2, 0.001, 0.002, 0.03]}
+    (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | more))
     frame = open_recording(folder).frame(0)
-    assert frame.camera.distortion == tuple(distortion)
+    np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
+    assert frame.camera.distortion == tuple(more["distortion"])
     v, u = np.divmod(frame.cloud.pixel_index, WIDTH)
     np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-3)
 
@@ -84,7 +79,7 @@ def test_gravity_becomes_a_unit_vector(folder: Path):
     np.testing.assert_allclose(open_recording(folder).frame(0).up, [0, -0.6, 0.8])
 
 
-@pytest.mark.parametrize("place", [".", ".."], ids=["in-the-folder", "one-level-above"])
+@pytest.mark.parametrize("place", [".", ".."])
 def test_a_camera_file_of_another_name_is_used_if_it_is_the_only_one(folder: Path, tmp_path: Path, place: str):
     inner = folder / "scene"
     inner.mkdir()
@@ -96,11 +91,6 @@ def test_a_camera_file_of_another_name_is_used_if_it_is_the_only_one(folder: Pat
     (inner / place / "camera_other.json").write_text(json.dumps(INTRINSICS))
     with pytest.raises(FrameError, match=r"several cameras \(camera_other.json, camera_primesense.json\)"):
         open_recording(inner).frame(0)
-
-
-def test_a_folder_rgb_is_the_same_as_color(folder: Path, color: np.ndarray):
-    (folder / "color").rename(folder / "rgb")
-    np.testing.assert_array_equal(open_recording(folder).frame(0).rgb, color)
 
 
 def test_depth_of_another_size_shows_the_same_unless_a_file_says_otherwise(folder: Path, color: np.ndarray):
@@ -152,20 +142,8 @@ def test_a_missing_image_affects_only_its_frame(folder: Path):
     assert recording.frame(2).key == "000002"
 
 
-def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
-    (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
-    with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
-        open_recording(folder).frame(0)
-
-
 def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
-
-
-def corrupt(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes(bytes(data))
 
 
 def intrinsics(**change: object) -> Callable[[Path], None]:
@@ -176,32 +154,20 @@ def image(array: np.ndarray) -> Callable[[Path], None]:
     return lambda path: path.write_bytes(png(array)) and None
 
 
-def depth_camera(**change: object) -> Callable[[Path], None]:
-    return lambda path: path.write_text(json.dumps(INTRINSICS | change)) and None
-
-
 COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
 DEPTH_CAMERA = "depth_intrinsic.json"
 DAMAGES = [
     pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
-    pytest.param(DEPTH, corrupt, "damaged", id="corrupt-depth"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
     pytest.param(
-        DEPTH,
-        image(np.ones((HEIGHT, 9), np.uint16)),
-        "the image is 9 x 8 pixels, but the colour image has 12 x 8; .* depth_intrinsic.json",
-        id="depth-size",
+        DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the col", id="depth-size"
     ),
-    pytest.param(
-        COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="colour-size"
-    ),
+    pytest.param(COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="size"),
     pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
-    pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[1]]), "depth_to_color.0", id="depth-pose-short"),
-    pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[2, 0, 0, 0]] * 4), "not a rigid", id="depth-pose"),
+    pytest.param(DEPTH_CAMERA, intrinsics(depth_to_color=[[2, 0, 0, 0]] * 4), "not a rigid", id="depth-pose"),
     pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
     pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal length", id="no-focus"),
     pytest.param(CAMERA, intrinsics(distortion=[1, 2, 3]), "distortion must have", id="camera-distortion"),
     pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
 ]
@@ -209,7 +175,7 @@ DAMAGES = [
 
 @pytest.mark.parametrize(("name", "damage", "complaint"), DAMAGES)
 def test_damage_is_an_error_with_file_cause_and_solution(
-    folder: Path, name: str, damage: Callable[[Path], object], complaint: str, capfd: pytest.CaptureFixture[str]
+    folder: Path, name: str, damage: Callable[[Path], object], complaint: str
 ):
     damage(folder / name)
     recording = open_recording(folder)
@@ -237,33 +203,6 @@ def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
         np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
 
 
-def test_depth_in_steps_of_eight_that_is_near_is_read_as_it_is(folder: Path, depth: np.ndarray):
-    (folder / "depth" / "000000.png").write_bytes(png(depth // 8 * 8))
-    np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth // 8 * 8 / 1000, atol=1e-6)
-
-
-@pytest.mark.shared
-def test_a_real_image_of_sun_rgbd_in_an_rgbd_folder_is_noticed(shared: Path, tmp_path: Path):
-    source = shared / "data" / "sunrgbd" / "raw"
-    for name, target, suffix in (("image", "color", ".jpg"), ("depth", "depth", ".png")):
-        (tmp_path / target).mkdir()
-        shutil.copy(next((source / name).glob(f"000001{suffix}")), tmp_path / target)
-    camera = {"width": 730, "height": 530, "intrinsic_matrix": [529.5, 0, 0, 0, 529.5, 0, 365, 265, 1]}
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
-    with pytest.raises(UnclearError, match="bits rotated by three"):
-        open_recording(tmp_path).frame(0)
-    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera | {"depth_encoding": "sunrgbd"}))
-    assert 0.5 < np.median(open_recording(tmp_path).frame(0).depth_m) < 8
-
-
-@pytest.mark.shared
-def test_no_real_depth_is_taken_for_rotated(shared: Path):
-    for folder in ("human_turn", "hand_gesture", "rgbd_open3d_testdata/RGBD"):
-        recording = open_recording(shared / "data" / folder)
-        for index in range(0, len(recording), 5):
-            assert len(recording.frame(index).cloud) > 1000
-
-
 def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, color: np.ndarray):
     for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
         (folder / name / "000000.png").rename(folder / name / f"{key}.png")
@@ -275,14 +214,14 @@ def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, colo
     assert (frame.key, frame.timestamp_ns) == ("caf\u00e9", 7_000_000)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth: np.ndarray, encoding: str):
+def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth: np.ndarray):
+    (folder / "color").rename(folder / "rgb")
     for name, content in (
         ("camera_intrinsic.json", json.dumps(INTRINSICS | {"depth_scale": 5000}, indent=1)),
         ("gravity.json", '{"up": [0, -2, 0]}\n'),
         ("timestamps.csv", "key,timestamp_ns\n000000,5000000\n000001,6000000\n"),
     ):
-        (folder / name).write_bytes(content.replace("\n", "\r\n").encode(encoding))
+        (folder / name).write_bytes(content.replace("\n", "\r\n").encode("utf-8-sig"))
     frame = open_recording(folder).frame(1)
     assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
     np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)

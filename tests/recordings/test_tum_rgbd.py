@@ -96,21 +96,6 @@ def test_other_recordings_have_their_own_camera_and_no_known_gravity(tmp_path: P
 
 
 @pytest.mark.shared
-def test_real_images_come_back(shared: Path, tmp_path: Path):
-    real = open_recording(shared / "data" / "hand_gesture")
-    path = write_tum(tmp_path / "freiburg", [0, 40], [1, 41], lambda number: real.frame(number).rgb)
-    K = real.frame(0).camera.matrix.T.ravel().tolist()
-    (path / "camera_intrinsic.json").write_text(json.dumps({"width": 640, "height": 480, "intrinsic_matrix": K}))
-    for number, file in enumerate(sorted((path / "depth").iterdir())):
-        file.write_bytes(png(np.rint(real.frame(number).depth_m * 5000).astype(np.uint16)))
-    for i in range(2):
-        frame, was = open_recording(path).frame(i), real.frame(i)
-        np.testing.assert_array_equal(frame.rgb, was.rgb)
-        np.testing.assert_allclose(frame.cloud.xyz_m, was.cloud.xyz_m, atol=1e-6)
-        np.testing.assert_array_equal(frame.cloud.rgb, was.cloud.rgb)
-
-
-@pytest.mark.shared
 def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
     source = shared / "data" / "rgbd_open3d_testdata" / "RGBD" / "other_formats"
     for name in ("rgb", "depth"):
@@ -156,14 +141,8 @@ def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
 
 DAMAGES = [
     pytest.param(replaced("rgb.txt", f"{START_S}.0", "x"), r"rgb\.txt:4: must begin with a time", id="time"),
-    pytest.param(
-        replaced("rgb.txt", f"{START_S}.000000 ", "1e99999999 "),
-        r"rgb\.txt:4: the time 1e99999999 s is beyond",
-        id="huge-time",
-    ),
     pytest.param(replaced("depth.txt", ".png", ".exr"), r"depth\.txt:4: must be a time and a PNG", id="suffix"),
     pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "leads out of the folder", id="outside"),
-    pytest.param(replaced("rgb.txt", " rgb/", " r\0gb/"), "or is not a valid name", id="null-byte"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
     pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
 ]
@@ -191,30 +170,16 @@ def test_folders_may_be_linked_into_the_recording_but_not_lead_further(tmp_path:
         open_recording(path).frame(0)
 
 
-def test_a_missing_image_affects_only_its_frame(tmp_path: Path):
-    path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34])
-    next((path / "depth").iterdir()).unlink()
-    recording, broken = open_recording(path), 0
-    for i in range(2):
-        try:
-            recording.frame(i)
-        except FrameError:
-            broken += 1
-    assert broken == 1
-
-
 @pytest.mark.parametrize(
     "changed",
     [
         lambda text: "\ufeff" + text.replace("\n", "\r\n"),
-        lambda text: text.replace(" ", "\t"),
         lambda text: text.replace(" ", ", "),
-        lambda text: text.replace(" ", ","),
         lambda text: text.replace("/", "\\"),
         lambda text: text.replace("rgb/", "./rgb/"),
         lambda text: text.replace(".png", ".png 1 2"),
     ],
-    ids=["windows", "tabs", "commas-blanks", "commas", "backslashes", "point", "columns"],
+    ids=["windows", "commas-blanks", "backslashes", "point", "columns"],
 )
 def test_lists_of_other_tools_are_read(tmp_path: Path, changed: Callable[[str], str]):
     path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34], small)
@@ -247,14 +212,8 @@ def test_names_may_have_blanks_and_another_unicode_form(tmp_path: Path):
     ("name", "text", "says"),
     [
         ("rgb.txt", "1305031102,25 rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma; write a point"),
-        ("rgb.txt", "1305031102,25,rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma"),
-        (
-            "depth.txt",
-            "1305031102000000000 a.png",
-            r"depth\.txt:1: the time 1305031102000000000 s is beyond the year 2262",
-        ),
-        ("groundtruth.txt", "1305031102,2 0 0 0 0 0 0 1", r"groundtruth\.txt:1: begins with a time with a decimal"),
-        ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"txt:1: '0,5' has a decimal comma; write a point"),
+        ("depth.txt", "1305031102000000000 a.png", r"depth\.txt:1: the time \d+ s is beyond the year 2262"),
+        ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"line 1: '0,5' has a decimal comma; write a point"),
     ],
 )
 def test_decimal_commas_and_nanoseconds_are_named(tmp_path: Path, name: str, text: str, says: str):
@@ -262,9 +221,3 @@ def test_decimal_commas_and_nanoseconds_are_named(tmp_path: Path, name: str, tex
     (path / name).write_text(text)
     with pytest.raises(RecordingError, match=says):
         open_recording(path)
-
-
-def test_poses_of_whole_numbers_may_be_separated_by_commas(tmp_path: Path):
-    path = write_tum(tmp_path / "freiburg", [0], [1], small)
-    (path / "groundtruth.txt").write_text(f"{START_S},1,2,3,0,0,0,1,\n")
-    assert open_recording(path).poses.quaternions.tolist() == [[0, 0, 0, 1]]

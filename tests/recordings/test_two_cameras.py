@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import project, resized, unproject_depth
-from annotator.recordings import open_recording
+from annotator.geometry.projection import project, resized
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera
-from annotator.types.errors import GeometryError
 
 DEPTH = Camera(64, 48, 60.0, 61.0, 31.0, 23.5)
 COLOR = Camera(160, 120, 140.0, 141.0, 80.0, 58.0, (0.05, -0.02, 0.001, -0.001))
@@ -85,28 +80,3 @@ def test_from_the_same_place_no_point_is_hidden():
     cloud, in_color_m = registered(depth_m, resized(camera, 64, 48), SAME_PLACE, picture(camera), camera)
     assert len(cloud) == depth_m.size == np.count_nonzero(in_color_m)
     np.testing.assert_allclose(project(camera, cloud.xyz_m)[0], [4.5, 4.5], atol=1e-3)  # the middle of ten pixels
-
-
-def test_a_lens_without_inverse_at_the_corners_has_no_points_there():
-    lens = Camera(64, 48, 40.0, 40.0, 32.0, 24.0, (-0.5, 0.0, 0.0, 0.0))
-    cloud, _ = registered(np.ones((48, 64), np.float32), lens, SAME_PLACE, picture(COLOR), COLOR)
-    assert 0 < len(cloud) < 48 * 64
-    assert np.isfinite(cloud.xyz_m).all()
-
-
-def test_images_of_another_size_than_their_camera_are_refused():
-    depth_m, rgb = np.ones((48, 64), np.float32), picture(COLOR)
-    with pytest.raises(GeometryError, match="depth image has 48 x 64 px"):
-        registered(np.ascontiguousarray(depth_m.T), DEPTH, SAME_PLACE, rgb, COLOR)
-    with pytest.raises(GeometryError, match="image has 120 x 160 px"):
-        registered(depth_m, DEPTH, SAME_PLACE, np.ascontiguousarray(rgb.transpose(1, 0, 2)), COLOR)
-
-
-@pytest.mark.shared
-def test_a_real_frame_with_one_camera_is_the_same_as_registered(shared: Path):
-    frame = open_recording(shared / "data" / "human_turn").frame(0)
-    cloud, depth_m = registered(frame.depth_m, frame.camera, SAME_PLACE, frame.rgb, frame.camera)
-    xyz_m, pixel = unproject_depth(frame.camera, frame.depth_m)
-    np.testing.assert_array_equal(cloud.xyz_m, xyz_m)
-    np.testing.assert_array_equal(cloud.rgb, frame.rgb.reshape(-1, 3)[pixel])
-    np.testing.assert_array_equal(depth_m, frame.depth_m)

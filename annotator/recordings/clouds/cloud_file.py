@@ -10,8 +10,8 @@ from __future__ import annotations
 import codecs
 import io
 import warnings
-import zipfile
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
 from typing import IO
 
@@ -19,131 +19,99 @@ import numpy as np
 from numpy.lib import format as npy
 
 from annotator.files import ARCHIVE_ERRORS, open_archive
-from annotator.frame_limits import read_frame_file
+from annotator.frame_limits import memory_problem, read_frame_file
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
     field_columns,
     files_like,
     from_columns,
-    require_points,
 )
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.pcd_ply import parse_pcd, parse_ply
+from annotator.recordings.listing import file_errors
 from annotator.recordings.scan_file import SCAN_SUFFIX, Scans
-from annotator.types.errors import FrameError
 
 POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
-COLOR_ARRAY_NAMES = ("colors", "colours", "rgb", "color")
+COLOR_NAMES = ("colors", "colours", "rgb", "color")
 COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
-# Members of archives are typed as IO[bytes], files in memory are BufferedIOBase.
-Stream = IO[bytes] | io.BufferedIOBase
 
 
-def parse_npy(path: Path, data: bytes) -> RawCloud:
+def parse_npy(data: bytes) -> RawCloud:
     """Parses the points of an `.npy` file."""
-    return from_columns(path, _columns(path, read_array(path, io.BytesIO(data), len(data))))
+    return from_columns(_columns(read_array(io.BytesIO(data))))
 
 
-def parse_npz(path: Path, data: bytes) -> RawCloud:
+def parse_npz(data: bytes) -> RawCloud:
     """Parses the points, and the colours if there are any, of an `.npz` file."""
     try:
         with open_archive(io.BytesIO(data)) as archive:
-            names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            points = next((names[name] for name in POINT_NAMES if name in names), None)
-            if points is None:
-                raise FrameError(
-                    path, f"has no array {' or '.join(POINT_NAMES)} (its arrays: {_first_names(names)})", CLOUD_REMEDY
-                )
-            columns = _columns(path, _member(path, archive, points))
-            colors = next((names[name] for name in COLOR_ARRAY_NAMES if name in names), None)
-            if colors is not None:
-                columns |= _color_columns(path, _member(path, archive, colors), len(columns["x"]))
+            infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            # of an archive, the sizes are read before the values are unpacked
+            arrays = {
+                name: read_array(archive.open(infos[name])) for name in (*POINT_NAMES, *COLOR_NAMES) if name in infos
+            }
     except ARCHIVE_ERRORS as error:
-        raise FrameError(path, f"the archive is damaged ({error})", CLOUD_REMEDY) from error
-    return from_columns(path, columns)
+        raise ValueError(f"its archive cannot be read ({error})") from error
+    points, colors = (next((name for name in names if name in arrays), None) for names in (POINT_NAMES, COLOR_NAMES))
+    if points is None:
+        present = ", ".join(sorted(infos)[:5]) or "none"
+        raise ValueError(f"has no array {' or '.join(POINT_NAMES)} (its arrays: {present})")
+    columns = _columns(arrays[points])
+    if colors is not None:
+        columns |= _color_columns(arrays[colors], len(columns["x"]))
+    return from_columns(columns)
 
 
-def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    with archive.open(info) as file:
-        return read_array(path, file, info.file_size)
-
-
-def read_array(path: Path, file: Stream, size: int, *, is_image: bool = False) -> np.ndarray:
-    """Reads the array of an `.npy` file at the position of `file`, which holds `size` bytes.
+def read_array(file: IO[bytes], *, is_image: bool = False) -> np.ndarray:
+    """Returns the array of an `.npy` file, or of a member of an archive.
 
     Args:
         is_image: each value gives a point; otherwise, each row does.
+
+    Raises:
+        ValueError: it is damaged, too large, or has no numbers.
     """
-    try:
-        shape, is_fortran, dtype = _header(file)
-    # the header is a Python expression: a damaged one can raise any exception
-    except Exception as error:
-        raise FrameError(path, f"the header of its array is damaged ({str(error)[:80]})", CLOUD_REMEDY) from error
-    is_readable = dtype.kind in "fiu" or (dtype.names is not None and not dtype.hasobject)
-    if not is_readable or dtype.itemsize == 0 or any(length < 0 for length in shape):
-        raise FrameError(path, f"its array holds {dtype}, not numbers", CLOUD_REMEDY)
-    count = 1
-    for length in shape:
-        count *= int(length)
-    if count * dtype.itemsize > size:
-        raise FrameError(
-            path, f"its array declares {count} values of {dtype.itemsize} bytes but has {size} bytes", CLOUD_REMEDY
-        )
-    require_points(path, count if is_image else min(count, *shape[:1]), more_bytes=count * dtype.itemsize)
-    content = file.read(count * dtype.itemsize)
-    if len(content) < count * dtype.itemsize:
-        raise FrameError(path, "its array is truncated", CLOUD_REMEDY)
-    try:
-        return np.frombuffer(content, dtype).reshape(shape, order="F" if is_fortran else "C")
-    except ValueError as error:
-        # an empty array may still declare too many or too long dimensions
-        raise FrameError(path, f"its array has an impossible shape ({error})", CLOUD_REMEDY) from error
-
-
-def _header(file: Stream) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Returns an array's shape, True for Fortran order, and its type."""
-    version = npy.read_magic(file)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"version {version[0]}.{version[1]}")
     with warnings.catch_warnings():
         # numpy warns about headers written by Python 2
         warnings.simplefilter("ignore")
-        header = npy.read_array_header_1_0(file) if version == (1, 0) else npy.read_array_header_2_0(file)
-    shape, is_fortran, dtype = header
-    return tuple(int(length) for length in shape), bool(is_fortran), dtype
+        try:
+            is_old = npy.read_magic(file) == (1, 0)
+            shape, _, dtype = npy.read_array_header_1_0(file) if is_old else npy.read_array_header_2_0(file)
+            values = prod(shape)
+            problem = memory_problem(points=values if is_image else prod(shape[:1]), more_bytes=values * dtype.itemsize)
+            file.seek(0)
+            array = np.empty(0) if problem else npy.read_array(file, allow_pickle=False)
+        # the header is a Python expression: a damaged one can raise any exception
+        except Exception as error:
+            raise ValueError(f"its array is damaged ({str(error)[:80]})") from error
+    if problem:
+        raise ValueError(problem)
+    if array.dtype.kind not in "fiu" and array.dtype.names is None:
+        raise ValueError(f"its array holds {array.dtype}, not numbers")
+    return array
 
 
-def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
+def _columns(array: np.ndarray) -> dict[str, np.ndarray]:
     if array.dtype.names is not None:
         if array.ndim != 1:
-            raise FrameError(
-                path, f"its array of points has the shape {array.shape}", "save a one-dimensional array of rows"
-            )
+            raise ValueError(f"its array of points has the shape {array.shape}; save a one-dimensional array of rows")
         return field_columns(array)
     if array.ndim != 2 or array.shape[1] not in COLUMNS:
-        raise FrameError(
-            path,
-            f"its array of points has the shape {array.shape}",
-            "save n x 3 (x y z), n x 4 (with reflectance) or n x 6 numbers (with colours)",
-        )
+        raise ValueError(f"its array of points has the shape {array.shape}, not n x 3, 4 (reflectance) or 6 (colours)")
     names = COLUMNS[array.shape[1]].split()
     if "red" not in names:
         return {name: array[:, column] for column, name in enumerate(names)}
-    return {"x": array[:, 0], "y": array[:, 1], "z": array[:, 2], **_color_columns(path, array[:, 3:], len(array))}
+    return {"x": array[:, 0], "y": array[:, 1], "z": array[:, 2], **_color_columns(array[:, 3:], len(array))}
 
 
-def _color_columns(path: Path, colors: np.ndarray, points: int) -> dict[str, np.ndarray]:
+def _color_columns(colors: np.ndarray, points: int) -> dict[str, np.ndarray]:
     if colors.dtype.names is not None or colors.shape != (points, 3):
-        raise FrameError(path, f"its colours have the shape {colors.shape}, for {points} points", "save n x 3 colours")
+        raise ValueError(f"its colours have the shape {colors.shape}, for {points} points; save n x 3 colours")
     return dict(zip(("red", "green", "blue"), colors.T, strict=True))
 
 
-def _first_names(names: dict[str, zipfile.ZipInfo]) -> str:
-    return ", ".join(sorted(names)[:5]) or "none"
-
-
-PARSERS: dict[str, Callable[[Path, bytes], RawCloud]] = {
+PARSERS: dict[str, Callable[[bytes], RawCloud]] = {
     ".ply": parse_ply,
     ".pcd": parse_pcd,
     ".npy": parse_npy,
@@ -167,11 +135,9 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
 
 
 def _parsed(path: Path) -> RawCloud:
-    try:
+    with file_errors(path, CLOUD_REMEDY):
         data = read_frame_file(path)
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
-    if not data:
-        raise FrameError(path, "the file is empty", CLOUD_REMEDY)
-    # headers that an editor has saved
-    return PARSERS[path.suffix.lower()](path, data.removeprefix(codecs.BOM_UTF8))
+        if not data:
+            raise ValueError("the file is empty")
+        # headers that an editor has saved
+        return PARSERS[path.suffix.lower()](data.removeprefix(codecs.BOM_UTF8))

@@ -28,7 +28,6 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
-from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.image_bytes import UPRIGHT, Size
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
@@ -36,8 +35,8 @@ from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti import NEAREST_Z_M, UP, KittiCalibration, read_calibration
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
@@ -140,13 +139,9 @@ class CloudFolder(KeyedFrames):
             raw, image = self._raw(key), read_color_image(images[0], self._image_size(key))
             rgb, exif_orientation = image.rgb, image.exif_orientation
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
-            cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
-            if len(cloud) == 0:
-                raise FrameError(
-                    cloud_path,
-                    f"none of its points lies in the image ({len(raw.xyz_m)} in all), so the cloud is empty",
-                    f"check that {source.path} belongs to this cloud and maps its frame to the camera's",
-                )
+            remedy = f"check that {source.path} belongs to this cloud and maps its frame to the camera's"
+            xyz_m = source.to_camera(raw).xyz_m
+            cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, rgb, remedy)
         return Frame(
             key,
             i,
@@ -279,28 +274,10 @@ def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
 
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
     camera = read_camera(path).camera
-    if rgb is not None and rgb.shape[:2] != (camera.height_px, camera.width_px):
-        raise FrameError(
-            path,
-            f"the camera is for images of {camera.width_px} x {camera.height_px} pixels, but the image has "
-            f"{rgb.shape[1]} x {rgb.shape[0]}",
-            "write the intrinsics for this image size",
-        )
-    try:
+    if rgb is not None:
+        require_size(path, rgb, (camera.width_px, camera.height_px), "the camera is for", "write the intrinsics for it")
+    with file_errors(path, "correct the camera file"):
         rows = CloudPoseFile.model_validate_json(read_text_file(path)).cloud_to_camera
-    except (OSError, ValueError) as error:
-        raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
     return CloudCamera(
         path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))
     )
-
-
-def cloud_in_image(camera: Camera, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
-    """Returns the points that project inside the image; without colours of its own, the cloud gets the image's."""
-    px = project(camera, cloud.xyz_m)
-    inside = np.flatnonzero(inside_image(camera, px) & (cloud.xyz_m[:, 2] > NEAREST_Z_M))
-    seen = cloud.select(inside)
-    if seen.rgb is not None:
-        return seen
-    u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
-    return PointCloud(seen.xyz_m, rgb=rgb[v, u], reflectance=seen.reflectance)

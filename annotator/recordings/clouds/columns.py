@@ -26,7 +26,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
-from annotator.frame_limits import memory_problem
+from annotator.frame_limits import require_memory
 from annotator.recordings.plausible import are_returns
 from annotator.text import to_number
 from annotator.types.errors import FrameError
@@ -198,31 +198,24 @@ class RawCloud:
         return cloud
 
 
-def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
-    """Checks a number of points before memory is allocated for them."""
-    problem = memory_problem(points=points, more_bytes=more_bytes)
-    if problem:
-        raise FrameError(path, problem, "raise the limit, or save fewer points")
-
-
-def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
+def from_columns(columns: Mapping[str, np.ndarray]) -> RawCloud:
     """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case."""
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         present = ", ".join(columns) or "none"
-        raise FrameError(path, f"has no column {' '.join(missing)} (its columns: {present})", CLOUD_REMEDY)
-    require_points(path, len(columns["x"]))
+        raise ValueError(f"has no column {' '.join(missing)} (its columns: {present})")
+    require_memory(points=len(columns["x"]))
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
-    valid = are_returns(xyz_m) & ~at_limits(path, [columns[name] for name in "xyz"])
+    valid = are_returns(xyz_m) & ~at_limits([columns[name] for name in "xyz"])
     if not valid.any():
         problem = NO_RETURN if len(valid) else "has no points"
-        raise FrameError(path, problem, CLOUD_REMEDY)
+        raise ValueError(problem)
     colors, (reflectance, scale) = point_colors(columns), _reflectance(columns)
     rgb, color_scale = (None, None) if colors is None else colors
     return RawCloud(xyz_m, rgb, reflectance, scale, color_scale).select(valid)
 
 
-def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
+def at_limits(xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
     """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
 
     If they are all points, or many along one axis only, what was measured did not fit the type: a FrameError.
@@ -238,8 +231,9 @@ def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
             problem = (
                 f"{name} is at the limit of {values.dtype.name} in {np.count_nonzero(limited)} of {len(some)} points"
             )
-            remedy = "save it with an offset near the points, or in larger steps"
-            raise FrameError(path, f"its coordinates are saturated: {problem}", remedy)
+            raise ValueError(
+                f"its coordinates are saturated: {problem}; an offset near the points, or larger steps help"
+            )
     return some
 
 
@@ -284,7 +278,6 @@ def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray,
 
 
 def text_columns(
-    path: Path,
     body: bytes,
     count: int,
     names: tuple[str, ...],
@@ -301,28 +294,28 @@ def text_columns(
     """
     # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
-        raise FrameError(path, f"declares {count} points, too many for its {len(body)} bytes", CLOUD_REMEDY)
-    require_points(path, count, more_bytes=count * len(names) * 8)
+        raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
+    require_memory(points=count, more_bytes=count * len(names) * 8)
     table = np.empty((count, len(names)))
-    rows, filled, at_once = _text_rows(path, body, names, first_line, pick), 0, max(VALUES_AT_ONCE // len(names), 1)
+    rows, filled, at_once = _text_rows(body, names, first_line, pick), 0, max(VALUES_AT_ONCE // len(names), 1)
     while part := list(islice(rows, min(at_once, count - filled))):
-        table[filled : filled + len(part)] = _numbers(path, np.array(part), filled)
+        table[filled : filled + len(part)] = _numbers(np.array(part), filled)
         filled += len(part)
     if filled < count:
-        raise FrameError(path, f"declares {count} points but has {filled}", CLOUD_REMEDY)
+        raise ValueError(f"declares {count} points but has {filled}")
     return {name: table[:, column] for column, name in enumerate(names)}
 
 
-def _numbers(path: Path, texts: np.ndarray, above: int) -> Float64[np.ndarray, "n c"]:
+def _numbers(texts: np.ndarray, above: int) -> Float64[np.ndarray, "n c"]:
     """Returns the numbers of a table of texts that has `above` rows before it."""
     # numpy would accept 1_000, which `to_number` refuses
     if b"_" not in texts.tobytes():
         with suppress(ValueError):
             return np.asarray(texts.astype(np.float64))
-    return np.array([[_number(path, text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
+    return np.array([[_number(text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
 
 
-def _number(path: Path, text: bytes, row: int) -> float:
+def _number(text: bytes, row: int) -> float:
     """Returns a number as programs write it: decimal, hexadecimal (colours), or one of the names of NaN."""
     if HEXADECIMAL.fullmatch(text):
         return float(int(text.lstrip(b"#"), 16))
@@ -331,7 +324,7 @@ def _number(path: Path, text: bytes, row: int) -> float:
     try:
         return to_number(text.decode("utf-8", "replace"))
     except ValueError as error:
-        raise FrameError(path, f"point {row + 1}: {error}", CLOUD_REMEDY) from None
+        raise ValueError(f"point {row + 1}: {error}") from None
 
 
 def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
@@ -354,7 +347,6 @@ def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
 
 
 def _text_rows(
-    path: Path,
     body: bytes,
     names: tuple[str, ...],
     first_line: int,
@@ -373,20 +365,16 @@ def _text_rows(
             problem = f"has a value of more than {LONGEST_NUMBER} characters"
         if problem:
             number = first_line + len(body[: line.start()].splitlines())
-            raise FrameError(path, f"line {number} {problem}", CLOUD_REMEDY)
+            raise ValueError(f"line {number} {problem}")
         if values:
             yield values[: len(names)]
 
 
-def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
+def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
     """Returns columns stored as packed rows of `dtype` at `offset`."""
     present = max(len(data) - offset, 0)
     if count * dtype.itemsize > present:
-        raise FrameError(
-            path,
-            f"declares {count} points of {dtype.itemsize} bytes, but only {present} bytes of points follow",
-            CLOUD_REMEDY,
-        )
+        raise ValueError(f"declares {count} points of {dtype.itemsize} bytes, but {present} bytes of points follow")
     return field_columns(np.frombuffer(data, dtype, count, offset))
 
 

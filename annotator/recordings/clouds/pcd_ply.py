@@ -11,25 +11,21 @@ binary PCD, they take three times as long.
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
+from annotator.frame_limits import require_memory
 from annotator.recordings.clouds.columns import (
-    CLOUD_REMEDY,
     RawCloud,
     binary_columns,
     from_columns,
-    require_points,
     split_colors,
     text_columns,
     typed,
 )
-from annotator.types.errors import FrameError
 
 # The longest reference, 264 bytes, is encoded in three bytes.
 MOST_EXPANSION = 88
@@ -83,87 +79,69 @@ def _repeat(out: bytearray, distance: int, length: int) -> None:
 
 LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
-SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+PER_FIELD, LARGEST_POINT = ("SIZE", "TYPE", "COUNT"), 1 << 19
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
-MOST_VALUES_PER_FIELD, MOST_VALUES = 10_000, 1 << 16
 
 
-def parse_pcd(path: Path, data: bytes) -> RawCloud:
+def parse_pcd(data: bytes) -> RawCloud:
     """Parses the points of a PCD file, in the frame that they are stored in (`VIEWPOINT` is not applied)."""
-    header, offset = _pcd_header(path, data)
-    dtype, count = _pcd_dtype(path, header), _pcd_count(path, header)
+    header, offset = _pcd_header(data)
+    try:
+        dtype, count = _pcd_dtype(header), _pcd_count(header)
+    except (ValueError, TypeError, LookupError) as error:
+        raise ValueError(f"the PCD header is damaged ({error})") from error
     encoding = header["DATA"][0] if header["DATA"] else ""
     if encoding == "ascii":
-        return from_columns(path, _pcd_text(path, data, offset, count, dtype))
+        return from_columns(_pcd_text(data, offset, count, dtype))
     if encoding == "binary":
-        return from_columns(path, binary_columns(path, data, offset, count, dtype))
+        return from_columns(binary_columns(data, offset, count, dtype))
     if encoding == "binary_compressed":
-        return from_columns(path, _compressed(path, data, offset, count, dtype))
-    raise FrameError(
-        path, f"the PCD encoding {encoding[:40]!r} is unknown", "save it as ascii, binary or binary_compressed"
-    )
+        return from_columns(_compressed(data, offset, count, dtype))
+    raise ValueError(f"the PCD encoding {encoding[:40]!r} is unknown; save it as ascii, binary or binary_compressed")
 
 
-def _pcd_header(path: Path, data: bytes) -> tuple[dict[str, list[str]], int]:
+def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
     """Returns the words of each header line, by keyword, and the offset of the header's end."""
     words: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in words:
         end = data.find(b"\n", at, LONGEST_HEADER)
         if end < 0:
-            raise FrameError(path, "is not a PCD file, or its header is truncated", CLOUD_REMEDY)
+            raise ValueError("is not a PCD file, or its header is truncated")
         keyword, *rest = data[at:end].decode("latin-1").split() or ["#"]
         at = end + 1
         if keyword in KEYWORDS:
             words["FIELDS" if keyword == "COLUMNS" else keyword] = rest
         elif not keyword.startswith("#"):
-            raise FrameError(path, f"is not a PCD file: its header has a line {keyword[:40]!r}", CLOUD_REMEDY)
-    missing = [keyword for keyword in ("FIELDS", "SIZE", "TYPE") if keyword not in words]
-    if missing:
-        raise FrameError(path, f"the PCD header has no {' and no '.join(missing)}", CLOUD_REMEDY)
+            raise ValueError(f"is not a PCD file: its header has a line {keyword[:40]!r}")
     return words, at
 
 
-def _pcd_dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
-    names, sizes, types = header["FIELDS"], header["SIZE"], header["TYPE"]
-    counts = header.get("COUNT", ["1"] * len(names))
-    if not names or not len(names) == len(sizes) == len(types) == len(counts):
-        raise FrameError(path, "FIELDS, SIZE, TYPE and COUNT of the PCD header have different lengths", CLOUD_REMEDY)
+def _pcd_dtype(header: dict[str, list[str]]) -> np.dtype:
+    names = header["FIELDS"]
     fields: list[tuple[str, str, tuple[int, ...]]] = []
-    for position, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
-        values = _pcd_number(path, "COUNT", count)
-        if kind not in KINDS or _pcd_number(path, "SIZE", size) not in SIZES[kind] or values > MOST_VALUES_PER_FIELD:
-            raise FrameError(
-                path, f"the PCD header's field {name[:40]} has the invalid type {kind}{size} x {count}", CLOUD_REMEDY
-            )
+    for position, name in enumerate(names):
+        size, kind, count = (header[keyword][position] if keyword in header else "1" for keyword in PER_FIELD)
         # padding is called "_" and may occur several times
         unique = f"_{position}" if name == "_" else name.lower()
-        fields.append((unique, f"<{KINDS[kind]}{int(size)}", () if values == 1 else (values,)))
-    if sum(math.prod(shape) for _, _, shape in fields) > MOST_VALUES:
-        raise FrameError(path, f"the PCD header declares more than {MOST_VALUES} values per point", CLOUD_REMEDY)
-    try:
-        return np.dtype(fields)
-    except ValueError as error:  # two fields with the same name
-        raise FrameError(path, f"the PCD header's fields: {error}", CLOUD_REMEDY) from error
+        fields.append((unique, f"<{KINDS[kind]}{int(size)}", () if int(count) == 1 else (int(count),)))
+    dtype = np.dtype(fields)
+    if dtype.itemsize > LARGEST_POINT:
+        raise ValueError(f"points of {dtype.itemsize} bytes")
+    return dtype
 
 
-def _pcd_count(path: Path, header: dict[str, list[str]]) -> int:
+def _pcd_count(header: dict[str, list[str]]) -> int:
     if header.get("POINTS"):
-        return _pcd_number(path, "POINTS", header["POINTS"][0])
+        return int(header["POINTS"][0])
     if header.get("WIDTH") and header.get("HEIGHT"):
-        return _pcd_number(path, "WIDTH", header["WIDTH"][0]) * _pcd_number(path, "HEIGHT", header["HEIGHT"][0])
-    raise FrameError(path, "the PCD header has neither POINTS nor WIDTH and HEIGHT", CLOUD_REMEDY)
+        return int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+    raise ValueError("it has neither POINTS nor WIDTH and HEIGHT")
 
 
-def _pcd_number(path: Path, keyword: str, text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 19):
-        raise FrameError(path, f"{keyword} of the PCD header is not a number: {text[:40]!r}", CLOUD_REMEDY)
-    return int(text)
-
-
-def _pcd_text(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
+def _pcd_text(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
     names = [name for name, _ in _flat(dtype)]
-    table = text_columns(path, data[offset:], count, tuple(names), data[:offset].count(b"\n") + 1)
+    table = text_columns(data[offset:], count, tuple(names), data[:offset].count(b"\n") + 1)
     return {name: typed(table[name], kind) for name, kind in _flat(dtype)}
 
 
@@ -177,26 +155,22 @@ def _flat(dtype: np.dtype) -> list[tuple[str, np.dtype]]:
     return flat
 
 
-def _compressed(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
+def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
     """Reads compressed points: two sizes, then LZF data with all values of the first field, of the second, ..."""
     if len(data) < offset + 8:
-        raise FrameError(path, "the PCD file ends before its points", CLOUD_REMEDY)
+        raise ValueError("the PCD file ends before its points")
     packed, unpacked = (int(size) for size in np.frombuffer(data, "<u4", 2, offset))
     content = data[offset + 8 : offset + 8 + packed]
     if len(content) < packed:
-        raise FrameError(path, f"declares {packed} compressed bytes but has {len(content)}", CLOUD_REMEDY)
+        raise ValueError(f"declares {packed} compressed bytes but has {len(content)}")
     # checked before memory is allocated: LZF expands data by at most MOST_EXPANSION
     if unpacked < count * dtype.itemsize or unpacked > max(packed * MOST_EXPANSION, 0):
-        raise FrameError(
-            path,
-            f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed",
-            CLOUD_REMEDY,
-        )
-    require_points(path, count, more_bytes=unpacked)
+        raise ValueError(f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed")
+    require_memory(points=count, more_bytes=unpacked)
     try:
         plain = lzf_decompress(content, unpacked)
     except ValueError as error:
-        raise FrameError(path, f"its compressed points are damaged ({error})", CLOUD_REMEDY) from error
+        raise ValueError(f"its compressed points are damaged ({error})") from error
     columns, at = dict[str, np.ndarray](), 0
     for name in dtype.names or ():
         field = dtype[name]
@@ -262,46 +236,46 @@ class _Element:
         return picked
 
 
-def parse_ply(path: Path, data: bytes) -> RawCloud:
+def parse_ply(data: bytes) -> RawCloud:
     """Parses the vertices of a PLY file, without lists."""
-    order, elements, offset = _ply_header(path, data)
+    order, elements, offset = _ply_header(data)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
-        raise FrameError(path, "the PLY file has no vertices", CLOUD_REMEDY)
+        raise ValueError("the PLY file has no vertices")
     before = elements[: elements.index(vertex)]
     if not vertex.properties:
-        raise FrameError(path, "the PLY file's vertices have no properties", CLOUD_REMEDY)
+        raise ValueError("the PLY file's vertices have no properties")
     if order == "ascii":
-        return _vertices_from_text(path, data, offset, before, vertex)
+        return _vertices_from_text(data, offset, before, vertex)
     for element in before:
-        offset += element.count * _ply_dtype(path, data, offset, element, ORDERS[order]).itemsize
-    dtype = _ply_dtype(path, data, offset, vertex, ORDERS[order])
-    return from_columns(path, binary_columns(path, data, offset, vertex.count, dtype))
+        offset += element.count * _ply_dtype(data, offset, element, ORDERS[order]).itemsize
+    dtype = _ply_dtype(data, offset, vertex, ORDERS[order])
+    return from_columns(binary_columns(data, offset, vertex.count, dtype))
 
 
-def _vertices_from_text(path: Path, data: bytes, offset: int, before: list[_Element], vertex: _Element) -> RawCloud:
+def _vertices_from_text(data: bytes, offset: int, before: list[_Element], vertex: _Element) -> RawCloud:
     body, skipped = data[offset:], sum(element.count for element in before)
     lines_above = data[:offset].count(b"\n")
     if skipped:
         if skipped > body.count(b"\n"):
-            raise FrameError(path, "the PLY file ends before its vertices", CLOUD_REMEDY)
+            raise ValueError("the PLY file ends before its vertices")
         last = next(islice(re.finditer(b"\n", body), skipped - 1, None))
         body = body[last.end() :]
     kinds = [(name, kind) for name, kind in vertex.properties if name not in vertex.lengths]
     if not kinds:
-        raise FrameError(path, "the PLY file's vertices have only lists", CLOUD_REMEDY)
+        raise ValueError("the PLY file's vertices have only lists")
     names = tuple(name for name, _ in kinds)
     pick = vertex.pick if vertex.lengths else None
-    columns = text_columns(path, body, vertex.count, names, lines_above + skipped + 1, pick)
-    return from_columns(path, {name: typed(columns[name], np.dtype(kind)) for name, kind in kinds})
+    columns = text_columns(body, vertex.count, names, lines_above + skipped + 1, pick)
+    return from_columns({name: typed(columns[name], np.dtype(kind)) for name, kind in kinds})
 
 
-def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
+def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     """Returns the byte order, the elements, and the offset of the header's end."""
     end = data.find(b"end_header", 0, LONGEST_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
-        raise FrameError(path, "is not a PLY file, or its header is truncated", CLOUD_REMEDY)
+        raise ValueError("is not a PLY file, or its header is truncated")
     order, elements = None, list[_Element]()
     # split at line feeds only: names in UTF-8 may hold bytes that `splitlines` treats as line ends
     for number, line in enumerate(data[:end].decode("latin-1").split("\n"), 1):
@@ -318,13 +292,13 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise FrameError(path, f"line {number} of the PLY header is invalid: {line[:60]!r}", CLOUD_REMEDY)
+                raise ValueError(f"line {number} of the PLY header is invalid: {line[:60]!r}")
     if order is None:
-        raise FrameError(path, "the PLY header has no format line", CLOUD_REMEDY)
+        raise ValueError("the PLY header has no format line")
     return order, elements, newline + 1
 
 
-def _ply_dtype(path: Path, data: bytes, offset: int, element: _Element, order: str) -> np.dtype:
+def _ply_dtype(data: bytes, offset: int, element: _Element, order: str) -> np.dtype:
     """Returns the type of an element's rows, which begin at `offset`."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     at = offset
@@ -335,7 +309,7 @@ def _ply_dtype(path: Path, data: bytes, offset: int, element: _Element, order: s
             there = data[at : at + length.itemsize]
             count = int(np.frombuffer(there, length)[0]) if element.count and len(there) == length.itemsize else 0
             if not 0 <= count <= len(data):
-                raise FrameError(path, f"the list {name} of the PLY element {element.name} is damaged", CLOUD_REMEDY)
+                raise ValueError(f"the list {name} of the PLY element {element.name} is damaged")
             fields += [(LENGTH + name, length.str), (name, order + kind, (count,))]
             at += length.itemsize + count * np.dtype(kind).itemsize
         else:
@@ -344,17 +318,15 @@ def _ply_dtype(path: Path, data: bytes, offset: int, element: _Element, order: s
     try:
         dtype = np.dtype(fields)
     except ValueError as error:  # two properties with the same name
-        raise FrameError(path, f"the PLY header's element {element.name}: {error}", CLOUD_REMEDY) from error
+        raise ValueError(f"the PLY header's element {element.name}: {error}") from error
     if element.lengths:
         # what is missing is told with the vertices
         count = min(element.count, max(len(data) - offset, 0) // dtype.itemsize)
         rows = np.frombuffer(data, dtype, count, offset)
         varying = [name for name in element.lengths if np.ptp(rows[LENGTH + name]) > 0] if count else []
         if varying:
-            raise FrameError(
-                path,
+            raise ValueError(
                 f"its {element.name} elements have lists of different lengths ({', '.join(varying)}), which are only "
-                "read behind the vertices, or from text",
-                "save it without them, or as text",
+                "read behind the vertices, or from text; save it without them, or as text"
             )
     return dtype

@@ -152,11 +152,7 @@ class KinectCalibration:
 
 
 def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> KinectCalibration:
-    """Parses the calibration of an attachment, for depth and colour images of these sizes (width, height).
-
-    Raises:
-        ValueError: invalid JSON, a missing camera, or a size that belongs to no mode.
-    """
+    """Parses the calibration of an attachment, for depth and colour images of these sizes (width, height)."""
     try:
         information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation
     except ValidationError as error:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from annotator.files import open_file
-from annotator.types.errors import RecordingError
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 TRACK_ENTRY, VIDEO = 0xAE, 0xE0
@@ -32,8 +31,6 @@ NO_LIMIT = 1 << 60
 LACING_BITS = 0x06
 LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
-# Several hours of recording; a block takes about 150 bytes of memory.
-MOST_BLOCKS = 4_000_000
 # A century; sums and differences of two such times fit into 64 bits.
 MOST_NS = 1 << 62
 # Chunk sizes for the search after a damaged part: they grow, so that many small damaged parts stay cheap.
@@ -78,28 +75,11 @@ class MatroskaIndex:
 
 
 def read_index(path: Path) -> MatroskaIndex | None:
-    """Returns the tracks and blocks of a Matroska file; None for a file of another type.
-
-    Raises:
-        OSError: the file cannot be read.
-        RecordingError: it has more than `MOST_BLOCKS` blocks.
-    """
+    """Returns the tracks and blocks of a Matroska file; None for a file of another type."""
     with open_file(path, buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
         return _IndexReader(path, file).index()
-
-
-def read_tracks(path: Path) -> tuple[Track, ...] | None:
-    """Returns the tracks of a Matroska file from its head only; None for a file of another type.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
-    with open_file(path, buffering=0) as file:
-        if file.read(4) != EBML.to_bytes(4):
-            return None
-        return _IndexReader(path, file).head()
 
 
 @dataclass
@@ -140,20 +120,6 @@ class _IndexReader:
             at += size
         return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
 
-    def head(self) -> tuple[Track, ...]:
-        """Returns the tracks described before the first cluster and before any damage."""
-        at = 0
-        while not self.tracks and (element := element_head(self._read(at, LONGEST_HEAD))):
-            kind, size, length = element
-            at += length
-            if kind == SEGMENT:
-                continue
-            if kind == CLUSTER or size is None or not self._is_known(kind):
-                break
-            self._read_element(kind, at, size)
-            at += size
-        return tuple(self.tracks)
-
     def _is_known(self, kind: int) -> bool:
         used = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
         return kind in ENTERED or kind in SKIPPED or kind in used
@@ -183,8 +149,6 @@ class _IndexReader:
         is_laced = bool(head[length + 2] & LACING_BITS)
         before = length + 3
         self.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
-        if len(self.blocks) > MOST_BLOCKS:
-            raise RecordingError(f"{self.path}: has more than {MOST_BLOCKS} blocks; cut the recording into parts")
 
     def _next_cluster(self, at: int, end: int) -> int:
         """Returns the offset of the next cluster, at `at` or later; `end` if there is none."""

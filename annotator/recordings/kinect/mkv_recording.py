@@ -24,7 +24,7 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
-from annotator.image_bytes import JPEG_START, declared_size, image_problem
+from annotator.image_bytes import declared_size, decode_image, image_problem
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
@@ -34,7 +34,8 @@ from annotator.recordings.kinect.calibration import (
     parse_samples,
     up_at_rest,
 )
-from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index, read_tracks
+from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index
+from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
@@ -105,47 +106,23 @@ FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
 
 
 def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the RGB image in the bytes of one block.
-
-    Raises:
-        ValueError: the bytes are not an image of this format and size; the message says why.
-    """
-    if fourcc == "MJPG":
-        return _decode_jpeg(data, width_px, height_px)
-    return _convert(fourcc, data, width_px, height_px)
-
-
-def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    import cv2
-
-    problem = image_problem(data)
-    if problem:
-        raise ValueError(problem)
-    # checked before decoding: damaged bytes could declare an image of gigabytes
-    if not data.startswith(JPEG_START) or declared_size(data) != (width_px, height_px):
-        raise ValueError(f"it is not a JPEG image of {width_px} x {height_px} pixels")
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if bgr is None:
-        raise ValueError("the JPEG image cannot be decoded")
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
-
-
-def _convert(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the RGB image in the bytes of one block."""
     import cv2
 
     halves = FORMATS[fourcc]
-    assert halves is not None
+    if halves is None:
+        # checked before decoding: damaged bytes could declare an image of gigabytes
+        if declared_size(data) != (width_px, height_px):
+            raise ValueError(image_problem(data) or f"it is not a JPEG image of {width_px} x {height_px} pixels")
+        return np.asarray(
+            cv2.cvtColor(decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), cv2.COLOR_BGR2RGB)
+        )
     expected = width_px * height_px * halves // 2
     if len(data) != expected:
         raise ValueError(f"it has {len(data)} bytes, but {width_px} x {height_px} pixels of {fourcc} have {expected}")
-    raw = np.frombuffer(data, np.uint8)
-    if fourcc == "NV12":
-        rgb = cv2.cvtColor(raw.reshape(height_px * 3 // 2, width_px), cv2.COLOR_YUV2RGB_NV12)
-    elif fourcc == "YUY2":
-        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 2), cv2.COLOR_YUV2RGB_YUY2)
-    else:
-        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 4), cv2.COLOR_BGRA2RGB)
-    return np.asarray(rgb)
+    raw = np.frombuffer(data, np.uint8).reshape(height_px * 3 // 2 if halves == 3 else height_px, width_px, -1)
+    code = {"NV12": cv2.COLOR_YUV2RGB_NV12, "YUY2": cv2.COLOR_YUV2RGB_YUY2, "BGRA": cv2.COLOR_BGRA2RGB}[fourcc]
+    return np.asarray(cv2.cvtColor(raw, code))
 
 
 TRACKS = frozenset({"COLOR", "DEPTH"})
@@ -216,10 +193,8 @@ class AzureKinect(KeyedFrames):
         """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i].color)
-        try:
+        with file_errors(self.path, REMEDY, f"frame {key}: colour image: "):
             return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
-        except ValueError as error:
-            raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
         """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
@@ -250,26 +225,27 @@ class AzureKinect(KeyedFrames):
 
     def _contents(self, key: str, blocks: Sequence[Block]) -> list[bytes]:
         """Reads the blocks, as far as the file reaches."""
-        contents = []
-        try:
-            with open_file(self.path) as file:
-                end = file.seek(0, os.SEEK_END)
-                for block in blocks:
-                    file.seek(block.offset)
-                    # a damaged size must not allocate more memory than the file needs
-                    contents.append(file.read(max(min(block.size, end - block.offset, frame_memory()), 0)))
-        except OSError as error:
-            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        with file_errors(self.path, REMEDY, f"frame {key}: "), open_file(self.path) as file:
+            end, contents = file.seek(0, os.SEEK_END), []
+            for block in blocks:
+                file.seek(block.offset)
+                # a damaged size must not allocate more memory than the file needs
+                contents.append(file.read(max(min(block.size, end - block.offset, frame_memory()), 0)))
         return contents
 
 
 def is_azure_kinect(path: Path) -> bool:
-    """True if a file's head has the tracks of such a recording; much faster than opening it.
+    """True if a file's head has the tracks of such a recording; much faster than opening it."""
+    import av
 
-    Raises:
-        OSError: the file cannot be read.
-    """
-    return _is_mkv(path) and {track.name for track in read_tracks(path) or ()} >= TRACKS
+    if not _is_mkv(path):
+        return False
+    check_file(path)
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            return {stream.metadata.get("title") for stream in container.streams} >= TRACKS
+    except (av.error.FFmpegError, ValueError):
+        return False
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
@@ -291,11 +267,13 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
     captures = find_captures(index, color, depth, tagged_ns(tags, "K4A_DEPTH_DELAY_NS"))
     if not captures:
         raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
+    with file_errors(path, REMEDY, "its calibration cannot be used: ", RecordingError):
+        calibration = parse_calibration(attached, _size(depth), _size(color))
     return AzureKinect(
         path=path,
         keys=tuple(f"{number:06d}" for number in captures),
         captures=tuple(captures.values()),
-        calibration=_calibration(path, attached, _size(depth), _size(color)),
+        calibration=calibration,
         fourcc=_fourcc(path, color),
         start_ns=tagged_ns(tags, "K4A_START_OFFSET_NS"),
         inertial=tuple(sorted(_blocks(index, tracks.get("IMU")), key=lambda block: block.time_ns)),
@@ -310,13 +288,6 @@ def _is_mkv(path: Path) -> bool:
 def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
     """Returns the cached index: adding a recording opens it several times."""
     return read_index(path)
-
-
-def _calibration(path: Path, attached: bytes, depth: Size, color: Size) -> KinectCalibration:
-    try:
-        return parse_calibration(attached, depth, color)
-    except ValueError as error:
-        raise RecordingError(f"{path}: its calibration cannot be used: {error}; {REMEDY}") from error
 
 
 def _size(track: Track) -> Size:

@@ -9,160 +9,98 @@ The format is described in issues of github.com/marek-simonik/record3d (7, 27, 3
 camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
 to the first image, so that the direction of gravity is not known.
 
-LZFSE is Apple's compression. Its package (the extra `phones`) decompresses to any length, so the blocks of a stream
-are listed first, with the lengths that they declare (github.com/lzfse/lzfse, lzfse_internal.h). The archive's files
-are read without `zipfile`, which would parse the list of all files again for each: 0.2 s for 10,000 frames (PKWARE,
-"APPNOTE", 4.3.7, local file header).
+LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it reads, so it runs in the `fence`.
 """
 
 from __future__ import annotations
 
-import struct
+import os
 import zipfile
-import zlib
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
-from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
+from annotator.fence import fenced
+from annotator.files import ARCHIVE_ERRORS, check_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
-from annotator.recordings.listing import sorted_keys
+from annotator.recordings.listing import file_errors, sorted_keys
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
-from annotator.recordings.plausible import is_pinhole
+from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_folder import Number, Positive, Side, pinhole
+from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
-from annotator.types.messages import first_problem
 
 # Data that cannot be compressed gets a little larger.
 MOST_GROWTH, HEADS_BYTES = 1.1, 4096
-# Kinds of blocks: as it is, LZVN, LZFSE, and the end of the stream.
-PLAIN, LZVN, LZFSE, END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
-SHORTEST_HEADER = 32
-# The longest literal run and match.
-LONGEST_STEP = 315 + 2359
 
 
 def decompress(data: bytes, expected_bytes: int) -> bytes:
-    """Returns the `expected_bytes` bytes in a compressed stream.
-
-    Raises:
-        MissingExtraError: the package is not installed.
-        ValueError: damaged, or of another length; the message says which.
-    """
-    try:
-        import lzfse
-    except ImportError as error:
-        raise MissingExtraError("lzfse", "phones") from error
+    """Returns the `expected_bytes` bytes in a compressed stream."""
+    if find_spec("lzfse") is None:
+        raise MissingExtraError("lzfse", "phones")
     if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
         raise ValueError(f"it has {len(data)} bytes, too many for an image of {expected_bytes}")
-    declared, most = _declared_bytes(data)
-    if declared != expected_bytes:
-        raise ValueError(f"it has {declared} bytes instead of {expected_bytes}")
-    require_memory(more_bytes=most)
-    try:
-        raw = lzfse.decompress(data)
-    except lzfse.error as error:
-        raise ValueError("its compression (LZFSE) is damaged") from error
+    raw: bytes = fenced(f"{__name__}:unpack", data)
     if len(raw) != expected_bytes:
         raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
-    return bytes(raw)
+    return raw
 
 
-def _declared_bytes(data: bytes) -> tuple[int, int]:
-    """Returns the length that a stream declares, and the most that a damaged one may decompress to."""
-    declared = most = at = 0
-    while True:
-        kind = data[at : at + 4]
-        if kind == END:
-            return declared, most
-        try:
-            (length,) = struct.unpack_from("<I", data, at + 4)
-            if kind == PLAIN:
-                at, longest = at + 8 + length, length
-            elif kind == LZVN:
-                at, longest = at + 12 + struct.unpack_from("<I", data, at + 8)[0], length
-            elif kind == LZFSE:
-                # bits of three words: literals, their bytes, matches; bytes of matches; bytes of this header
-                first, second, third = struct.unpack_from("<QQQ", data, at + 8)
-                # the decoder counts the matches, not the bytes that they give
-                longest = (first >> 40 & 0xFFFFF) * LONGEST_STEP
-                if third & 0xFFFFFFFF < SHORTEST_HEADER:
-                    raise ValueError("its compression (LZFSE) is damaged")
-                at += (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
-            else:
-                raise ValueError("its compression (LZFSE) is damaged")
-        except struct.error as error:
-            raise ValueError("its compression (LZFSE) is damaged or truncated") from error
-        declared, most = declared + length, most + max(longest, length)
+def unpack(data: bytes) -> bytes:
+    """Decompresses a stream, in this process."""
+    import lzfse
 
-
-SIGNATURE, HEAD = b"PK\3\4", struct.Struct("<26xHH")
-ENCRYPTED = 1
-
-# None: a file in a folder.
-Entries = dict[str, zipfile.ZipInfo | None]
-
-
-def list_entries(path: Path) -> Entries:
-    """Lists the files of an archive by name, or of a folder and the folders in it.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: not an archive, or its list of files is damaged.
-    """
-    if path.is_dir():
-        files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
-        return {file.relative_to(path).as_posix(): None for file in files}
     try:
-        with open_file(path) as file, open_archive(file) as archive:
-            return {info.filename: info for info in archive.infolist()}
-    except OSError:
-        raise
+        return bytes(lzfse.decompress(data))
+    except lzfse.error as error:
+        raise ValueError("its compression (LZFSE) is damaged") from error
+
+
+@lru_cache(maxsize=4)
+def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
+    """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
+    check_file(path)
+    return zipfile.ZipFile(path)
+
+
+def _opened(path: Path) -> zipfile.ZipFile:
+    stat = path.stat()
+    try:
+        return _archive(path, stat.st_mtime_ns, stat.st_size, os.getpid())
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"not a complete zip archive ({error})") from error
 
 
-def read_entry(path: Path, name: str, info: zipfile.ZipInfo | None) -> bytes:
-    """Reads one file.
+def list_entries(path: Path) -> frozenset[str]:
+    """Lists the files of an archive by name, or of a folder and the folders in it."""
+    if path.is_dir():
+        files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
+        return frozenset(file.relative_to(path).as_posix() for file in files)
+    return frozenset(_opened(path).namelist())
 
-    Raises:
-        OSError: it cannot be read.
-        ValueError: truncated, damaged, encrypted, too large, or compressed in an unknown way; the message says which.
-    """
-    if info is None:
+
+def read_entry(path: Path, name: str) -> bytes:
+    """Reads one file."""
+    if path.is_dir():
         return read_frame_file(path / name)
-    if info.flag_bits & ENCRYPTED:
-        raise ValueError("it is encrypted")
-    require_memory(more_bytes=info.file_size + info.compress_size)
-    with open_file(path) as file:
-        file.seek(info.header_offset)
-        head = file.read(len(SIGNATURE) + HEAD.size - 4)
-        if not head.startswith(SIGNATURE) or len(head) < HEAD.size:
-            raise ValueError("the archive is damaged here")
-        file.seek(sum(HEAD.unpack(head)), 1)
-        data = file.read(info.compress_size)
-    if info.compress_type == zipfile.ZIP_DEFLATED:
-        try:
-            data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, info.file_size + 1)
-        except zlib.error as error:
-            raise ValueError("its compression is damaged") from error
-    elif info.compress_type != zipfile.ZIP_STORED:
-        raise ValueError("it is compressed in an unknown way; pack the archive again, without compression")
-    if len(data) != info.file_size or zlib.crc32(data) != info.CRC:
-        raise ValueError("it is truncated or damaged")
-    return data
+    archive = _opened(path)
+    require_memory(more_bytes=archive.getinfo(name).file_size)
+    try:
+        return archive.read(name)
+    except ARCHIVE_ERRORS as error:
+        raise ValueError(f"the archive is damaged here ({error})") from error
 
 
 LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
@@ -214,7 +152,7 @@ class Record3D(KeyedFrames):
     """
 
     metadata: Metadata
-    entries: Entries = field(repr=False)
+    entries: frozenset[str] = field(repr=False)
     min_confidence: int | None = None
     format: ClassVar[str] = "record3d"
     is_sequence: ClassVar[bool] = True
@@ -248,10 +186,8 @@ class Record3D(KeyedFrames):
         import cv2
 
         path, data = self._read(f"{key}.jpg")
-        try:
+        with file_errors(path, REMEDY):
             bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        except ValueError as error:
-            raise FrameError(path, str(error), REMEDY) from error
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
     def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
@@ -276,7 +212,7 @@ class Record3D(KeyedFrames):
         """Returns the path and the pixels of a depth or confidence image."""
         path, data = self._read(f"{key}.{suffix}")
         meta, bytes_each = self.metadata, np.dtype(dtype).itemsize
-        try:
+        with file_errors(path, REMEDY):
             if meta.dw is None or meta.dh is None:
                 long, short = self._depth_size
                 size = (short, long) if camera.height_px > camera.width_px else (long, short)
@@ -284,14 +220,12 @@ class Record3D(KeyedFrames):
                 size = (meta.dw, meta.dh)
             require_pixels(*size, give_points=True)
             pixels = decompress(data, bytes_each * size[0] * size[1])
-        except ValueError as error:
-            raise FrameError(path, str(error), REMEDY) from error
         return path, np.frombuffer(pixels, np.dtype(dtype).newbyteorder("<")).astype(dtype).reshape(size[::-1])
 
     @cached_property
     def _depth_size(self) -> tuple[int, int]:
         """The long and the short side of the depth images, which the metadata does not name."""
-        _, data = self._read(next(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
+        _, data = self._read(min(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
         for expected, size in DEPTH_SIZES.items():
             try:
                 decompress(data, expected)
@@ -304,10 +238,8 @@ class Record3D(KeyedFrames):
         path = self.path / f"{FOLDER}{name}"
         if FOLDER + name not in self.entries:
             raise FrameError(path, "missing", REMEDY)
-        try:
-            return path, read_entry(self.path, FOLDER + name, self.entries[FOLDER + name])
-        except (OSError, ValueError) as error:
-            raise FrameError(path, f"cannot be read: {error}", REMEDY) from error
+        with file_errors(path, REMEDY, "cannot be read: "):
+            return path, read_entry(self.path, FOLDER + name)
 
     def _place(self, i: int, length: int) -> int | None:
         """Returns the place of frame `i` in a list of the metadata: by order, or by number if some were removed."""
@@ -353,10 +285,8 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
     """Opens the Record3D recording at `path`; `NotFound` if it is not one."""
     if not is_record3d(path):
         return NotFound(LOOKED_FOR)
-    try:
+    with file_errors(path, REMEDY, kind=RecordingError):
         entries = list_entries(path)
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}; {REMEDY}") from error
     keys = {
         name[len(FOLDER) : -len(suffix)]
         for suffix in (".jpg", ".depth")
@@ -368,12 +298,8 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
     return Record3D(path, ordered, _metadata(path, entries), entries, options.min_confidence)
 
 
-def _metadata(path: Path, entries: Entries) -> Metadata:
+def _metadata(path: Path, entries: frozenset[str]) -> Metadata:
     if METADATA not in entries:
         raise RecordingError(f"{path}: has no file {METADATA}; {REMEDY}")
-    try:
-        return Metadata.model_validate_json(read_entry(path, METADATA, entries[METADATA]))
-    except ValidationError as error:
-        raise RecordingError(f"{path}/{METADATA}: {first_problem(error)}; {REMEDY}") from error
-    except ValueError as error:
-        raise RecordingError(f"{path}/{METADATA}: {error}; {REMEDY}") from error
+    with file_errors(path / METADATA, REMEDY, kind=RecordingError):
+        return Metadata.model_validate_json(read_entry(path, METADATA))

@@ -30,11 +30,10 @@ from annotator.geometry.projection import in_metres
 from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import read_confidence, read_depth
-from annotator.recordings.listing import frame_file
+from annotator.recordings.listing import file_errors, frame_file, require_size
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
-from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
+from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_folder import pinhole
 from annotator.recordings.video_file import VideoFile, open_video
 from annotator.text import to_number
 from annotator.types import Camera, Frame
@@ -104,26 +103,17 @@ class StrayScanner(KeyedFrames):
 
     def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         path = self.path / VIDEO
-        try:
+        with file_errors(path, REMEDY, f"frame {self.keys[i]}: "):
             video: VideoFile = open_video(path)
             return video.image(i)
-        except (OSError, ValueError) as error:
-            raise FrameError(path, f"frame {self.keys[i]}: {error}", REMEDY) from error
 
     def _confidence(
         self, files: Sequence[Path], depth_m: Float32[np.ndarray, "h w"]
     ) -> UInt8[np.ndarray, "h w"] | None:
         if not files:
             return None
-        path = files[0]
-        confidence = self._turned(read_confidence(path))
-        if confidence.shape != depth_m.shape:
-            raise FrameError(
-                path,
-                f"it has {confidence.shape[1]} x {confidence.shape[0]} pixels, but the depth image has "
-                f"{depth_m.shape[1]} x {depth_m.shape[0]}",
-                REMEDY,
-            )
+        confidence = self._turned(read_confidence(files[0]))
+        require_size(files[0], confidence, depth_m.shape[::-1], "the depth image has", REMEDY)
         return confidence
 
     def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
@@ -182,17 +172,17 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     poses = path / POSES
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
         return NotFound(LOOKED_FOR)
-    try:
-        lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
-        header = [name.strip() for name in next(lines, [])]
-        values = [(lines.line_num, row) for row in lines if row]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{poses}: not a table ({error}); copy the recording from the phone again") from error
+    with file_errors(poses, "copy the recording from the phone again", kind=RecordingError):
+        try:
+            lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
+            header = [name.strip() for name in next(lines, [])]
+            values = [(lines.line_num, row) for row in lines if row]
+        except csv.Error as error:
+            raise ValueError(f"not a table ({error})") from error
     for line, row in values:
         if len(row) > len(header):
-            raise RecordingError(
-                f"{poses}:{line}: has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
-            )
+            problem = f"has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
+            raise RecordingError(f"{poses}:{line}: {problem}")
     rows = tuple({name: text.strip() for name, text in zip(header, row, strict=False)} for _, row in values)
     keys = tuple(row.get("frame", "") for row in rows)
     if not {"timestamp", "frame", *QUATERNION} <= {*header}:
@@ -225,21 +215,16 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
     if path.suffix.lower() == ".png":
         raw: np.ndarray = read_depth(path)
     else:
-        try:
-            data = read_frame_file(path)
-        except OSError as error:
-            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-        raw = read_array(path, io.BytesIO(data), len(data), is_image=True)
-        if raw.ndim != 2 or raw.dtype.names is not None:
-            raise FrameError(path, "it is not an image of numbers", REMEDY)
+        with file_errors(path, REMEDY):
+            raw = read_array(io.BytesIO(read_frame_file(path)), is_image=True)
+            if raw.ndim != 2 or raw.dtype.names is not None:
+                raise ValueError("it is not an image of numbers")
     return in_metres(raw, MM_PER_M)
 
 
 def _matrix(path: Path) -> Float64[np.ndarray, "3 3"]:
-    try:
+    with file_errors(path, REMEDY):
         numbers = [to_number(text) for line in read_text_file(path).splitlines() for text in line.split(",")]
-    except (OSError, ValueError) as error:
-        raise FrameError(path, f"cannot be read ({error})", REMEDY) from error
     if len(numbers) != 9 or not np.all(np.abs(numbers) <= LARGEST):
         raise FrameError(path, "it is not a camera matrix of three rows", REMEDY)
     return np.array(numbers).reshape(3, 3)

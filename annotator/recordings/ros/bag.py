@@ -69,22 +69,13 @@ class Topic:
         return any(file.is_slow for file, _ in self.sources)
 
     def read(self, i: int, most: int | None = None) -> tuple[Channel, bytes]:
-        """Reads message `i` (or its first `most` bytes), with its channel.
-
-        Raises:
-            ValueError: damaged or truncated.
-            OSError: the file cannot be read.
-        """
+        """Reads message `i` (or its first `most` bytes), with its channel."""
         file, channel = self.sources[int(self.source[i])]
         return channel, file.read(channel, int(self.number[i]), most)
 
     @contextmanager
     def many(self) -> Iterator[None]:
-        """Makes the reading of many messages faster, by this thread and within the block.
-
-        Raises:
-            ValueError: a file is damaged.
-        """
+        """Makes the reading of many messages faster, by this thread and within the block."""
         with ExitStack() as files:
             for file in {id(file): file for file, _ in self.sources}.values():
                 files.enter_context(file.many())
@@ -158,22 +149,13 @@ def short_type(name: str) -> str:
 
 
 def is_bag(path: Path) -> bool:
-    """True for a bag, by the names and first bytes of its files.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
+    """True for a bag, by the names and first bytes of its files."""
     files = [path] if path.is_file() else _files_in(path)
     return bool(files) and all(_has_magic(file) for file in files[:1])
 
 
 def open_bag(path: Path) -> Bag | None:
-    """Opens the bag at `path`, listing its messages; None if it is not one. Bags are cached until they change.
-
-    Raises:
-        RecordingError: a file is missing or cannot be used.
-        OSError: a file cannot be read.
-    """
+    """Opens the bag at `path`, listing its messages; None if it is not one. Bags are cached until they change."""
     if not is_bag(path):
         return None
     files = [path] if path.is_file() else [*_files_in(path), *path.glob(METADATA)]

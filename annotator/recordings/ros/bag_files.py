@@ -25,14 +25,12 @@ import numpy as np
 from jaxtyping import Int64
 
 from annotator.files import check_file, open_file
-from annotator.frame_limits import require_memory
+from annotator.frame_limits import frame_memory, require_memory
 from annotator.types.errors import MissingExtraError
 from annotator.types.messages import amount
 
-# Limit of a chunk's content; recorders write some megabytes.
-MOST_BYTES = 1 << 29
 # Contents that are kept, of all files together: the messages of a frame are often in the same chunks.
-MOST_KEPT, MOST_KEPT_BYTES = 64, 1 << 26
+MOST_KEPT_BYTES = 1 << 26
 PIECE = 1 << 16
 # Compressed bytes of a message that contain its head: the largest block of zstd.
 HEAD_OF_MESSAGE = 1 << 18
@@ -81,12 +79,7 @@ class BagFile:
         self.is_slow = False
 
     def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        """Reads message `i` of a channel, or its first `most` bytes or a few more.
-
-        Raises:
-            ValueError: damaged or truncated.
-            OSError: the file cannot be read.
-        """
+        """Reads message `i` of a channel, or its first `most` bytes or a few more."""
         raise NotImplementedError
 
     def many(self) -> AbstractContextManager[None]:
@@ -153,7 +146,7 @@ class _Kept:
             self._contents[file, number] = content, is_all
             self._contents.move_to_end((file, number))
             total = sum(len(content) for content, _ in self._contents.values())
-            while len(self._contents) > 1 and (len(self._contents) > MOST_KEPT or total > MOST_KEPT_BYTES):
+            while len(self._contents) > 1 and total > MOST_KEPT_BYTES:
                 total -= len(self._contents.popitem(last=False)[1][0])
 
 
@@ -168,26 +161,20 @@ class ChunkedFile(BagFile):
         self.chunks: list[Chunk] = []
 
     def content(self, number: int, start: int, size: int) -> bytes:
-        """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself.
-
-        Raises:
-            ValueError: the chunk is damaged before their end.
-            OSError: the file cannot be read.
-        """
+        """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself."""
         require_memory(more_bytes=size)
         if number < 0:
             return self._stored(start, size)
         chunk = self.chunks[number]
         if chunk.compression in ("", "none"):
             return self._stored(chunk.at + start, min(size, chunk.size - start))
-        longest = MOST_BYTES if chunk.full_size is None else chunk.full_size
+        longest = frame_memory() if chunk.full_size is None else chunk.full_size
         end = min(start + size, longest)
         content, is_all = KEPT.get(self, number)
         if len(content) < end and not is_all:
             # more than is asked for, so that a chunk of many messages is not decompressed for each of them
             most = min(max(end, 2 * len(content), PIECE), longest)
-            if most > MOST_BYTES:
-                raise ValueError(f"a chunk declares {chunk.full_size} bytes; at most {MOST_BYTES} are supported")
+            require_memory(more_bytes=most)
             content, problem = unpack(chunk.compression, self._pieces(chunk), most)
             if problem and len(content) < end:
                 raise ValueError(problem)
@@ -201,7 +188,9 @@ class ChunkedFile(BagFile):
         """Returns a chunk's content as far as it can be read; nothing of an unknown compression."""
         chunk = self.chunks[number]
         try:
-            return unpack(chunk.compression, self._pieces(chunk), min(chunk.full_size or MOST_BYTES, MOST_BYTES))[0]
+            return unpack(
+                chunk.compression, self._pieces(chunk), min(chunk.full_size or frame_memory(), frame_memory())
+            )[0]
         except ValueError:
             return b""
 
@@ -220,11 +209,7 @@ class ChunkedFile(BagFile):
 
 
 def unpack(compression: str, pieces: Iterable[bytes], most: int) -> tuple[bytes, str]:
-    """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing).
-
-    Raises:
-        ValueError: an unknown compression.
-    """
+    """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing)."""
     stream, parts, length = _decompressor(compression), [], 0
     for piece in pieces:
         try:
@@ -243,7 +228,7 @@ def unpack(compression: str, pieces: Iterable[bytes], most: int) -> tuple[bytes,
 
 def unpacked_message(data: bytes, most: int | None = None) -> bytes:
     """Decompresses a zstd message of a ROS 2 bag in compression mode "message", or its first `most` bytes."""
-    content, problem = unpack("zstd", [data], MOST_BYTES if most is None else most)
+    content, problem = unpack("zstd", [data], frame_memory() if most is None else most)
     if not content or (most is None and problem):
         raise ValueError("a message is not compressed with zstd, or damaged")
     return content
@@ -455,8 +440,6 @@ class SqliteFile(BagFile):
                 yield kept
                 return
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?{mode}", uri=True)) as connection:
-                # a column that is computed can be of any length
-                connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
                 yield connection
         except sqlite3.Error as error:
             raise ValueError(f"the SQLite file is damaged ({error})") from error

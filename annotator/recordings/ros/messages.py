@@ -24,7 +24,6 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,7 +33,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.frame_limits import require_pixels
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
 from annotator.recordings.ros.bag import Topic, short_type
 from annotator.recordings.ros.bag_files import Channel
 from annotator.types import Camera
@@ -50,12 +49,7 @@ FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticEr
 
 
 def decode(channel: Channel, data: bytes) -> Any:
-    """Decodes a message.
-
-    Raises:
-        ValueError: it is damaged, or its encoding is unknown.
-        MissingExtraError: rosbags or protobuf is not installed.
-    """
+    """Decodes a message."""
     try:
         return _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)(data)
     except MissingExtraError:
@@ -66,23 +60,13 @@ def decode(channel: Channel, data: bytes) -> Any:
 
 
 def message(topic: Topic, i: int) -> Any:
-    """Reads and decodes message `i` of a topic.
-
-    Raises:
-        ValueError: it is damaged.
-        OSError: the file cannot be read.
-        MissingExtraError: rosbags or protobuf is not installed.
-    """
+    """Reads and decodes message `i` of a topic."""
     channel, data = topic.read(i)
     return decode(channel, data)
 
 
 def stamp_ns(content: Any) -> int:
-    """Returns the time in a message's header, nanoseconds; 0 = not set.
-
-    Raises:
-        ValueError: it is before 1970 or after 2262.
-    """
+    """Returns the time in a message's header, nanoseconds; 0 = not set."""
     time = content.header.stamp if hasattr(content, "header") else content.timestamp
     if hasattr(time, "nanosec"):
         stamp = int(time.sec) * SECOND + int(time.nanosec)
@@ -178,11 +162,7 @@ def _from_json(data: bytes) -> Any:
 
 
 def byte_array(data: Any) -> np.ndarray:
-    """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers.
-
-    Raises:
-        ValueError: something else.
-    """
+    """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers."""
     if isinstance(data, str):
         try:
             data = base64.b64decode(data, validate=True)
@@ -200,15 +180,10 @@ MOST_FIELDS = 256
 LARGEST_POINT = 1 << 16
 
 
-def cloud_of(path: Path, content: Any) -> RawCloud:
-    """Returns the cloud of a decoded message, in the frame that it names.
-
-    Raises:
-        ValueError: the message contradicts itself.
-        FrameError: it has no coordinates, or no valid point.
-    """
+def cloud_of(content: Any) -> RawCloud:
+    """Returns the cloud of a decoded message, in the frame that it names."""
     if hasattr(content, "point_stride"):
-        return _foxglove_cloud(path, content)
+        return _foxglove_cloud(content)
     width, height, row = int(content.width), int(content.height), int(content.row_step)
     size, data = int(content.point_step), byte_array(content.data)
     row = row or width * size
@@ -225,14 +200,14 @@ def cloud_of(path: Path, content: Any) -> RawCloud:
         points = np.frombuffer(data, dtype, width * height)
     else:
         points = np.ndarray((height, width), dtype, data, 0, (row, size)).reshape(-1)
-    return from_columns(path, _point_columns(points))
+    return from_columns(_point_columns(points))
 
 
-def _foxglove_cloud(path: Path, content: Any) -> RawCloud:
+def _foxglove_cloud(content: Any) -> RawCloud:
     size, data = int(content.point_stride), byte_array(content.data)
     fields = [(str(field.name), int(field.offset), "<" + FOXGLOVE_TYPES.get(int(field.type), ""), 1)
               for field in content.fields]  # fmt: skip
-    raw = from_columns(path, _point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
+    raw = from_columns(_point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
     pose = getattr(content, "pose", None)
     if pose is None:
         return raw
@@ -287,11 +262,7 @@ class BagCamera:
     fisheye: tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4"]] | None = None
 
     def picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """Returns an image of the bag as this camera sees it.
-
-        Raises:
-            ValueError: it has another size.
-        """
+        """Returns an image of the bag as this camera sees it."""
         import cv2
 
         self.require_size(rgb.shape)
@@ -303,10 +274,6 @@ class BagCamera:
         return np.asarray(cv2.remap(rgb, *maps, cv2.INTER_LINEAR))
 
     def require_size(self, shape: tuple[int, ...]) -> None:
-        """
-        Raises:
-            ValueError: an image of this shape is not of this camera.
-        """
         size = (self.camera.width_px, self.camera.height_px)
         if shape[1::-1] != size:
             raise ValueError(
@@ -321,9 +288,6 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
     Args:
         is_rectified: its images are.
         first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
-
-    Raises:
-        ValueError: it is not calibrated, or its numbers contradict each other; the message says which.
     """
     K, D, R, P = (_field(content, name) for name in "KDRP")
     if not K.any():
@@ -349,13 +313,13 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
         T = RigidTransform.from_translation(baseline_m(content)) * T
     model = str(content.distortion_model).lower()
     if is_rectified or not D.any():
-        return BagCamera(_pinhole_camera(width, height, matrix), T)
+        return BagCamera(pinhole(matrix, width, height), T)
     if not are_plausible(D):
         raise ValueError("has a D with implausible numbers")
     if model in FISHEYE:
         return _undistorted(width, height, matrix, D)
     if "inverse" in model:
-        return BagCamera(_pinhole_camera(width, height, matrix, _inverted(width, height, matrix, D)), T)
+        return BagCamera(pinhole(matrix, width, height, _inverted(width, height, matrix, D)), T)
     # longer lists may end with zeros
     length = next((length for length in DISTORTION_LENGTHS if length >= len(D)), None)
     if length is None or model in ("ftheta", "omni", "cata"):
@@ -363,15 +327,11 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
             f"has the distortion {model or 'without a name'} with {len(D)} numbers; known are plumb_bob, "
             "rational_polynomial and equidistant"
         )
-    return BagCamera(_pinhole_camera(width, height, matrix, (*D.tolist(), *[0.0] * (length - len(D)))), T)
+    return BagCamera(pinhole(matrix, width, height, (*D.tolist(), *[0.0] * (length - len(D)))), T)
 
 
 def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
-    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one.
-
-    Raises:
-        ValueError: P is damaged.
-    """
+    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one."""
     P = _field(content, "P")
     if len(P) != 12 or not P.any():
         return np.zeros(3)
@@ -400,11 +360,6 @@ def _field(content: Any, name: str) -> Float64[np.ndarray, "n"]:
     return np.array(list(values), np.float64).reshape(-1)
 
 
-def _pinhole_camera(width: int, height: int, K: np.ndarray, distortion: tuple[float, ...] = ()) -> Camera:
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Camera(width, height, fx, fy, cx, cy, distortion)
-
-
 def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCamera:
     import cv2
 
@@ -415,7 +370,7 @@ def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCa
     ideal = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
     if not is_pinhole(ideal):
         raise ValueError("has a distortion that cannot be undone")
-    return BagCamera(_pinhole_camera(width, height, ideal), RigidTransform.identity(), (K, D))
+    return BagCamera(pinhole(ideal, width, height), RigidTransform.identity(), (K, D))
 
 
 def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[float, ...]:

@@ -39,11 +39,7 @@ LONGEST_NUMBER = 7
 
 
 def decode_rvl(data: bytes) -> UInt16[np.ndarray, "h w"]:
-    """Returns the depths of an RVL picture with its size before it.
-
-    Raises:
-        ValueError: it is truncated or damaged.
-    """
+    """Returns the depths of an RVL picture with its size before it."""
     width, height = np.frombuffer(data[:RVL_HEAD_BYTES], "<u4").tolist() if len(data) >= RVL_HEAD_BYTES else (0, 0)
     require_pixels(width, height, give_points=True)
     numbers = _numbers(data[RVL_HEAD_BYTES:])
@@ -130,9 +126,6 @@ def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: o
 
     Args:
         common: returns the levels of a topic, given those of a picture of more than 8 bits (`deep_images`).
-
-    Raises:
-        ValueError: it is damaged, contradicts itself, or has an unknown encoding.
     """
     import cv2
 
@@ -186,9 +179,6 @@ def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray
 
     Args:
         unit_m: metres of one unit of whole numbers; None = millimetres.
-
-    Raises:
-        ValueError: it is damaged, contradicts itself, or is not depth.
     """
     if hasattr(content, "encoding"):
         encoding = str(content.encoding)
@@ -390,11 +380,7 @@ MOST_BACK = 600
 
 
 def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the picture of message `i`, whose decoded `content` is given, RGB order.
-
-    Raises:
-        ValueError: it cannot be decoded.
-    """
+    """Returns the picture of message `i`, whose decoded `content` is given, RGB order."""
     import av
 
     form = str(content.format).lower()

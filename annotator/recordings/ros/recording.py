@@ -22,11 +22,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
-from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
+from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA
 from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.image_file import Levels
-from annotator.recordings.kitti import UP
+from annotator.recordings.kitti import UP, visible_cloud
 from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
@@ -114,12 +114,7 @@ class RosBag(KeyedFrames):
         return tuple(self.pairs.time_ns.tolist())
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; from depth images, with `depth_m`.
-
-        Raises:
-            FrameError: a message is damaged or contradicts another one, a transform is missing, or no point is seen.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; from depth images, with `depth_m`."""
         with self._errors(i) as key:
             if self.chosen.image is None:
                 return self._cloud_frame(key, i)
@@ -173,8 +168,8 @@ class RosBag(KeyedFrames):
         else:
             raw = self._cloud(partner)
             T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
-            cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
-            cloud, world = cloud_in_image(camera.camera, cloud, rgb), world_pose(T)
+            xyz_m, world = T.apply(raw.xyz_m).astype(np.float32), world_pose(T)
+            cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
         if len(cloud) == 0:
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
@@ -205,18 +200,11 @@ class RosBag(KeyedFrames):
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
         topic, first = self.chosen.partner, self.pairs.cloud
         with _naming(topic):
-            raw = cloud_of(self.path, content)
-        return self.scale.apply(
-            topic, raw, lambda: map(int, first), lambda number: cloud_of(self.path, message(topic, number))
-        )
+            raw = cloud_of(content)
+        return self.scale.apply(topic, raw, lambda: map(int, first), lambda number: cloud_of(message(topic, number)))
 
     def camera(self, log_ns: int) -> BagCamera:
-        """Returns the camera of the images, as calibrated at a log time.
-
-        Raises:
-            ValueError: it is not calibrated, or the message is damaged.
-            OSError: the file cannot be read.
-        """
+        """Returns the camera of the images, as calibrated at a log time."""
         assert self.chosen.info is not None and self.chosen.image is not None
         return self._camera(self.chosen.info, self.chosen.image, log_ns)
 

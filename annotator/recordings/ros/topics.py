@@ -423,12 +423,7 @@ class TopicReport(BaseModel):
 
 
 def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] | None:
-    """Returns the topics of the bag at `path`, by name; None if it is not a bag.
-
-    Raises:
-        RecordingError: a file of the bag cannot be used.
-        OSError: a file cannot be read.
-    """
+    """Returns the topics of the bag at `path`, by name; None if it is not a bag."""
     bag = open_bag(path)
     if bag is None:
         return None

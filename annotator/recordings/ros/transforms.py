@@ -71,11 +71,7 @@ class Links:
             poses[time_ns] = (place_m, quaternion)
 
     def transform(self, target: str, source: str, time_ns: int) -> RigidTransform:
-        """Returns `T_target_source` at a time.
-
-        Raises:
-            LinkMissingError: there is no such chain, or a link of it is not known at that time.
-        """
+        """Returns `T_target_source` at a time."""
         if target == source:
             return RigidTransform.identity()
         above_source, above_target = list(self._ancestors(source)), list(self._ancestors(target))
@@ -165,19 +161,11 @@ class TransformReader:
         return TransformReader(static, tuple(topic for topic in topics if topic not in static))
 
     def near(self, log_ns: int) -> Iterator[Links]:
-        """Yields the links within a second of a log time, for what is not necessarily known.
-
-        Raises:
-            OSError: a file cannot be read.
-        """
+        """Yields the links within a second of a log time, for what is not necessarily known."""
         yield from islice(self.windows(log_ns), 2)
 
     def windows(self, log_ns: int) -> Iterator[Links]:
-        """Yields the links known around a log time, each time with more messages, until all have been read.
-
-        Raises:
-            OSError: a file cannot be read.
-        """
+        """Yields the links known around a log time, each time with more messages, until all have been read."""
         read = -1
         for window_ns in (*WINDOWS_NS, None):
             ranges = [
@@ -240,9 +228,6 @@ def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] |
     """Returns the unit vector against gravity at a log time, and the tf frame in which it is given.
 
     None if the sensor moves, or no message with an acceleration is near.
-
-    Raises:
-        OSError: the file cannot be read.
     """
     near = topic.between(log_ns - WITHIN_NS, log_ns + WITHIN_NS)
     numbers = sorted(near, key=lambda i: abs(int(topic.log_ns[i]) - log_ns))[:MOST_SAMPLES]

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cloud_samples import npy, pcd, ply, ros_cloud
 
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
-from annotator.recordings.ros.messages import ROS_TYPES
 from annotator.recordings.ros.messages import cloud_of as read_message
 from annotator.types.errors import FrameError
 
@@ -31,16 +28,10 @@ def of_depth(bits: int) -> np.ndarray:
 
 # type, colours in it
 COLUMNS = [
-    ("u1", RGB), ("i1", RGB.view(np.int8)),
-    ("u2", RGB), ("u2", of_depth(10)), ("u2", of_depth(12)), ("u2", of_depth(14)), ("u2", of_depth(16)),
-    ("u2", RGB.astype(np.uint16) << 8),
-    ("i2", RGB), ("i2", of_depth(12)), ("i2", of_depth(16).astype(np.uint16).view(np.int16)),
-    ("u4", RGB), ("u4", of_depth(16)), ("u4", of_depth(32)), ("i4", RGB), ("i4", of_depth(16)),
-    ("f4", RGB), ("f4", RGB / 255), ("f4", of_depth(16)), ("f8", RGB), ("f8", RGB / 255), ("f8", of_depth(10)),
+    ("u1", RGB), ("i1", RGB.view(np.int8)), ("u2", RGB), ("u2", of_depth(10)), ("u2", of_depth(14)),
+    ("u2", RGB.astype(np.uint16) << 8), ("i2", of_depth(16).astype(np.uint16).view(np.int16)), ("u4", of_depth(32)),
+    ("i4", of_depth(16)), ("f4", RGB), ("f4", RGB / 255), ("f8", of_depth(10)),
 ]  # fmt: skip
-PLY_NAMES = {"u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "f4": "float",
-             "f8": "double"}  # fmt: skip
-PCD_KINDS = {"u": "U", "i": "I", "f": "F"}
 
 
 def table(kind: str, columns: np.ndarray, names: Sequence[str], order: str = "<") -> np.ndarray:
@@ -51,61 +42,10 @@ def table(kind: str, columns: np.ndarray, names: Sequence[str], order: str = "<"
     return rows
 
 
-def as_text(rows: np.ndarray) -> bytes:
-    return "".join(" ".join(format(value, ".17g") for value in row) + "\n" for row in rows.tolist()).encode()
-
-
-def ply(rows: np.ndarray, form: str) -> bytes:
-    kinds = [(name, PLY_NAMES[rows.dtype[name].str[1:]]) for name in rows.dtype.names or ()]
-    head = f"ply\nformat {form} 1.0\nelement vertex {N}\n" + "".join(f"property {k} {n}\n" for n, k in kinds)
-    return head.encode() + b"end_header\n" + (as_text(rows) if form == "ascii" else rows.tobytes())
-
-
-def pcd(rows: np.ndarray, form: str, body: bytes | None = None) -> bytes:
-    kinds = [rows.dtype[name] for name in rows.dtype.names or ()]
-    head = f"VERSION 0.7\nFIELDS {' '.join(rows.dtype.names or ())}\nSIZE {' '.join(str(k.itemsize) for k in kinds)}\n"
-    head += f"TYPE {' '.join(PCD_KINDS[k.kind] for k in kinds)}\nWIDTH {N}\nHEIGHT 1\nPOINTS {N}\nDATA {form}\n"
-    if body is None:
-        body = as_text(rows) if form == "ascii" else rows.tobytes()
-    if form == "binary_compressed":
-        plain = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names or ())
-        packed = b"".join(
-            bytes([len(part) - 1]) + part for part in (plain[i : i + 32] for i in range(0, len(plain), 32))
-        )
-        body = struct.pack("<II", len(packed), len(plain)) + packed
-    return head.encode() + body
-
-
-def npy(rows: np.ndarray) -> bytes:
-    out = io.BytesIO()
-    np.save(out, rows)
-    return out.getvalue()
-
-
-def message(rows: np.ndarray) -> RawCloud:
-    numbers = {name: number for number, name in ROS_TYPES.items()}
-    fields = [
-        SimpleNamespace(
-            name=name, offset=rows.dtype.fields[name][1], datatype=numbers[rows.dtype[name].str[1:]], count=1
-        )
-        for name in rows.dtype.names or ()
-    ]
-    content = SimpleNamespace(
-        width=N,
-        height=1,
-        row_step=0,
-        point_step=rows.dtype.itemsize,
-        fields=fields,
-        is_bigendian=rows.dtype["x"].str[0] == ">",
-        data=np.frombuffer(rows.tobytes(), np.uint8),
-    )
-    return read_message(Path("bag"), content)
-
-
 def read(tmp_path: Path, form: str, rows: np.ndarray) -> RawCloud:
     kind, _, encoding = form.partition(" ")
     if kind == "ros":
-        return message(rows)
+        return read_message(ros_cloud(rows))
     content = npy(rows) if kind == "npy" else {"ply": ply, "pcd": pcd}[kind](rows, encoding)
     (tmp_path / f"a.{kind}").write_bytes(content)
     return read_cloud(tmp_path / f"a.{kind}")
@@ -147,15 +87,10 @@ def lines(texts: Sequence[str]) -> bytes:
 FLOATS = PACKED.view(np.float32)
 TEXTS = [
     pytest.param("f4", [str(each) for each in PACKED], id="whole"),
-    pytest.param("u4", [str(each) for each in PACKED], id="whole-U"),
-    pytest.param("f4", [str(each) for each in PACKED | ALPHA], id="alpha"),
     pytest.param("u4", [str(each) for each in (PACKED | ALPHA).view(np.int32)], id="negative-U"),
     pytest.param("i4", [str(each) for each in PACKED | ALPHA], id="large-I"),
-    pytest.param("f4", [f"{each:.1f}" for each in PACKED], id="decimal"),
     pytest.param("f4", [f"{each:.9e}" for each in PACKED], id="scientific"),
     pytest.param("f4", [f"{each:.9g}" for each in FLOATS], id="bits"),
-    pytest.param("f8", [f"{each:.9g}" for each in FLOATS], id="bits-8"),
-    pytest.param("f4", [f"0x{each:06X}" for each in PACKED], id="hexadecimal"),
     pytest.param("u4", [f"0xff{each:06x}" for each in PACKED], id="hexadecimal-alpha"),
     pytest.param("u4", [f"#{each:06x}" for each in PACKED], id="hash"),
 ]
@@ -167,9 +102,7 @@ def test_packed_colours_in_text(tmp_path: Path, kind: str, texts: list[str]):
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
 
 
-@pytest.mark.parametrize(
-    "nan", ["nan", "-nan", "NaN", "-1.#IND", "1.#QNAN", "-1.#IND00", "1.#R", "nan(ind)", "-nan(ind)"]
-)
+@pytest.mark.parametrize("nan", ["nan", "-1.#IND", "1.#R", "-nan(ind)"])
 def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path, nan: str):
     texts = [nan, *map(str, PACKED[1:])]
     body = lines(texts).splitlines(keepends=True)
@@ -184,15 +117,7 @@ def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Pat
 def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
     nan = np.full(N, np.nan, kind)
     columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
-    assert from_columns(Path("a"), columns).rgb is None
-
-
-def test_a_text_that_is_no_number_is_named_plainly(tmp_path: Path):
-    (tmp_path / "a.pcd").write_bytes(
-        pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", lines(["1"] * 7 + ["red"] * 5))
-    )
-    with pytest.raises(FrameError, match="point 8: 'red' is not a number"):
-        read_cloud(tmp_path / "a.pcd")
+    assert from_columns(columns).rgb is None
 
 
 @pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
@@ -213,7 +138,7 @@ def test_highlights_do_not_turn_fractions_into_bytes():
     bright = np.repeat(RGB, 20, axis=0) / 255
     bright[7, 1] = 3.5
     columns = dict(zip(NAMES, bright.T, strict=True)) | dict.fromkeys("xyz", np.ones(len(bright)))
-    rgb = np.asarray(from_columns(Path("a"), columns).rgb)
+    rgb = np.asarray(from_columns(columns).rgb)
     expected = np.repeat(RGB, 20, axis=0)
     expected[7, 1] = 255
     np.testing.assert_array_equal(rgb, expected)
@@ -225,47 +150,44 @@ def test_a_dark_scan_has_the_scale_of_the_others():
 
     def cloud(number: int) -> RawCloud:
         columns = dict(zip(("x", "y", "z", *NAMES), [*XYZ.T, *scans[number].astype(np.uint16).T], strict=True))
-        return from_columns(Path("a"), columns)
+        return from_columns(columns)
 
     assert cloud(1).rgb is not None and (cloud(1).rgb == 200).all()
     scaled = CommonScale().apply("place", cloud(1), lambda: (0, 1), cloud)
     assert scaled.rgb is not None and (scaled.rgb == 1).all()
 
 
-@pytest.mark.parametrize("highest", [255, 65535])
-def test_reflectances_that_are_all_saturated_are_none(highest: int):
-    columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
-    assert from_columns(Path("a"), columns).reflectance is None
-    columns["intensity"][0] = 5
-    assert from_columns(Path("a"), columns).reflectance is not None
+def test_reflectances_that_are_all_saturated_are_none():
+    for highest in (255, 65535):
+        columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
+        assert from_columns(columns).reflectance is None
+        columns["intensity"][0] = 5
+        assert from_columns(columns).reflectance is not None
 
 
-LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8"), ("int16", "i2", "uint8", "u1")]
+LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8")]
 
 
 def with_lists(form: str, lengths: Sequence[int], kinds: tuple[str, str, str, str], place: str) -> bytes:
     length_name, length_kind, value_name, value_kind = kinds
-    order = ">" if "big" in form else "<"
-    head = f"ply\nformat {form} 1.0\n"
+    order, is_text = ">" if "big" in form else "<", form == "ascii"
     listed = f"property list {length_name} {value_name} d\n"
-    if place == "before":
-        head += f"element other {N}\n{listed}"
+    head = f"ply\nformat {form} 1.0\n" + (f"element other {N}\n{listed}" if place == "before" else "")
     head += f"element vertex {N}\nproperty float x\n" + (listed if place == "inside" else "")
     head += "property float y\nproperty float z\n" + "".join(f"property uchar {name}\n" for name in NAMES)
-    above, rows = [], []
+
+    def packed(values: Sequence[float], kind: str) -> bytes:
+        return " ".join([*map(str, values), ""]).encode() if is_text else np.array(values, order + kind).tobytes()
+
+    above, rows = b"", b""
     for (x, y, z), color, length in zip(XYZ.tolist(), RGB.tolist(), lengths, strict=True):
-        values = [0.5] * length if value_kind[0] == "f" else [3] * length
-        if form == "ascii":
-            item = f"{length} {' '.join(map(str, values))} ".encode()
-            x_first, rest = f"{x} ".encode(), f"{y} {z} {color[0]} {color[1]} {color[2]}\n".encode()
-            end = b"\n"
-        else:
-            item = np.array(length, order + length_kind).tobytes() + np.array(values, order + value_kind).tobytes()
-            x_first, rest = np.array(x, order + "f4").tobytes(), np.array([y, z], order + "f4").tobytes() + bytes(color)
-            end = b""
-        above.append(item + end)
-        rows.append(x_first + (item if place == "inside" else b"") + rest)
-    return (head + "end_header\n").encode() + b"".join(above if place == "before" else []) + b"".join(rows)
+        item = packed([length], length_kind) + packed([3] * length, value_kind)
+        end = b"\n" if is_text else b""
+        above += item + end
+        rows += (
+            packed([x], "f4") + (item if place == "inside" else b"") + packed([y, z], "f4") + packed(color, "u1") + end
+        )
+    return (head + "end_header\n").encode() + (above if place == "before" else b"") + rows
 
 
 @pytest.mark.parametrize("place", ["inside", "before"])

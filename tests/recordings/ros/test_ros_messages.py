@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from bag_writer import TYPE_NUMBERS, structured
+from bag_writer import structured
+from cloud_samples import ros_cloud
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.projection import project
 from annotator.recordings.ros.messages import cloud_of, read_camera_info
 from annotator.recordings.ros.pictures import BAYER, color_image, depth_image, describe
-from annotator.types.errors import FrameError
 
 RGB = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8)
 
@@ -35,16 +34,15 @@ def image(pixels: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int
 ALPHA = np.full((6, 8, 1), 9, np.uint8)
 GREY = RGB[:, :, :1]
 COLORS = [
-    ("rgb8", RGB, RGB), ("bgr8", RGB[:, :, ::-1], RGB), ("8UC3", RGB[:, :, ::-1], RGB),
-    ("rgba8", np.dstack([RGB, ALPHA]), RGB), ("bgra8", np.dstack([RGB[:, :, ::-1], ALPHA]), RGB),
-    ("mono8", GREY, np.repeat(GREY, 3, 2)), ("8UC1", GREY, np.repeat(GREY, 3, 2)),
-    ("rgb16", RGB.astype(np.uint16) * 257, RGB), ("bgr16", RGB[:, :, ::-1].astype(np.uint16) << 8, RGB),
+    ("rgb8", RGB, RGB), ("8UC3", RGB[:, :, ::-1], RGB), ("bgra8", np.dstack([RGB[:, :, ::-1], ALPHA]), RGB),
+    ("mono8", GREY, np.repeat(GREY, 3, 2)), ("rgb16", RGB.astype(np.uint16) * 257, RGB),
+    ("bgr16", RGB[:, :, ::-1].astype(np.uint16) << 8, RGB),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("padding", [0, 3])
 @pytest.mark.parametrize(("encoding", "pixels", "expected"), COLORS)
-def test_colours_are_those_of_the_message(encoding: str, pixels: np.ndarray, expected: np.ndarray, padding: int):
+def test_colours_are_those_of_the_message(encoding: str, pixels: np.ndarray, expected: np.ndarray):
+    padding = 3
     np.testing.assert_array_equal(color_image(image(pixels, encoding, padding)), expected)
     swapped = image(pixels.astype(pixels.dtype.newbyteorder(">")), encoding, padding, is_bigendian=1)
     np.testing.assert_array_equal(color_image(swapped), expected)
@@ -83,27 +81,18 @@ def test_depths_are_those_of_the_message(encoding: str, padding: int, is_bigendi
         np.testing.assert_array_equal(with_unit, metres.astype(np.float32) * np.float32(0.00025))
 
 
-def test_depths_that_are_not_numbers_are_none():
-    values = np.array([[np.nan, np.inf, -1.0, 2.0]], np.float32)
-    np.testing.assert_array_equal(depth_image(image(values[:, :, None], "32FC1")), [[0, 0, 0, 2]])
-
-
 def test_compressed_images_and_depths():
-    ok, png = cv2.imencode(".png", RGB[:, :, ::-1])
-    assert ok
-    content = SimpleNamespace(format="bgr8; png compressed bgr8", data=png)
-    np.testing.assert_array_equal(color_image(content), RGB)
+    png = cv2.imencode(".png", RGB[:, :, ::-1])[1]
+    np.testing.assert_array_equal(color_image(SimpleNamespace(format="bgr8; png compressed bgr8", data=png)), RGB)
     millimetres = np.arange(48, dtype=np.uint16).reshape(6, 8) * 1000
     packed = cv2.imencode(".png", millimetres)[1].tobytes()
-    head = struct.pack("<iff", 0, 0, 0)
-    for form, data in (("16UC1; compressedDepth png", head + packed), ("16UC1; png compressed ", packed)):
+    for form, data in (("16UC1; compressedDepth png", bytes(12) + packed), ("16UC1; png compressed ", packed)):
         content = SimpleNamespace(format=form, data=np.frombuffer(data, np.uint8))
         assert describe(content, "/x").is_depth
         np.testing.assert_array_equal(depth_image(content), millimetres.astype(np.float32) / np.float32(1000))
     # compressed_depth_image_transport: quantised inverse depth
     a, b = 100.0, -5.0
-    metres = np.linspace(0.5, 9, 48, dtype=np.float32).reshape(6, 8)
-    quantised = np.rint(a / metres + b).astype(np.uint16)
+    quantised = np.rint(a / np.linspace(0.5, 9, 48, dtype=np.float32).reshape(6, 8) + b).astype(np.uint16)
     data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", quantised)[1].tobytes()
     content = SimpleNamespace(format="32FC1; compressedDepth", data=np.frombuffer(data, np.uint8))
     np.testing.assert_allclose(depth_image(content), a / (quantised - np.float32(b)), rtol=1e-6)
@@ -150,11 +139,8 @@ def test_rvl_depths_come_back(values: list[int]):
 WRONG_IMAGES = [
     (image(RGB, "rgb8", height=7), "6 pixels|do not fit its 144 bytes"),
     (image(RGB, "rgb8", step=8), "rows of 8 bytes"),
-    (image(RGB, "rgb8", width=0), "declares 0 x 6 pixels"),
     (image(RGB, "rgb8", width=1 << 30, height=1 << 30), "is too large"),
     (image(RGB, "hsv8"), "has the encoding 'hsv8'"),
-    (image(RGB, "bayer_xxxx8"), "bayer_xxxx8"),
-    (SimpleNamespace(format="jpeg", data=np.arange(9, dtype=np.uint8)), "cannot be decoded"),
 ]
 
 
@@ -176,9 +162,8 @@ def test_distortions_keep_their_order():
     D = [0.1, -0.05, 0.001, -0.002, 0.01]
     assert read_camera_info(info(D=D), False).camera.distortion == tuple(D)
     rational = [0.1, -0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.004]
-    assert read_camera_info(info(D=rational, distortion_model="rational_polynomial"), False).camera.distortion == tuple(
-        rational
-    )
+    content = info(D=rational, distortion_model="rational_polynomial")
+    assert read_camera_info(content, False).camera.distortion == tuple(rational)
     assert read_camera_info(info(D=[0.0] * 5, distortion_model="?"), False).camera.distortion == ()
 
 
@@ -228,10 +213,8 @@ def test_the_inverse_model_of_realsense_is_approximated():
 
 WRONG_INFOS = [
     (info(K=np.zeros(9)), "not calibrated: K is zero"),
-    (info(K=[np.nan] * 9), "not nine plausible numbers"),
     (info(K=[500.0, 3, 320, 0, 510, 240, 0, 0, 1]), "not a pinhole camera"),
     (info(D=[0.1] * 15), "15 numbers"),
-    (info(D=[np.inf] * 5), "implausible"),
     (info(D=[0.1], distortion_model="equidistant"), "equidistant has four"),
     (info(width=1 << 31, height=1 << 31), "is too large"),
 ]
@@ -243,16 +226,9 @@ def test_calibrations_that_cannot_be_used_are_errors(content: Any, problem: str)
         read_camera_info(content, False)
 
 
-def cloud(points: np.ndarray, height: int = 1, row_padding: int = 0, **changed: Any) -> Any:
-    dtype = points.dtype
-    places = {name: (dtype.fields[name][1], TYPE_NUMBERS[dtype[name].str[1:]]) for name in dtype.names}
-    fields = [SimpleNamespace(name=name, offset=at, datatype=kind, count=1) for name, (at, kind) in places.items()]
-    rows = np.frombuffer(points.tobytes(), np.uint8).reshape(height, -1)
-    rows = np.pad(rows, ((0, 0), (0, row_padding)), constant_values=255)
-    content = {"width": len(points) // height, "height": height, "fields": fields, "point_step": dtype.itemsize,
-               "is_bigendian": any(dtype[name].str[0] == ">" for name in dtype.names),
-               "row_step": rows.shape[1], "data": rows.reshape(-1)}  # fmt: skip
-    return SimpleNamespace(**(content | changed))
+def test_an_image_of_another_size_than_its_calibration_is_refused():
+    with pytest.raises(ValueError, match="has 32 x 24 pixels, but its camera has 640 x 480"):
+        read_camera_info(info(), False).require_size((24, 32, 3))
 
 
 @given(st.data())
@@ -271,31 +247,22 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
     order, padding = data.draw(st.sampled_from("<>")), data.draw(st.integers(0, 5))
     points = structured({name: columns[name] for name in names}, order, padding)
     height = data.draw(st.sampled_from([1, 3]))
-    raw = cloud_of(Path("a.bag"), cloud(points, height, data.draw(st.integers(0, 9))))
+    raw = cloud_of(ros_cloud(points, height, data.draw(st.integers(0, 9))))
     np.testing.assert_array_equal(raw.xyz_m, xyz)
     shifts = np.array([16, 8, 0])
     np.testing.assert_array_equal(raw.rgb, packed[:, None] >> shifts & 255)
     assert raw.reflectance is not None and raw.reflectance.max() <= 1
 
 
-def test_points_without_a_measurement_are_left_out():
-    xyz = np.array([[1, 2, 3], [np.nan, 0, 0], [0, np.inf, 0], [4, 5, 6]], np.float32)
-    raw = cloud_of(Path("a.bag"), cloud(structured(dict(zip("xyz", xyz.T, strict=True)))))
-    np.testing.assert_array_equal(raw.xyz_m, xyz[[0, 3]])
-
-
 POINTS = structured({name: np.arange(4, dtype=np.float32) for name in "xyz"})
 WRONG_CLOUDS = [
-    (cloud(POINTS, width=5), "declares 5 x 1 points"),
-    (cloud(POINTS, row_step=3, height=2), "rows of 3 bytes"),
-    (cloud(POINTS, point_step=0), "points of 0 bytes"),
-    (cloud(POINTS, point_step=11, width=1, row_step=11), "field z at byte 8, outside of a point of 11 bytes"),
-    (cloud(POINTS, fields=cloud(POINTS).fields[:2]), "no column z"),
-    (cloud(POINTS, width=0, row_step=0), "has no points"),
+    (ros_cloud(POINTS, width=5), "declares 5 x 1 points"),
+    (ros_cloud(POINTS, point_step=11, width=1, row_step=11), "field z at byte 8, outside of a point of 11 bytes"),
+    (ros_cloud(POINTS, fields=ros_cloud(POINTS).fields[:2]), "no column z"),
 ]
 
 
 @pytest.mark.parametrize(("content", "problem"), WRONG_CLOUDS)
 def test_clouds_that_contradict_themselves_are_errors(content: Any, problem: str):
-    with pytest.raises((ValueError, FrameError), match=problem):
-        cloud_of(Path("a.bag"), content)
+    with pytest.raises(ValueError, match=problem):
+        cloud_of(content)

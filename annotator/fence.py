@@ -1,0 +1,129 @@
+"""The fence around libraries that trust what they read: a process of its own, with limits of memory and time.
+
+Decoders of LAZ (lazrs), MATLAB files (scipy), LZFSE and Feather (pyarrow) crash on some damaged files, or allocate what
+a header declares. So they run in another process, which is kept for further files, started again after a crash, and
+ends with this one.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import subprocess
+import sys
+from contextlib import suppress
+from importlib import import_module
+from threading import Lock, Timer
+from typing import Any
+
+from annotator.frame_limits import VARIABLE, frame_memory
+
+# Address space of Python with its libraries.
+LIBRARIES_BYTES = 1 << 32
+# The largest clouds take some seconds.
+MOST_S = 120.0
+PROGRAM = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from annotator import fence; fence.serve()"
+
+
+class FenceError(ValueError):
+    """A decoder crashed, took too long or too much memory, or failed; the message says which."""
+
+
+class _Fence:
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lock = Lock()
+        self._state = (0, 0)
+        atexit.register(self._end)
+
+    def __call__(self, function: str, *values: Any) -> Any:
+        """Calls a function of a module (`annotator.module:function`) in the process.
+
+        Values and result are pickled.
+
+        Raises:
+            ValueError: raised by the function, or a FenceError.
+        """
+        with self._lock:
+            # a fork of this process needs its own, and the limit may have changed
+            if self._process is None or self._state != (os.getpid(), frame_memory()):
+                self._end()
+                self._process, self._state = _started(), (os.getpid(), frame_memory())
+            process = self._process
+            watch = Timer(MOST_S, process.kill)
+            try:
+                assert process.stdin is not None and process.stdout is not None
+                watch.start()
+                pickle.dump((function, values), process.stdin, pickle.HIGHEST_PROTOCOL)
+                process.stdin.flush()
+                answer = pickle.load(process.stdout)
+            except (OSError, EOFError, pickle.UnpicklingError) as error:
+                self._end()
+                raise FenceError("is damaged: its decoder crashed, or did not end") from error
+            except BaseException:
+                # interrupted: the answer is still to come
+                self._end()
+                raise
+            finally:
+                watch.cancel()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and self._state[0] == os.getpid():
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    if stream is not None:
+                        stream.close()
+
+
+fenced = _Fence()
+
+
+def _started() -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", PROGRAM],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        # an interrupt at the terminal is for this process, which then ends the other
+        process_group=0 if os.name != "nt" else None,
+    )
+    assert process.stdin is not None
+    pickle.dump(sys.path, process.stdin)
+    return process
+
+
+def serve() -> None:
+    """Answers what comes in, until there is no more."""
+    most_bytes = LIBRARIES_BYTES + 2 * frame_memory()
+    if sys.platform != "win32":
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+    out = os.fdopen(os.dup(1), "wb")
+    # what libraries print must not be taken for an answer
+    os.dup2(2, 1)
+    answer: Any
+    while True:
+        try:
+            function, values = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        module, _, name = function.partition(":")
+        try:
+            answer = getattr(import_module(module), name)(*values)
+        except MemoryError:
+            answer = FenceError(f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)")
+        except ValueError as error:
+            answer = error
+        # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
+        except BaseException as error:
+            answer = FenceError(f"cannot be decoded ({str(error)[:100]})")
+        pickle.dump(answer, out, pickle.HIGHEST_PROTOCOL)
+        out.flush()

@@ -1,0 +1,61 @@
+"""The process for libraries that trust what they read: its crashes and limits are errors; and MATLAB files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat, savemat
+
+from annotator import fence
+from annotator.fence import FenceError, fenced
+from annotator.frame_limits import VARIABLE
+from annotator.mat_file import MatFileError, read_mat
+
+
+def test_a_crash_and_too_much_memory_or_time_are_errors_and_the_next_file_is_read(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(FenceError, match="is damaged: its decoder crashed"):
+        fenced("os:abort")
+    with pytest.raises(FenceError, match=f"is too large: .*{VARIABLE} sets more"):
+        fenced("builtins:bytes", 1 << 40)
+    with pytest.raises(ValueError, match="invalid literal"):
+        fenced("builtins:int", "x")
+    assert fenced("builtins:len", b"abc") == 3
+    monkeypatch.setattr(fence, "MOST_S", 0.1)
+    with pytest.raises(FenceError, match="or did not end"):
+        fenced("time:sleep", 60)
+
+
+CELLS = np.empty((1, 2), object)
+CELLS[0, 0], CELLS[0, 1] = np.eye(2), "inside"
+
+
+def structs() -> np.ndarray:
+    table = np.empty((1, 2), [("number", object), ("text", object), ("cells", object)])
+    table[0, 0] = (np.arange(6.0).reshape(2, 3), "Tür", CELLS)
+    table[0, 1] = (np.array([[7]], np.int16), "", np.zeros((0, 0)))
+    return table
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_matlab_files_are_read(tmp_path: Path, compressed: bool) -> None:
+    path, cloud = tmp_path / "a.mat", np.random.default_rng(0).normal(size=(500, 6)).astype(np.float32)
+    savemat(path, {"first": np.ones(3, np.uint8), "cloud": cloud, "table": structs()}, do_compression=compressed)
+    np.testing.assert_array_equal(read_mat(path, "cloud", 2**20), loadmat(path)["cloud"])
+    np.testing.assert_array_equal(read_mat(path, "first", 2**20), [[1, 1, 1]])
+    first, second = read_mat(path, "table", 2**20)  # type: ignore[misc]
+    np.testing.assert_array_equal(first["number"], [[0, 1, 2], [3, 4, 5]])
+    assert first["text"] == "Tür"
+    np.testing.assert_array_equal(first["cells"][0], np.eye(2))
+    assert first["cells"][1] == "inside"
+    assert (second["number"].tolist(), second["text"], second["cells"].size) == ([[7]], "", 0)
+    with pytest.raises(MatFileError, match="has no variable third"):
+        read_mat(path, "third", 2**20)
+    with pytest.raises(MatFileError, match="is larger than 0 MiB"):
+        read_mat(path, "cloud", 3000)
+    content = path.read_bytes()
+    for damaged, problem in ((content[:400], "is damaged"), (b"x" * 200, "is not a MATLAB file of version 5 to 7")):
+        path.write_bytes(damaged)
+        with pytest.raises(MatFileError, match=problem):
+            read_mat(path, "cloud", 2**20)
