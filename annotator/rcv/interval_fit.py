@@ -14,8 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.rcv.config import FitConfig
-from annotator.rcv.rotations import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
+from annotator.rcv.rotations import (
+    HUBER_SIGMAS,
+    MIN_SIZE_M,
+    cheapest_distinct,
+    free_grid,
+    grid_neighbours,
+    rotation_costs,
+    yaw_grid,
+)
 
 # Mean absolute value of a Gaussian variable, in its standard deviations.
 MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
@@ -83,7 +90,8 @@ INDEPENDENT_ENDS = 8
 # Standard deviation of a Gaussian variable, in medians of its absolute value.
 SIGMAS_PER_MEDIAN = 1.4826
 
-DEFAULTS = FitConfig()
+# Smallest singular value of the normalised equations below which a fit is rejected.
+MIN_DETERMINACY = 0.02
 
 
 @dataclass(frozen=True)
@@ -134,7 +142,7 @@ class BoxFit:
         ends = self.ends
         known = ends.inverse > 0
         errors = np.abs(ends.residuals(self)) * ends.inverse
-        weights = ends.inverse**2 * np.minimum(1.0, ends.config.huber_sigmas / np.maximum(errors, 1e-9))
+        weights = ends.inverse**2 * np.minimum(1.0, HUBER_SIGMAS / np.maximum(errors, 1e-9))
         scale = SIGMAS_PER_MEDIAN * _median(errors[known]) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
         return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
 
@@ -143,7 +151,6 @@ def fit_box(
     intervals: Intervals,
     up: Float64[np.ndarray, "3"] | None,
     near: Float64[np.ndarray, "3 3"] | None = None,
-    config: FitConfig = DEFAULTS,
 ) -> BoxFit | None:
     """The box that fits the intervals best; None if they do not determine one.
 
@@ -154,9 +161,9 @@ def fit_box(
     known = np.isfinite(intervals.sigma_m)
     if known.sum() < (7 if up is not None else 9):
         return None
-    edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
-    fit = edges.refine(_starts(intervals, up, near, config), held=up is not None)
-    if not np.isfinite(fit.cost) or (fit.size_m <= config.min_size_m).any():
+    edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m)
+    fit = edges.refine(_starts(intervals, up, near), held=up is not None)
+    if not np.isfinite(fit.cost) or (fit.size_m <= MIN_SIZE_M).any():
         return None
     if not edges.determine(fit, held=up is not None):
         return None
@@ -170,12 +177,10 @@ def _median(values: Float64[np.ndarray, "n"]) -> float:
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
-def _starts(
-    intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None, config: FitConfig
-) -> Float64[np.ndarray, "k 3 3"]:
+def _starts(intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None) -> Float64[np.ndarray, "k 3 3"]:
     """The grid's rotations that fit the intervals' lengths best, and `near`."""
     grid = free_grid() if up is None else yaw_grid(up)
-    costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
+    costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid)
     count = STARTS if near is None else STARTS - 1
     best = cheapest_distinct(costs, grid_neighbours(up, START_DISTANCE_RAD), count)
     return grid[best] if near is None else np.concatenate([near[None], grid[best]])
@@ -206,7 +211,6 @@ class Edges:
     ends: Float64[np.ndarray, "m 2"]
     inverse: Float64[np.ndarray, "m 2"]
     shift: Float64[np.ndarray, "3"]
-    config: FitConfig
 
     @classmethod
     def of(
@@ -214,7 +218,6 @@ class Edges:
         direction: Float64[np.ndarray, "m 3"],
         ends_m: Float64[np.ndarray, "m 2"],
         sigma_m: Float64[np.ndarray, "m 2"],
-        config: FitConfig,
     ) -> Edges:
         """From the parts of `Intervals`."""
         known = np.isfinite(sigma_m)
@@ -223,7 +226,7 @@ class Edges:
         spread = direction.T @ direction + RIDGE * len(direction) * np.eye(3)
         shift = np.linalg.solve(spread, direction.T @ middle)
         ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
-        return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift, config)
+        return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift)
 
     def residuals(self, fit: Solution | BoxFit) -> Float64[np.ndarray, "m 2"]:
         """Predicted minus measured ends, metres."""
@@ -236,7 +239,7 @@ class Edges:
         from annotator.rcv.fit_kernels import FREE, HELD, determined
 
         box = (fit.center_m, fit.rotation, fit.size_m)
-        return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
+        return determined(self._measured, box, HELD if held else FREE, MIN_DETERMINACY)
 
     def refine(self, rotation: Float64[np.ndarray, "k 3 3"], held: bool) -> Solution:
         """The best box that Gauss-Newton steps reach from several start rotations.
@@ -248,8 +251,7 @@ class Edges:
         from annotator.rcv.fit_kernels import FREE, HELD, refine
 
         starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
-        delta, least = self.config.huber_sigmas, self.config.min_size_m
-        (center, turned, size), cost = refine(self._measured, starts, unknowns, delta, least)
+        (center, turned, size), cost = refine(self._measured, starts, unknowns, HUBER_SIGMAS, MIN_SIZE_M)
         return Solution(center + self.shift, turned, size, cost)
 
     @property

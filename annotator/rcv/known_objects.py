@@ -109,18 +109,18 @@ def next_views(
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
     if mask.sum() < config.min_points:
         return None
-    frustum = with_normals(frame, mask, config).select(mask)
+    frustum = with_normals(frame, mask).select(mask)
     # as in the recursion, so that these views look like those that the detector will process
     front, side = frustum_views(frustum, axes, config)
     label = image_box.label
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
     box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
-    cloud = cut_cloud(frustum, box, (front, side), config)
+    cloud = cut_cloud(frustum, box, (front, side))
     if len(cloud) < config.min_points:
         return None
     if next_axes is None:
         next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
-    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0), config), config))
+    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0))))
     front, side = render_pairs(cloud, [next_axes], config.view, show)
     return front, side
 
@@ -199,7 +199,7 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
             hidden.append(truth.label)
         else:
             visible.append((index, image_box))
-    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]], config)
+    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]])
     objects, without_views = [], []
     for index, image_box in visible:
         known_object = known.follow(frame, index, image_box, config) if known.points[index] else None
