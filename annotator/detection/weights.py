@@ -220,7 +220,6 @@ def _converted(path: Path, remedy: str) -> Any:
             return read_network(copy, "cpu", remedy)
         except DetectionError as error:
             LOG.warning("converting %s again: %s", path, error)
-    require_refusal()
     try:
         described, tensors = _network(content)
     except Exception as error:  # pickles and archives raise many types on a damaged file
@@ -235,32 +234,6 @@ def _converted(path: Path, remedy: str) -> Any:
     except OSError as error:
         LOG.warning("%s: cannot be kept as a network file, so it is converted each time: %s", path, error)
     return model
-
-
-def require_refusal() -> None:
-    """Gives the reader a pickle that calls a function.
-
-    Raises:
-        DetectionError: it was not refused, or the function was called. Then no other pickle is read.
-    """
-    try:
-        _Reader(io.BytesIO(pickle.dumps({"model": _Canary()}))).load()
-    except pickle.UnpicklingError:
-        if not _SUNG:
-            return
-    raise DetectionError("pickles would run their code here, so weights in ultralytics' format are refused")
-
-
-_SUNG: list[str] = []
-
-
-def _sing() -> None:
-    _SUNG.append("code of a pickle was run")
-
-
-class _Canary:
-    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
-        return _sing, ()
 
 
 class _Inert:

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from annotator.types import OrientedBox
+from annotator.types import Box2D, OrientedBox
 from annotator.types.errors import GeometryError
 
 Vectors = Float[np.ndarray, "n 3"]
@@ -128,6 +128,16 @@ def _stacked(
         np.array([box.rotation for box in boxes]).reshape(-1, 3, 3),
         np.array([box.size_m for box in boxes]).reshape(-1, 3),
     )
+
+
+def box_iou(a: Box2D, b: Box2D) -> float:
+    """IoU of two axis-aligned boxes."""
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    if width <= 0 or height <= 0:
+        return 0.0
+    shared = width * height
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
 def nms_3d(

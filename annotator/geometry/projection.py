@@ -226,6 +226,11 @@ def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
     return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
 
 
+def every_nth(values: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "k 3"]:
+    """At most so many rows, spread evenly over their order."""
+    return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.intp)]
+
+
 @lru_cache(maxsize=8)
 def _positions(most: int) -> Float64[np.ndarray, "m"]:
     """The position of each kept point within its run, 0..1."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.normals import normals_from_depth, normals_knn
-from annotator.geometry.projection import in_frustums
+from annotator.geometry.projection import every_nth, in_frustums
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PointCloud
 
@@ -184,8 +184,7 @@ def normal_axes(normals: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] 
         known /= np.linalg.norm(known, axis=1, keepdims=True)
     if len(known) < MIN_NORMALS:
         raise NoAxesError(f"too few usable normals ({len(known)})")
-    if len(known) > MAX_NORMALS:
-        known = known[np.linspace(0, len(known) - 1, MAX_NORMALS).astype(int)]
+    known = every_nth(known, MAX_NORMALS)
     centres, counts = axial_kmeans(known, min(KMEANS_CLUSTERS, len(known)))
     major = centres[np.argmax(counts)]
     if up is not None:

@@ -27,6 +27,7 @@ from scipy.spatial import KDTree
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import every_nth
 from annotator.geometry.registration import register, share_found
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
@@ -124,7 +125,7 @@ class Look:
         outer_m = box.size_m + 2 * margin_m
         inside = (np.abs(local) <= outer_m / 2).all(axis=1)
         own = local[inside]
-        return cls(box, _thinned(own, OBJECT_POINTS), len(own), _contact(local, outer_m), kept)
+        return cls(box, every_nth(own, OBJECT_POINTS), len(own), _contact(local, outer_m), kept)
 
 
 def follow_object(
@@ -153,7 +154,7 @@ def follow_object(
     around = frame.cloud.xyz_m[contains(start, frame.cloud.xyz_m, ROOM * scale)]
     if len(around) < MIN_POINTS:
         return Followed(None, FollowStop.POINTS)
-    cloud = KDTree(_thinned(around.astype(np.float64), CLOUD_POINTS))
+    cloud = KDTree(every_nth(around.astype(np.float64), CLOUD_POINTS))
     found = _registration(around, cloud, start, reviewed, last, held_direction(frame.up, config))
     if found is None:
         return Followed(None, FollowStop.POINTS)
@@ -285,11 +286,6 @@ def expected_points(look: Look, now: OrientedBox) -> float:
     """The number of points at the new distance, if the object is seen as before."""
     before, after = (max(float(np.linalg.norm(box.center_m)), 0.1) for box in (look.box, now))
     return look.points * (before / after) ** 2
-
-
-def _thinned(xyz_m: Float64[np.ndarray, "n 3"], most: int) -> Float64[np.ndarray, "k 3"]:
-    """At most so many points, spread evenly over their order."""
-    return xyz_m if len(xyz_m) <= most else xyz_m[np.linspace(0, len(xyz_m) - 1, most).astype(np.intp)]
 
 
 def _grown(camera: Camera, box: OrientedBox, label: str) -> Box2D | None:

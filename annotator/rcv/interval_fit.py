@@ -141,7 +141,7 @@ class BoxFit:
         """The expected 1 - IoU with the true box (`fit_uncertainty`), by the errors that the fit itself has."""
         ends = self.ends
         known = ends.inverse > 0
-        errors = np.abs(ends.residuals(self)) * ends.inverse
+        errors = np.abs(ends.residuals(self.center_m, self.rotation, self.size_m)) * ends.inverse
         weights = ends.inverse**2 * np.minimum(1.0, HUBER_SIGMAS / np.maximum(errors, 1e-9))
         scale = SIGMAS_PER_MEDIAN * _median(errors[known]) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
         return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
@@ -158,17 +158,22 @@ def fit_box(
         up: unit vector along which the box's z axis is held; None leaves the rotation free.
         near: (3, 3) box rotation to try besides the grid, such as that of the last step.
     """
+    from annotator.rcv.fit_kernels import FREE, HELD, determined, refine
+
     known = np.isfinite(intervals.sigma_m)
     if known.sum() < (7 if up is not None else 9):
         return None
-    edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m)
-    fit = edges.refine(_starts(intervals, up, near), held=up is not None)
-    if not np.isfinite(fit.cost) or (fit.size_m <= MIN_SIZE_M).any():
+    edges = Edges.of(intervals)
+    unknowns = HELD if up is not None else FREE
+    starts = np.array(_starts(intervals, up, near), order="C")
+    (center, rotation, size), cost = refine(edges.measured, starts, unknowns, HUBER_SIGMAS, MIN_SIZE_M)
+    if not np.isfinite(cost) or (size <= MIN_SIZE_M).any():
         return None
-    if not edges.determine(fit, held=up is not None):
+    center_m = center + edges.shift
+    if not determined(edges.measured, (center_m, rotation, size), unknowns, MIN_DETERMINACY):
         return None
-    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(fit)[known]))
-    return BoxFit(fit.center_m, fit.rotation, fit.size_m, fit.cost, spread, edges, up is not None)
+    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(center_m, rotation, size)[known]))
+    return BoxFit(center_m, rotation, size, cost, spread, edges, up is not None)
 
 
 def _median(values: Float64[np.ndarray, "n"]) -> float:
@@ -184,16 +189,6 @@ def _starts(intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None
     count = STARTS if near is None else STARTS - 1
     best = cheapest_distinct(costs, grid_neighbours(up, START_DISTANCE_RAD), count)
     return grid[best] if near is None else np.concatenate([near[None], grid[best]])
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A refined box and its robust cost, in units of the expected variance; columns of `rotation` are its axes."""
-
-    center_m: Float64[np.ndarray, "3"]
-    rotation: Float64[np.ndarray, "3 3"]
-    size_m: Float64[np.ndarray, "3"]
-    cost: float
 
 
 @dataclass(frozen=True)
@@ -213,13 +208,8 @@ class Edges:
     shift: Float64[np.ndarray, "3"]
 
     @classmethod
-    def of(
-        cls,
-        direction: Float64[np.ndarray, "m 3"],
-        ends_m: Float64[np.ndarray, "m 2"],
-        sigma_m: Float64[np.ndarray, "m 2"],
-    ) -> Edges:
-        """From the parts of `Intervals`."""
+    def of(cls, intervals: Intervals) -> Edges:
+        direction, ends_m, sigma_m = intervals.directions, intervals.ends_m, intervals.sigma_m
         known = np.isfinite(sigma_m)
         middle = np.where(known, ends_m, 0.0) @ (0.5, 0.5)
         # any point near the object is sufficient; the ridge handles directions without an interval
@@ -228,32 +218,12 @@ class Edges:
         ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
         return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift)
 
-    def residuals(self, fit: Solution | BoxFit) -> Float64[np.ndarray, "m 2"]:
-        """Predicted minus measured ends, metres."""
-        reach = np.abs(self.direction @ fit.rotation) @ fit.size_m / 2
-        middle = self.direction @ (fit.center_m - self.shift)
+    def residuals(self, center_m: np.ndarray, rotation: np.ndarray, size_m: np.ndarray) -> Float64[np.ndarray, "m 2"]:
+        """The ends that a box has, minus the measured ones, metres."""
+        reach = np.abs(self.direction @ rotation) @ size_m / 2
+        middle = self.direction @ (center_m - self.shift)
         return np.stack([middle - reach, middle + reach], axis=1) - self.ends
 
-    def determine(self, fit: Solution, held: bool) -> bool:
-        """True if the equations determine all unknowns of the box; `held` as in `refine`."""
-        from annotator.rcv.fit_kernels import FREE, HELD, determined
-
-        box = (fit.center_m, fit.rotation, fit.size_m)
-        return determined(self._measured, box, HELD if held else FREE, MIN_DETERMINACY)
-
-    def refine(self, rotation: Float64[np.ndarray, "k 3 3"], held: bool) -> Solution:
-        """The best box that Gauss-Newton steps reach from several start rotations.
-
-        Args:
-            rotation: start rotations; columns = box axes.
-            held: rotate about the boxes' z axes only.
-        """
-        from annotator.rcv.fit_kernels import FREE, HELD, refine
-
-        starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
-        (center, turned, size), cost = refine(self._measured, starts, unknowns, HUBER_SIGMAS, MIN_SIZE_M)
-        return Solution(center + self.shift, turned, size, cost)
-
     @property
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.direction, self.ends, self.inverse

@@ -9,7 +9,7 @@ objects: a frustum often contains neighbours, which would otherwise be unlabelle
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -37,21 +37,20 @@ Span = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class DrawnView:
-    """A pseudo-view, the number of its step (from 0), and the box drawn on it."""
+    """A pseudo-view, the number of its step (from 0), and the boxes on it; that of the drawn object is the first."""
 
     view: PseudoView
     step: int
-    box: Box2D
+    boxes: tuple[Box2D, ...]
+
+    @property
+    def box(self) -> Box2D:
+        return self.boxes[0]
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnObject:
-    """One object with all its drawn boxes.
-
-    Attributes:
-        image_box: on the camera image.
-        views: front and side of each step.
-    """
+    """An object's box on the camera image, and its views: front and side of each step."""
 
     image_box: Box2D
     views: tuple[DrawnView, ...]
@@ -73,7 +72,7 @@ def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvCon
         boxes = None if views is None else [draw(view) for view in views]
         if views is None or boxes is None or boxes[0] is None or boxes[1] is None:
             return None
-        drawn += [DrawnView(view, step, box) for view, box in zip(views, boxes, strict=True) if box is not None]
+        drawn += [DrawnView(view, step, (box,)) for view, box in zip(views, boxes, strict=True) if box is not None]
         if step + 1 < LABELLED_STEPS:
             spans = [(d.view.axes, d.view.interval_m(d.box)) for d in drawn]
             views = next_views(frame, image_box, spans, config)
@@ -143,23 +142,6 @@ HIDING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class KnownView:
-    """A pseudo-view, the number of its step (from 0), and the boxes on it; the box of its own object is the first."""
-
-    view: PseudoView
-    step: int
-    boxes: tuple[Box2D, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class KnownObject:
-    """An object's box on the image, and its views: front and side of each step."""
-
-    image_box: Box2D
-    views: tuple[KnownView, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class KnownFrame:
     """The 2D boxes of a frame's 3D boxes.
 
@@ -172,7 +154,7 @@ class KnownFrame:
     """
 
     on_image: tuple[Box2D, ...]
-    objects: tuple[KnownObject, ...]
+    objects: tuple[DrawnObject, ...]
     outside: tuple[str, ...]
     hidden: tuple[str, ...]
     without_views: tuple[str, ...]
@@ -236,7 +218,7 @@ class _Known:
         corners_m = np.array([box_corners(t.box) for t in self.truths]).reshape(-1, 8, 3)
         object.__setattr__(self, "corners_m", corners_m)
 
-    def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> KnownObject | None:
+    def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> DrawnObject | None:
         """Takes one object through both steps; None if too few points are left."""
         truth = self.truths[index]
         # cached, since both views of a step have the same points; the array is kept so that its id stays valid
@@ -253,13 +235,8 @@ class _Known:
         drawn = draw_object(frame, image_box, draw, config)
         if drawn is None:
             return None
-        return KnownObject(
-            image_box,
-            tuple(
-                KnownView(d.view, d.step, (d.box, *self._others(d.view, index, objects_on(d.view))))
-                for d in drawn.views
-            ),
-        )
+        views = [replace(d, boxes=(d.box, *self._others(d.view, index, objects_on(d.view)))) for d in drawn.views]
+        return DrawnObject(image_box, tuple(views))
 
     def _others(self, view: PseudoView, target: int, shown: Sequence[int]) -> list[Box2D]:
         others = [self.truths[index] for index in shown if index != target]

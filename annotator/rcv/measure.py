@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.geometry.iou import box_iou
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
@@ -167,16 +168,6 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) ->
     expected = view.box_px(np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1), boxes[0].label)
     agreement = np.array([box_iou(box, expected) for box in boxes])
     return int(np.argmax(scores * (STRANGER_WEIGHT + agreement)))
-
-
-def box_iou(a: Box2D, b: Box2D) -> float:
-    """IoU of two axis-aligned boxes."""
-    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
-    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
-    if width <= 0 or height <= 0:
-        return 0.0
-    shared = width * height
-    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
 def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:

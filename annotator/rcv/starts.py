@@ -20,14 +20,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
-from annotator.geometry.iou import iou_3d
+from annotator.geometry.iou import box_iou, iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains, nearest_upright
 from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
-from annotator.rcv.measure import UNDETERMINED, box_iou
+from annotator.rcv.measure import UNDETERMINED
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Evidence, distinct, place, place_near

@@ -30,6 +30,7 @@ from scipy.optimize import linear_sum_assignment
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import CocoImage, write_coco
 from annotator.formats.json_file import write_text
+from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
@@ -48,7 +49,7 @@ from annotator.project.overview import FramePage
 from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import first_views, next_views
-from annotator.rcv.measure import box_iou, make_pair
+from annotator.rcv.measure import make_pair
 from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_axes
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
