@@ -37,18 +37,6 @@ def iou_3d(a: OrientedBox, b: OrientedBox) -> float:
     return min(volume / (a.volume_m3 + b.volume_m3 - volume), 1.0)
 
 
-def iou_3d_pairs(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n"]:
-    """Exact IoU of the i-th box of one list with the i-th of the other.
-
-    Raises:
-        GeometryError: the lists differ in length.
-    """
-    if len(boxes_a) != len(boxes_b):
-        raise GeometryError(f"pairs need lists of equal length, not {len(boxes_a)} and {len(boxes_b)} boxes")
-    every = np.arange(len(boxes_a))
-    return iou_3d_chosen(boxes_a, boxes_b, every, every)
-
-
 def iou_3d_matrix(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n m"]:
     """Exact IoU of every box of one list with every box of the other.
 
