@@ -35,8 +35,6 @@ class ManifestEntry(BaseModel):
     """One image of a training set.
 
     Attributes:
-        image: its file, relative to the set's folder.
-        split: training or validation.
         group: the source frame; all images of a group share a split.
         origin: where its boxes come from, such as "drawn" or "projected".
         label_uids: uids of the project's labels that its boxes come from, if any.
@@ -57,17 +55,10 @@ class DatasetManifest(BaseModel):
     """A training set.
 
     Attributes:
-        version: of this file's format.
-        sha256: hash of all images, labels, classes and the split.
-        classes: names, in the order of the class numbers in the label files.
         kind: what the boxes measure; None for boxes on camera images.
         measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
             them too optimistic.
-        images: number of images by split.
-        boxes_by_class: number of boxes by split and class.
-        images_by_origin: number of images by split and origin.
         dropped_boxes: number of boxes that were dropped because they lie outside their image.
-        entries: all images.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -124,7 +115,6 @@ class TrainingSample:
 
     Attributes:
         rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
-        boxes: its labels, in pixels of this image; empty if no object is visible.
         group: key of the source frame; images of one group are never split between training and validation.
         origin: where the boxes come from, such as "drawn", "imported" or "projected".
         label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
@@ -178,9 +168,6 @@ def write_dataset(
     replaced.
 
     Args:
-        folder: the new folder; missing parents are created.
-        samples: at least one of them must have a box.
-        classes: all class names, in the order of the class numbers.
         is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
         kind: what the boxes measure; recorded in the manifest.

@@ -113,11 +113,6 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
 
     Without validation images of their own, with a network that gives no spread, or where the spread tells nothing,
     the detector stays without them.
-
-    Args:
-        dataset: folder of its training set.
-        manifest: of that set.
-        device: as for training.
     """
     if manifest.measured_on != "val":
         return trained

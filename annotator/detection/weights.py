@@ -42,9 +42,6 @@ class NetworkDescription(BaseModel):
     """What is needed to build the network of a file.
 
     Attributes:
-        format: version of the format.
-        architecture: name of a detection model of ultralytics, such as "yolo11n".
-        labels: class names, in the order of the class numbers.
         end2end: whether the network predicts each object once; None = as is usual for the architecture.
     """
 
@@ -195,9 +192,6 @@ MOST_NAME = 1000
 
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
     """Loads a detection model in eval mode, in single precision. No code of the file is run.
-
-    Args:
-        remedy: advice at the end of the error message.
 
     Raises:
         DetectionError: the file is missing, unreadable, too large or not a detection model of ultralytics.

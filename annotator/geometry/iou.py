@@ -137,7 +137,6 @@ def nms_3d(
     than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
 
     Args:
-        boxes: in one frame.
         scores: one per box; any finite numbers.
         iou_threshold: in 0..1.
 

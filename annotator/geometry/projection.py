@@ -24,7 +24,6 @@ def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarr
     """Projects points onto the image.
 
     Args:
-        camera: intrinsics and distortion.
         xyz_m: points in the camera frame, metres.
 
     Returns:
@@ -191,7 +190,6 @@ def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> B
     """Which points project into a 2D box on the camera image, edges included.
 
     Args:
-        camera: intrinsics and distortion.
         xyz_m: points in the camera frame, metres.
         box: on the image, pixels; it may extend beyond the image.
 

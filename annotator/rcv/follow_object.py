@@ -140,11 +140,8 @@ def follow_object(
     """Looks for an object near its predicted box.
 
     Args:
-        frame: with cloud.
-        predicted: the box at the frame's time, camera frame.
         reviewed, last: the object in the frame of the reviewed box, and in the last frame.
         view: view detector that was trained on the class, or None.
-        config: the recursion's settings for this detector and the frame's orientation.
     """
     start = OrientedBox(predicted.pose, reviewed.box.size_m)
     outline = _grown(frame.camera, start, label)

@@ -46,10 +46,7 @@ def expected_iou_loss(
     Args:
         directions: unit vectors along which intervals were measured.
         weights: of the low and high end of each; one over the variance, square metres; 0 for an unknown end.
-        rotation: columns = box axes.
-        size_m: full side lengths.
         held: the box turns about its z axis only.
-        scale: factor on all standard deviations.
 
     Returns:
         0 (certain) to 1.

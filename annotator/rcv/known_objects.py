@@ -59,10 +59,6 @@ class DrawnObject:
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
     """Draws one object's boxes in both steps.
 
-    Args:
-        frame: with normals (`frame_with_normals`) if several of its objects are drawn.
-        draw: draws the boxes on views.
-
     Returns:
         None if too few points are left, or if the object is not visible on a view.
     """
@@ -97,7 +93,6 @@ def next_views(
     """The views of the next step: the points inside the front and the side box.
 
     Args:
-        frame: see `draw_object`.
         spans: of the boxes on the front and the side view, in this order.
         next_axes: rows = axes of the next front view; None: those of the points' normals.
 
@@ -147,7 +142,6 @@ class KnownFrame:
 
     Attributes:
         on_image: boxes on the image of all visible objects, including those without views.
-        objects: the objects that went through both steps.
         outside: classes of the objects outside the image.
         hidden: classes of the objects without points that are hidden behind something else.
         without_views: classes of the visible objects with too few points for both steps.
@@ -169,7 +163,6 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
     Args:
         frame: with cloud; missing normals are estimated.
         truths: all labelled objects of the classes to learn.
-        config: how views are drawn.
     """
     known = _Known(frame, truths)
     outside, hidden, visible = [], [], []

@@ -171,12 +171,7 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) ->
 
 
 def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
-    """The intervals that detections measure along their views' x and y axes, two per view.
-
-    Args:
-        views: one or more.
-        boxes: one per view.
-    """
+    """The intervals that detections measure along their views' x and y axes, two per view."""
     # dimensions of the arrays: view, axis, end
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
     origins_m = np.array([view.origin_m for view in views])[:, :, None]
@@ -231,12 +226,9 @@ class Measurement:
 
     Attributes:
         box: the step's box, axes in any order.
-        axes: rows = the axes of the step.
         disagreement: see `Quality.view_disagreement`.
         score: mean score of the detections used.
         used: per view, the index of the detection that was used.
-        intervals: all intervals measured of the object so far.
-        fallback: what failed before, with the reason.
         cut: whether a used detection touches the border of its view.
         fit: the fit that gave the box; None for a pair of views.
     """

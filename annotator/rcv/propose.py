@@ -30,9 +30,6 @@ def propose(
     Args:
         warm_starts: for each frame, the boxes of its objects in an earlier frame. An object starts from the box that
             matches its image box (`annotator.rcv.starts`).
-
-    Returns:
-        one result per frame, in the order of `frames`.
     """
     image_boxes = image_detector.detect(frames)
     return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts)

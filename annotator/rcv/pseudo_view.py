@@ -80,7 +80,6 @@ class KeyLayout:
 
     Attributes:
         index_bits: number of low bits that hold the index.
-        levels: number of depth levels; the last one is the background's.
         empty: the key of a pixel without a point; larger than the key of any point.
     """
 

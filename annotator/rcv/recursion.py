@@ -59,7 +59,6 @@ class FrustumFacts:
     """The frustum of an object that starts from a crop of it.
 
     Attributes:
-        cloud: all its points.
         middle_m: (k, 3) a sample of the points in the middle of the image box.
         evidence, placed: of an object of a class with a typical size: what is known of it, and the boxes that are
             plausible before a detector is used.
@@ -77,20 +76,9 @@ class ObjectState:
     """The state of one object in the recursion.
 
     Attributes:
-        frame_index: position of its frame in the batch.
-        image_box: the detection on the camera image.
-        cloud: the points kept so far.
         up: unit vector against gravity for an upright box, None for a free one.
-        axes: rows = axes of the last step.
-        box: the last step's box.
-        measured: intervals of all consensus steps so far.
         is_cut: whether a detection of the last step touched its view's border; the object may extend beyond it.
-        view_score: mean score of the detections that gave the last box.
-        disagreement, last_change, kept_share: the quality signals of the last step.
-        fit: the fit of the last step, if it was one.
         expected_loss: the expected 1 - IoU of a box that was chosen among candidates (`finish`); None = by the fit.
-        steps: the trace.
-        stop: CONTINUES while the recursion runs.
         notes: how the object came to its present box or cloud, for the trace of the next step.
         is_warm: whether the object started from its previous box (`warm_start`).
         cold: the state without the warm start or the look of a trained detector (`starts`); None without them, or

@@ -111,11 +111,7 @@ def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Boo
 def cheapest_distinct(
     costs: Float64[np.ndarray, "k"], near: Bool[np.ndarray, "k k"], count: int
 ) -> Int64[np.ndarray, "c"]:
-    """Indices of up to `count` lowest finite costs, ascending, without neighbours of a cheaper rotation.
-
-    Args:
-        near: from `neighbours`.
-    """
+    """Indices of up to `count` lowest finite costs, ascending, without neighbours of a cheaper rotation."""
     left = costs.copy()
     chosen: list[int] = []
     while len(chosen) < count:
@@ -226,7 +222,6 @@ def warm_axes(
 
     Args:
         rotation: columns = box axes.
-        step: number of the step, from 0.
     """
     if up is not None:
         return near_axes(rotation, up)

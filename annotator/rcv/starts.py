@@ -47,11 +47,7 @@ NOT_SEEN = "the view of the whole frustum shows no box that agrees with the imag
 
 
 def begin(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
-    """The states of an object before its first step.
-
-    Args:
-        state: from `recursion.start`.
-    """
+    """The states of an object before its first step."""
     if not config.class_agnostic or state.stop is not StopReason.CONTINUES:
         return [state]
     # the views of a deep frustum show too little of an object
@@ -87,11 +83,7 @@ def _agreement(camera: Camera, state: ObjectState, config: RcvConfig) -> float:
 
 
 def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
-    """The rivals of an object: plausible boxes of the typical size of its class, or its frustum and crops of it.
-
-    Args:
-        state: from `recursion.start`.
-    """
+    """The rivals of an object: plausible boxes of the typical size of its class, or its frustum and crops of it."""
     facts, evidence = _facts(camera, state), _evidence(camera, state, config)
     if evidence is not None:
         return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), STARTS, config)
@@ -196,12 +188,7 @@ def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:
 
 
 def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> ObjectState:
-    """The state before the first step of a warm start; `cold` with a note if too few points are around the start box.
-
-    Args:
-        cold: the state before the first step without a warm start.
-        start_box: from `match_warm_starts`.
-    """
+    """The state before the first step of a warm start; `cold` with a note if few points are around the start box."""
     box = start_box if cold.up is None else nearest_upright(start_box, cold.up)[0]
     box = canonical_box(box, cold.up)
     cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box)))
@@ -220,10 +207,6 @@ def check_first_step(camera: Camera, before: ObjectState, after: ObjectState, co
 
     This is `after`, stopped if the step hardly changed the box; or the state without a warm start if the result does
     not agree with the start box.
-
-    Args:
-        before: the state from `start_warm`.
-        after: the state after the first step.
     """
     cold, start_box = before.cold, before.box
     assert cold is not None and start_box is not None

@@ -119,7 +119,6 @@ def teach_views(
     """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
 
     Args:
-        kind: what the 2D boxes measure.
         draws: number of random crops per object; each gives two views.
         up: unit vector against gravity for upright objects, whose views are level; None for free ones.
         doubtful: boxes of possible further objects. Views that show enough of such an object for a label are left out,
@@ -157,10 +156,6 @@ def teach_agnostic_views(
 
     It gets two boxes, one of each class of `AGNOSTIC_LABELS`: around its 3D box, and around its points on the view. A
     crop that misses the object has none.
-
-    Args:
-        objects: all objects, with their points.
-        targets: indices of the objects to take crops of.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
     scene = _Scene(frame, objects, masks, [])
@@ -203,7 +198,6 @@ class _Drawn:
     Attributes:
         scene: the scene, or its part near the object.
         keep: mask of the crop's points in the scene's cloud.
-        totals: number of points of each object.
     """
 
     views: Sequence[PseudoView]

@@ -72,7 +72,6 @@ class SeenObject:
         xyz_m: (n, 3) a sample of the points inside all drawn boxes, without noise at edges, camera frame.
         normals: (n, 3) unit vectors towards the camera.
         up: unit vector against gravity for upright boxes, None for free ones.
-        camera: of the frame.
         nearest_m: (rows, columns) depth of the nearest point of the frame in each cell of the image box; infinite
             without a point.
         links: to the same object in other frames, as far as they were looked for.
@@ -152,7 +151,6 @@ def whole_boxes(
         before, after: the drawn objects of the same class in the other frames of the recording, the nearest frame
             first; read only as far as the object can be followed.
         view: detector for pseudo-views, or None.
-        config: its settings (`RcvConfig.for_detector`).
     """
     if len(seen.xyz_m) < MIN_POINTS or _is_line(seen.xyz_m):
         return []

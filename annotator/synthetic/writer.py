@@ -36,7 +36,6 @@ class TrueObject:
     """One visible object of a frame.
 
     Attributes:
-        track: track id within the recording.
         box: tightest box along the object's own axes around its whole surface, hidden parts included; camera frame.
         visible: visible share of its silhouette, which includes parts beyond the image border.
     """
@@ -117,8 +116,6 @@ def write_generated(
     """Writes a generated recording; the folder is created only when the recording is complete.
 
     Args:
-        path: the folder to create; it must not exist.
-        preset: "people", "hands" or "objects".
         frames: number of frames, at ten per second.
         seed: random seed of the scene; the same seed gives the same bytes.
         width, height: image size, pixels.
