@@ -75,25 +75,6 @@ def test_axes_compares_all_strategies(
     assert by_axes["consensus"] > max(by_axes[name] for name in STRATEGIES[:-1])
 
 
-@pytest.mark.shared
-def test_axes_on_a_kitti_drive(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its first two frames: results by class, and upright boxes by default, since the drive has gravity."""
-    source, folder = shared / "data" / "kitti_drive_0005", tmp_path / "drive"
-    for name in ("image_02", "velodyne"):
-        (folder / name).mkdir(parents=True)
-        for path in sorted((source / name).iterdir())[:2]:
-            shutil.copyfile(path, folder / name / path.name)
-    for name in ("calib.txt", "label_02.txt"):
-        shutil.copyfile(source / name, folder / name)
-    result = in_process(axes, monkeypatch, capsys, folder, "--strategies", "normals", "consensus")
-    labels = {row["label"] for row in result["results"]}
-    assert {"Van", "Cyclist"} <= labels
-    consensus = {row["label"]: row["mean_iou"] for row in result["results"] if row["axes"] == "consensus"}
-    assert min(consensus.values()) > 0.95
-
-
 def test_batch_compares_engines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--frames", 4, "--different", 2, "--width", 160, "--steps", 1, "--engines", "local", "--workers", 1]
     result = in_process(batch, monkeypatch, capsys, *words, "--repeats", 2)
