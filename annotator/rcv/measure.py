@@ -108,7 +108,9 @@ def pair_all(
     Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
     the IoU of the sets of points in its front box and in its side box.
     """
-    along = cloud.xyz_m @ axes.astype(np.float32).T
+    from annotator.rcv.fit_kernels import count_within
+
+    axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
     ranked: list[tuple[float, Pair]] = []
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
@@ -116,12 +118,14 @@ def pair_all(
             if pair.shared_overlap < MIN_SHARED_OVERLAP:
                 continue
             margin = cut_margin_m(pair.box, views)
-            low, high = pair.spans_m[:, 0] - margin, pair.spans_m[:, 1] + margin
-            within = (along >= low.astype(np.float32)) & (along <= high.astype(np.float32))
-            in_front, in_side = within[:, :2].all(axis=1), within[:, 1:].all(axis=1)
-            if not (in_front & in_side).any():
+            low, high = (
+                (pair.spans_m[:, 0] - margin).astype(np.float32),
+                (pair.spans_m[:, 1] + margin).astype(np.float32),
+            )
+            both, front_only, side_only = count_within(xyz_m, axes32, low, high)
+            if both == 0:
                 continue
-            support = float((in_front & in_side).sum() / (in_front | in_side).sum())
+            support = both / max(front_only + side_only - both, 1)
             ranked.append((support * pair.shared_overlap * pair.score, pair))
     ranked.sort(key=lambda item: -item[0])
     chosen: list[Pair] = []
