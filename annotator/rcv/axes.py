@@ -6,13 +6,13 @@ looks along a3, the side view along -a1. For upright boxes a2 points down.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
+from scipy.spatial.transform import Rotation
 
 from annotator.geometry.normals import normals_from_depth, normals_knn
 from annotator.geometry.projection import every_nth, in_frustums
@@ -45,19 +45,8 @@ class FoundAxes:
     fallback: tuple[str, ...] = ()
 
 
-def _signed_permutations() -> Float64[np.ndarray, "24 3 3"]:
-    """The 24 rotations that map a box onto itself and relabel its axes."""
-    matrices = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                matrices.append(matrix)
-    return np.array(matrices)
-
-
-BOX_SYMMETRIES = _signed_permutations()
+# The 24 rotations that map a box onto itself and relabel its axes.
+BOX_SYMMETRIES: Float64[np.ndarray, "24 3 3"] = Rotation.create_group("O").as_matrix().round() + 0.0
 UPRIGHT_SYMMETRIES = BOX_SYMMETRIES[BOX_SYMMETRIES[:, 1, 1] == 1.0]
 
 
