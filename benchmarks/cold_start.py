@@ -207,8 +207,7 @@ def tried(
     kind = BoxKind.SILHOUETTE if _takes_masks(recording, args) else BoxKind.BOX
     config = config.for_detector(config.box_kind, config.class_agnostic, kind, config.trained)
     if args.no_sizes:
-        look = config.first_look.model_copy(update={"use_typical_sizes": False})
-        config = config.model_copy(update={"first_look": look})
+        config = config.model_copy(update={"use_typical_sizes": False})
     for shot in shots(recording, indices, args):
         boxes = lifted(shot.frame, [item.image_box for item in shot.objects], detector, config, args.rotation)
         for item, box in zip(shot.objects, boxes, strict=True):

@@ -114,8 +114,8 @@ def cpu_ratios() -> list[Ratio]:
     cloud, view = frustum(POINTS, rng), ViewConfig(size_px=VIEW_PX)
     config = RcvConfig(view=view)
     true = OrientedBox.from_parts(np.array([0.1, 0.0, 2.0]), np.eye(3), np.array([0.6, 0.4, 0.3]))
-    intervals = _measured_intervals(true, [*wide_axes(None, config), *near_axes(true.rotation, None, config)], rng)
-    axes = near_axes(true.rotation, None, config)
+    intervals = _measured_intervals(true, [*wide_axes(None, config), *near_axes(true.rotation, None)], rng)
+    axes = near_axes(true.rotation, None)
     agnostic = config.for_detector(BoxKind.BOX, class_agnostic=True)
     sized = agnostic.model_copy(update={"typical_sizes": (TYPICAL,)})
     unknown = start(0, ON_IMAGE, cloud, None, config)
@@ -153,7 +153,7 @@ def detector_ratios(folder: Path) -> list[Ratio]:
     write_network(weights, build(NetworkDescription(architecture="yolo11n", labels=("object",))))
     config = RcvConfig(view=ViewConfig(size_px=VIEW_PX))
     cloud = frustum(20_000, np.random.default_rng(1))
-    views = render_pairs(cloud, near_axes(np.eye(3), None, config), config.view)
+    views = render_pairs(cloud, near_axes(np.eye(3), None), config.view)
 
     def loaded(backend: Backend) -> Detector:
         return YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))

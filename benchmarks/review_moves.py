@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.iou import iou_3d, iou_3d_pairs
+from annotator.geometry.iou import iou_3d, iou_3d_matrix
 from annotator.geometry.oriented_box import aligned_box
 from annotator.rcv.axes import with_axes_like
 from annotator.types import OrientedBox
@@ -147,7 +147,7 @@ def plan(box: OrientedBox, truth: OrientedBox, quality: float, known: Sequence[M
     best: tuple[float, list[Move]] = (0.0, [])
     for _ in range(MOST_MOVES):
         tried = [([*done, move], move.apply(at, truth, steady)) for done, at in ways for move in known]
-        ious = iou_3d_pairs([after for _, after in tried], [truth] * len(tried))
+        ious = iou_3d_matrix([after for _, after in tried], [truth])[:, 0]
         order = np.argsort(-ious, kind="stable")
         if ious[order[0]] > best[0]:
             best = float(ious[order[0]]), tried[order[0]][0]

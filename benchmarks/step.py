@@ -167,7 +167,7 @@ def timed_frame(
         propose.propose_from_boxes([frame], boxes, detector, config, [warm_starts])
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, boxes[0][0])
     with watch.stage("normals"):
-        with_normals(frame, mask, config)
+        with_normals(frame, mask)
     return int(mask.sum())
 
 

@@ -35,8 +35,6 @@ class ManifestEntry(BaseModel):
     """One image of a training set.
 
     Attributes:
-        image: its file, relative to the set's folder.
-        split: training or validation.
         group: the source frame; all images of a group share a split.
         origin: where its boxes come from, such as "drawn" or "projected".
         label_uids: uids of the project's labels that its boxes come from, if any.
@@ -57,17 +55,10 @@ class DatasetManifest(BaseModel):
     """A training set.
 
     Attributes:
-        version: of this file's format.
-        sha256: hash of all images, labels, classes and the split.
-        classes: names, in the order of the class numbers in the label files.
         kind: what the boxes measure; None for boxes on camera images.
         measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
             them too optimistic.
-        images: number of images by split.
-        boxes_by_class: number of boxes by split and class.
-        images_by_origin: number of images by split and origin.
         dropped_boxes: number of boxes that were dropped because they lie outside their image.
-        entries: all images.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -124,7 +115,6 @@ class TrainingSample:
 
     Attributes:
         rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
-        boxes: its labels, in pixels of this image; empty if no object is visible.
         group: key of the source frame; images of one group are never split between training and validation.
         origin: where the boxes come from, such as "drawn", "imported" or "projected".
         label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
@@ -151,19 +141,6 @@ class TrainingSample:
         return self.rgb() if callable(self.rgb) else self.rgb
 
 
-@dataclass(frozen=True)
-class _Written:
-    """A sample that has been written to the temporary folder."""
-
-    stem: str
-    group: str
-    origin: str
-    label_uids: tuple[str, ...]
-    boxes: tuple[str, ...]
-    dropped: int
-    digest: str
-
-
 def write_dataset(
     folder: Path,
     samples: Iterable[TrainingSample],
@@ -178,9 +155,6 @@ def write_dataset(
     replaced.
 
     Args:
-        folder: the new folder; missing parents are created.
-        samples: at least one of them must have a box.
-        classes: all class names, in the order of the class numbers.
         is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
         kind: what the boxes measure; recorded in the manifest.
@@ -194,13 +168,10 @@ def write_dataset(
     _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder
         written = [
-            _write_sample(temporary, f"{index:06d}", sample, classes, image_format)
+            _write_sample(temporary, f"{index:06d}", sample, classes, is_held_out, image_format)
             for index, sample in enumerate(samples)
         ]
-        val_groups = _val_groups(written, is_held_out)
-        for item in written:
-            _move(temporary, item, "val" if item.group in val_groups else "train", image_format)
-        manifest = _manifest(written, val_groups, classes, kind, image_format)
+        manifest = _manifest(written, classes, kind)
         (temporary / MANIFEST_NAME).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
         (temporary / "data.yaml").write_text(_data_yaml(classes, manifest.measured_on), encoding="utf-8")
     return manifest
@@ -221,8 +192,22 @@ def _check(folder: Path, classes: Sequence[str]) -> None:
         raise DetectionError(f"{folder}: exists and is not a training set; choose another folder or remove it")
 
 
+@dataclass(frozen=True)
+class _Written:
+    """A sample that has been written; `digest` is a hash of its image and labels."""
+
+    entry: ManifestEntry
+    dropped: int
+    digest: str
+
+
 def _write_sample(
-    temporary: Path, stem: str, sample: TrainingSample, classes: Sequence[str], image_format: str
+    folder: Path,
+    stem: str,
+    sample: TrainingSample,
+    classes: Sequence[str],
+    is_held_out: Callable[[str], bool],
+    image_format: str,
 ) -> _Written:
     rgb = sample.load()
     height_px, width_px = rgb.shape[:2]
@@ -237,64 +222,48 @@ def _write_sample(
         if line is not None:
             lines.append(line + "\n")
             names.append(box.label)
-    picture = temporary / f"{stem}.{image_format}"
+    split: Split = "val" if is_held_out(sample.group) else "train"
+    for kind in ("images", "labels"):
+        (folder / kind / split).mkdir(parents=True, exist_ok=True)
+    image = f"images/{split}/{stem}.{image_format}"
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if image_format == "jpg" else []
-    if not cv2.imwrite(str(picture), rgb[:, :, ::-1], quality):
-        raise DetectionError(f"{picture}: cannot be written; is the disk full?")
+    if not cv2.imwrite(str(folder / image), rgb[:, :, ::-1], quality):
+        raise DetectionError(f"{folder / image}: cannot be written; is the disk full?")
     text = "".join(lines)
-    (temporary / f"{stem}.txt").write_text(text, encoding="ascii")
+    (folder / "labels" / split / f"{stem}.txt").write_text(text, encoding="ascii")
+    entry = ManifestEntry(
+        image=image,
+        split=split,
+        group=sample.group,
+        origin=sample.origin,
+        label_uids=sample.label_uids,
+        boxes=tuple(names),
+    )
     digest = hashlib.sha256(np.ascontiguousarray(rgb).tobytes() + str(rgb.shape).encode() + text.encode()).hexdigest()
-    dropped = len(sample.boxes) - len(lines)
-    return _Written(stem, sample.group, sample.origin, sample.label_uids, tuple(names), dropped, digest)
+    return _Written(entry, len(sample.boxes) - len(lines), digest)
 
 
-def _val_groups(written: Sequence[_Written], is_held_out: Callable[[str], bool]) -> frozenset[str]:
-    """The held-out groups."""
+def _require_training(entries: Sequence[ManifestEntry]) -> None:
+    """Some labelled frame trains."""
     # generated frames alone teach a project's detector nothing; the base detector learns from nothing else
-    own = [item for item in written if item.origin != GENERATED] or written
-    with_boxes = {item.group for item in own if item.boxes}
+    own = [entry for entry in entries if entry.origin != GENERATED] or entries
+    with_boxes = [entry for entry in own if entry.boxes]
     if not with_boxes:
         raise DetectionError("a training set needs at least one labelled box; label some frames first")
-    held_out = frozenset(group for group in {item.group for item in written} if is_held_out(group))
-    if with_boxes <= held_out:
-        keys = sorted(group.partition("/")[2] or group for group in with_boxes)
+    if all(entry.split == "val" for entry in with_boxes):
+        keys = sorted({entry.group.partition("/")[2] or entry.group for entry in with_boxes})
         raise DetectionError(
             f"all labelled frames ({', '.join(keys[:3])}) are among the fifth of the frames that is kept for measuring "
             "and never used for training; label another frame"
         )
-    return held_out
 
 
-def _move(temporary: Path, item: _Written, split: Split, image_format: str) -> None:
-    for kind, name in (("images", f"{item.stem}.{image_format}"), ("labels", f"{item.stem}.txt")):
-        target = temporary / kind / split
-        target.mkdir(parents=True, exist_ok=True)
-        (temporary / name).rename(target / name)
-
-
-def _manifest(
-    written: Sequence[_Written],
-    val_groups: frozenset[str],
-    classes: Sequence[str],
-    kind: BoxKind | None,
-    image_format: str,
-) -> DatasetManifest:
-    entries = []
+def _manifest(written: Sequence[_Written], classes: Sequence[str], kind: BoxKind | None) -> DatasetManifest:
+    entries = [item.entry for item in written]
+    _require_training(entries)
     digest = hashlib.sha256(json.dumps([list(classes), kind], ensure_ascii=False).encode())
     for item in written:
-        split: Split = "val" if item.group in val_groups else "train"
-        image = f"images/{split}/{item.stem}.{image_format}"
-        digest.update(f"{split} {item.digest}\n".encode())
-        entries.append(
-            ManifestEntry(
-                image=image,
-                split=split,
-                group=item.group,
-                origin=item.origin,
-                label_uids=item.label_uids,
-                boxes=item.boxes,
-            )
-        )
+        digest.update(f"{item.entry.split} {item.digest}\n".encode())
     by_split = {split: [entry for entry in entries if entry.split == split] for split in SPLITS}
     return DatasetManifest(
         sha256=digest.hexdigest(),

@@ -20,6 +20,8 @@ from annotator.detection.dataset import DatasetManifest, TrainingSample
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
 from annotator.files import read_text_file
+from annotator.geometry.iou import box_iou
+from annotator.geometry.outline import edges_of
 from annotator.types import Box2D
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
@@ -111,11 +113,6 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
 
     Without validation images of their own, with a network that gives no spread, or where the spread tells nothing,
     the detector stays without them.
-
-    Args:
-        dataset: folder of its training set.
-        manifest: of that set.
-        device: as for training.
     """
     if manifest.measured_on != "val":
         return trained
@@ -157,24 +154,15 @@ def _labels(dataset: Path, image: Path, classes: Sequence[str], width_px: int, h
     split = image.parent.name
     for line in read_text_file(dataset / "labels" / split / f"{image.stem}.txt").splitlines():
         number, *shares = line.split()
-        x, y, width, height = (float(share) for share in shares)
-        sides = np.array([width_px, height_px] * 2)
-        edges = np.array([x - width / 2, y - height / 2, x + width / 2, y + height / 2]) * sides - 0.5
+        edges = edges_of(np.array(shares, np.float64), width_px, height_px)
         boxes.append(Box2D(classes[int(number)], *edges.tolist()))
     return boxes
 
 
 def _detection_of(label: Box2D, boxes: Sequence[Box2D]) -> Box2D | None:
     """The detection of a labelled object, or None."""
-    near = [(box, iou) for box in boxes if box.label == label.label and (iou := _iou(box, label)) >= MIN_IOU]
+    near = [(box, iou) for box in boxes if box.label == label.label and (iou := box_iou(box, label)) >= MIN_IOU]
     return max(near, key=lambda pair: pair[0].score * (STRANGER_WEIGHT + pair[1]))[0] if near else None
-
-
-def _iou(a: Box2D, b: Box2D) -> float:
-    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
-    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
-    shared = max(width, 0.0) * max(height, 0.0)
-    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
 def _at_border(box: Box2D, width_px: int, height_px: int) -> Bool[np.ndarray, "4"]:

@@ -30,10 +30,7 @@ class Scene:
     """The ground truth of one frame.
 
     Attributes:
-        key: the frame's key.
-        camera: its colour camera.
         xyz_m: (n, 3) its cloud, camera frame.
-        truths: the objects.
         points: for each object, the number of points in its box.
     """
 
@@ -70,8 +67,6 @@ class PerfectDetector:
     ) -> None:
         """
         Args:
-            scenes: the frames with their ground truth.
-            kind: what the boxes measure.
             jitter: standard deviation of the noise on each edge, as a share of the view's extent in that direction
                 (on a camera image: of the box's extent).
             seed: seed of the noise, which depends on the image, not on the order of calls.

@@ -39,13 +39,7 @@ def has_base() -> bool:
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """What a training run starts from.
-
-    Attributes:
-        weights: the weights file; None for random weights.
-        pretrained: whether the weights are pretrained.
-        note: description for the user.
-    """
+    """What a training run starts from."""
 
     weights: Path | None
     pretrained: bool
@@ -79,13 +73,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
 
 
 def check_start(config: TrainingConfig) -> None:
-    """Checks the model name and the weights file, without a download, before the slow preparation of a run.
-
-    Raises:
-        ConfigError: the model name is unknown, or the given or cached weights file is missing, damaged or not a
-            detection model.
-        DetectionError: the packages cannot be loaded.
-    """
+    """Checks the model name and the weights file, without a download, before the slow preparation of a run."""
     name = check_model_name(config.model)
     if isinstance(config.pretrained, Path):
         check_weights(config.pretrained, "give another file, or auto")

@@ -39,16 +39,9 @@ class TrainedModel(BaseModel):
     """A trained detector and its origin.
 
     Attributes:
-        role: image or pseudo-view detector.
         classes: class names, in the order of the class numbers.
-        kind: what the boxes of its training set measure.
         image_size_px: training size, longer side, pixels.
-        metrics: of the best epoch, whose weights are kept.
-        epochs: number of epochs that were run.
         seconds: training time, over all parts of an interrupted run.
-        pretrained: whether it started from pretrained weights.
-        note: what it started from, in words.
-        dataset_sha256: hash of the training set's manifest.
         edge_errors: expected errors of its edges, by class; empty for image detectors, and where the network does
             not tell them.
     """
@@ -138,10 +131,7 @@ class TrainingState(BaseModel):
     """Numbers of a checkpoint.
 
     Attributes:
-        epoch: the finished epoch, from 0.
         updates: number of updates of the averaged weights.
-        best_fitness: of the best epoch; None before the first validation.
-        stopper: state of early stopping.
         metrics: of this epoch's validation; None without one.
         groups: the optimiser's parameter groups without their parameters, which are listed by number.
         plain: the optimiser's state that is not a tensor, by parameter number and name.

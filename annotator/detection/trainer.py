@@ -64,7 +64,6 @@ class MuonSgd(torch.optim.Optimizer):
     def __init__(self, groups: list[dict[str, Any]], muon: float = 0.2, sgd: float = 1.0) -> None:
         """
         Args:
-            groups: parameter groups.
             muon, sgd: factors of the learning rate for the two parts.
         """
         super().__init__(groups, {"lr": 0.01, "momentum": 0.9, "weight_decay": 0.0, "use_muon": False})
@@ -128,13 +127,9 @@ class TrainerHooks:
     """Parameters of a run besides ultralytics' settings.
 
     Attributes:
-        dataset: folder of the training set.
-        manifest: of the training set.
         measure_every: epochs between validations; the last epoch is always validated.
         quarter_turns: turn training images by random multiples of 90 degrees.
         on_batch, on_epoch: called with the trainer after each batch, and after each epoch.
-        weights: file to start from; None = random weights.
-        checkpoint: to resume from; None = a new run.
     """
 
     dataset: Path

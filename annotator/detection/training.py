@@ -40,14 +40,10 @@ class TrainingProgress:
     """Progress of a training run.
 
     Attributes:
-        role: the detector's kind.
-        epoch, epochs: number of finished epochs, and of all epochs.
-        batch, batches: number of finished batches of the current epoch, and of all its batches.
         losses: mean losses by name, of the current epoch, or of the last one before its first batch.
         map50, map50_95: of the last validation; None before the first.
         seconds: since the run started or was resumed, without pauses.
         seconds_left: an estimate; None before the first batch.
-        note: what the run started from.
         is_timed: whether the run has a fixed duration, and `epochs` is an estimate.
         part, parts: number of this run, from 1, and of all runs, of a training in several parts.
     """
@@ -105,7 +101,6 @@ class Watch:
     ) -> None:
         """
         Args:
-            epochs: of the run; a first guess for a run of fixed duration.
             limit_s: duration of the run; None = until its epochs are done.
         """
         self._limit_s = limit_s
@@ -201,11 +196,7 @@ def train_detector(
         dataset: a folder written by `write_dataset`.
         out: folder of the run; `detector.safetensors`, `model.json` and `curves.csv` are written there.
         progress: called after every batch and every epoch.
-        role: the detector's kind; it selects the augmentation.
         stop: called after every batch; true stops the run.
-
-    Returns:
-        the trained model; `read_trained(out)` reads it again.
 
     Raises:
         ConfigError: the model name is unknown, the weights file is missing or damaged, or ultralytics cannot read the

@@ -58,9 +58,6 @@ def api() -> SimpleNamespace:
     Attributes: `torch`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`, `downloads`, `weights_dir`, `version`;
     `threads`, torch's default number of threads; and `user_offline`, whether the user had set YOLO_OFFLINE. There is
     nothing that reads weights: that is `weights.load_weights`.
-
-    Raises:
-        DetectionError: a package is missing or broken.
     """
     user_offline = os.environ.get("YOLO_OFFLINE", "").strip().lower() in {"1", "true", "yes", "on", "y", "t"}
     try:
@@ -196,11 +193,7 @@ def _unchanged_process() -> Iterator[None]:
 
 
 def pick_device(device: str) -> Any:
-    """A torch device from "auto", "cpu", "cuda", "cuda:1" or "mps"; auto prefers CUDA.
-
-    Raises:
-        DetectionError: the device is unknown or missing.
-    """
+    """A torch device from "auto", "cpu", "cuda", "cuda:1" or "mps"; auto prefers CUDA."""
     torch = api().torch
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -218,8 +211,6 @@ class CudaDevice:
     """A CUDA device.
 
     Attributes:
-        name: torch's name for the device, such as "cuda:0".
-        model: such as "NVIDIA GeForce RTX 4090".
         capability: its compute capability, such as "8.9".
         memory_bytes, free_bytes: total memory, and the part that is free now.
     """
@@ -233,13 +224,7 @@ class CudaDevice:
 
 @dataclass(frozen=True)
 class TorchFacts:
-    """The installed torch.
-
-    Attributes:
-        version: torch's version.
-        cuda: the CUDA version that torch was built with; None for a build without CUDA.
-        has_mps: True if torch can use Apple's GPU.
-    """
+    """The installed torch."""
 
     version: str
     cuda: str | None
@@ -247,11 +232,7 @@ class TorchFacts:
 
 
 def torch_facts() -> TorchFacts:
-    """Facts about the installed torch.
-
-    Raises:
-        ImportError, OSError: torch is missing or broken.
-    """
+    """Facts about the installed torch."""
     import torch
 
     return TorchFacts(str(torch.__version__), torch.version.cuda, bool(torch.backends.mps.is_available()))

@@ -42,9 +42,6 @@ class NetworkDescription(BaseModel):
     """What is needed to build the network of a file.
 
     Attributes:
-        format: version of the format.
-        architecture: name of a detection model of ultralytics, such as "yolo11n".
-        labels: class names, in the order of the class numbers.
         end2end: whether the network predicts each object once; None = as is usual for the architecture.
     """
 
@@ -196,9 +193,6 @@ MOST_NAME = 1000
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
     """Loads a detection model in eval mode, in single precision. No code of the file is run.
 
-    Args:
-        remedy: advice at the end of the error message.
-
     Raises:
         DetectionError: the file is missing, unreadable, too large or not a detection model of ultralytics.
     """
@@ -220,7 +214,6 @@ def _converted(path: Path, remedy: str) -> Any:
             return read_network(copy, "cpu", remedy)
         except DetectionError as error:
             LOG.warning("converting %s again: %s", path, error)
-    require_refusal()
     try:
         described, tensors = _network(content)
     except Exception as error:  # pickles and archives raise many types on a damaged file
@@ -235,32 +228,6 @@ def _converted(path: Path, remedy: str) -> Any:
     except OSError as error:
         LOG.warning("%s: cannot be kept as a network file, so it is converted each time: %s", path, error)
     return model
-
-
-def require_refusal() -> None:
-    """Gives the reader a pickle that calls a function.
-
-    Raises:
-        DetectionError: it was not refused, or the function was called. Then no other pickle is read.
-    """
-    try:
-        _Reader(io.BytesIO(pickle.dumps({"model": _Canary()}))).load()
-    except pickle.UnpicklingError:
-        if not _SUNG:
-            return
-    raise DetectionError("pickles would run their code here, so weights in ultralytics' format are refused")
-
-
-_SUNG: list[str] = []
-
-
-def _sing() -> None:
-    _SUNG.append("code of a pickle was run")
-
-
-class _Canary:
-    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
-        return _sing, ()
 
 
 class _Inert:

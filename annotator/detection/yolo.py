@@ -35,7 +35,6 @@ class Placement:
     """How an image is scaled and padded for a network, all in pixels.
 
     Attributes:
-        width_px, height_px: size of the image.
         scaled_width_px, scaled_height_px: its size in the batch.
         canvas: (width, height) including the border.
     """
@@ -72,12 +71,7 @@ def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
 
 
 def fill_batch(pictures: Sequence[np.ndarray], placements: Sequence[Placement]) -> UInt8[np.ndarray, "n h w 3"]:
-    """A batch of images that share a canvas size, each centred on its canvas.
-
-    Args:
-        pictures: images of any sizes, each (height, width, 3) uint8.
-        placements: one per image.
-    """
+    """A batch of images that share a canvas size, each centred on its canvas."""
     width_px, height_px = placements[0].canvas
     batch = np.full((len(pictures), height_px, width_px, 3), GREY, np.uint8)
     for target, picture, placement in zip(batch, pictures, placements, strict=True):
@@ -101,8 +95,6 @@ def to_pictures(
 
     Args:
         boxes: x_min y_min x_max y_max, pixels from the corner of the canvas.
-        picture: index of each box's image.
-        placements: one per image.
     """
     border = np.array([p.corner * 2 for p in placements], np.float64)[picture]
     size = np.array([(p.width_px, p.height_px) * 2 for p in placements], np.float64)[picture]

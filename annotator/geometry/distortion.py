@@ -22,10 +22,6 @@ CONVERGED = 1e-10
 def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """The distorted image coordinates of ideal coordinates (x/z, y/z).
 
-    Args:
-        coefficients: as in `Camera.distortion`.
-        xy: ideal normalised coordinates.
-
     Returns:
         distorted normalised coordinates, with the dtype of `xy`; NaN outside the radius up to which the radial model is
         monotonic. Further out, the polynomials decrease again, so points far outside the image would project into it.

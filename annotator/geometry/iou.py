@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from annotator.types import OrientedBox
+from annotator.types import Box2D, OrientedBox
 from annotator.types.errors import GeometryError
 
 Vectors = Float[np.ndarray, "n 3"]
@@ -35,18 +35,6 @@ def iou_3d(a: OrientedBox, b: OrientedBox) -> float:
     parts = [values[None] for box in (a, b) for values in (box.center_m, box.rotation, box.size_m)]
     volume = float(intersection_volume_pairs(*parts)[0])
     return min(volume / (a.volume_m3 + b.volume_m3 - volume), 1.0)
-
-
-def iou_3d_pairs(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n"]:
-    """Exact IoU of the i-th box of one list with the i-th of the other.
-
-    Raises:
-        GeometryError: the lists differ in length.
-    """
-    if len(boxes_a) != len(boxes_b):
-        raise GeometryError(f"pairs need lists of equal length, not {len(boxes_a)} and {len(boxes_b)} boxes")
-    every = np.arange(len(boxes_a))
-    return iou_3d_chosen(boxes_a, boxes_b, every, every)
 
 
 def iou_3d_matrix(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n m"]:
@@ -130,6 +118,16 @@ def _stacked(
     )
 
 
+def box_iou(a: Box2D, b: Box2D) -> float:
+    """IoU of two axis-aligned boxes."""
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    if width <= 0 or height <= 0:
+        return 0.0
+    shared = width * height
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
+
 def nms_3d(
     boxes: Sequence[OrientedBox], scores: Float[np.ndarray, "n"], labels: Sequence[str], iou_threshold: float
 ) -> Int[np.ndarray, "kept"]:
@@ -139,7 +137,6 @@ def nms_3d(
     than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
 
     Args:
-        boxes: in one frame.
         scores: one per box; any finite numbers.
         iou_threshold: in 0..1.
 

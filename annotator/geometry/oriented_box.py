@@ -72,10 +72,6 @@ def contains_parts(
     """Which points lie in a box or on its surface; NaN points are outside.
 
     The computation uses the precision of `xyz`, after subtracting the centre.
-
-    Args:
-        center, rotation, size: as in `corners`.
-        xyz: points in the same frame, metres.
     """
     from annotator.geometry.kernels import points_in_box
 

@@ -24,7 +24,6 @@ def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarr
     """Projects points onto the image.
 
     Args:
-        camera: intrinsics and distortion.
         xyz_m: points in the camera frame, metres.
 
     Returns:
@@ -191,7 +190,6 @@ def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> B
     """Which points project into a 2D box on the camera image, edges included.
 
     Args:
-        camera: intrinsics and distortion.
         xyz_m: points in the camera frame, metres.
         box: on the image, pixels; it may extend beyond the image.
 
@@ -224,6 +222,11 @@ def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
         return None
     edges = np.arange(most + 1, dtype=np.int64) * n_points // most
     return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
+
+
+def every_nth(values: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "k 3"]:
+    """At most so many rows, spread evenly over their order."""
+    return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.intp)]
 
 
 @lru_cache(maxsize=8)

@@ -214,9 +214,6 @@ def _refined(
 ) -> tuple[Float64[np.ndarray, "3"], float]:
     """The direction that fits all level and upright surfaces best (least squares), and how well they hold it.
 
-    Args:
-        weight: of each normal beside the planes' shares.
-
     Returns:
         a unit vector, and the share of the surface that keeps it from turning in its least certain direction.
     """

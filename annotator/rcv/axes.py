@@ -6,20 +6,30 @@ looks along a3, the side view along -a1. For upright boxes a2 points down.
 
 from __future__ import annotations
 
-import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
+from scipy.spatial.transform import Rotation
 
 from annotator.geometry.normals import normals_from_depth, normals_knn
-from annotator.geometry.projection import in_frustums
+from annotator.geometry.projection import every_nth, in_frustums
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PointCloud
 
-# K-means usually converges in a few rounds; this bounds the time if it oscillates.
-KMEANS_ROUNDS = 20
+# Relative gap between eigenvalues below which they determine no axes.
+MIN_FLATNESS = 0.05
+# Neighbours that a normal is estimated from if there is no depth image.
+NORMAL_NEIGHBOURS = 16
+# Usable normals that are needed, and most that are clustered.
+MIN_NORMALS, MAX_NORMALS = 30, 2000
+# K-means usually converges in a few rounds; the number of rounds bounds the time if it oscillates.
+KMEANS_CLUSTERS, KMEANS_SEED, KMEANS_ROUNDS = 6, 0, 20
+# Upright: normals within this angle of the vertical (floor, table top) are ignored. Free: smallest angle between the
+# major axis and the cluster that gives the second axis.
+STEEP_NORMAL_RAD, MIN_SECOND_ANGLE_RAD = math.radians(25), math.radians(30)
 
 
 class NoAxesError(Exception):
@@ -35,19 +45,8 @@ class FoundAxes:
     fallback: tuple[str, ...] = ()
 
 
-def _signed_permutations() -> Float64[np.ndarray, "24 3 3"]:
-    """The 24 rotations that map a box onto itself and relabel its axes."""
-    matrices = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                matrices.append(matrix)
-    return np.array(matrices)
-
-
-BOX_SYMMETRIES = _signed_permutations()
+# The 24 rotations that map a box onto itself and relabel its axes.
+BOX_SYMMETRIES: Float64[np.ndarray, "24 3 3"] = Rotation.create_group("O").as_matrix().round() + 0.0
 UPRIGHT_SYMMETRIES = BOX_SYMMETRIES[BOX_SYMMETRIES[:, 1, 1] == 1.0]
 
 
@@ -102,42 +101,42 @@ def upright_axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
 
 
 def eigenvector_axes(
-    xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
+    xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, min_points: int
 ) -> Float64[np.ndarray, "3 3"]:
     """Principal axes of the points; of their footprint if `up` is given.
 
     Raises:
         NoAxesError: too few points, or eigenvalues that are too similar.
     """
-    if len(xyz_m) < max(4, config.min_points):
+    if len(xyz_m) < max(4, min_points):
         raise NoAxesError(f"too few points for eigenvectors ({len(xyz_m)})")
     centred = np.asarray(xyz_m, np.float64) - np.mean(xyz_m, axis=0, dtype=np.float64)
     if up is not None:
         base = camera_axes(up)
         values, vectors = np.linalg.eigh(np.cov((centred @ base.T)[:, [0, 2]].T))
-        _require_distinct(values, config)
+        _require_distinct(values)
         major = base[[0, 2]].T @ vectors[:, 1]
         return upright_axes(major, up)
     values, vectors = np.linalg.eigh(np.cov(centred.T))
-    _require_distinct(values, config)
+    _require_distinct(values)
     axes = vectors.T[::-1].copy()
     axes[2] = np.cross(axes[0], axes[1])
     return axes
 
 
-def _require_distinct(values: np.ndarray, config: RcvConfig) -> None:
-    if values[-1] <= 0 or np.diff(values).min() < config.axes.min_flatness * values[-1]:
+def _require_distinct(values: np.ndarray) -> None:
+    if values[-1] <= 0 or np.diff(values).min() < MIN_FLATNESS * values[-1]:
         raise NoAxesError("eigenvalues are too similar to determine axes")
 
 
 def axial_kmeans(
-    directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
+    directions: Float64[np.ndarray, "n 3"], clusters: int
 ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
     """K-means of directions without sign: unit centres (k, 3), and the number of members (k,) of each.
 
     Similarity is |cosine|. A centre is the axial mean of its members: the principal eigenvector of the sum of n n^T.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(KMEANS_SEED)
     centres = [directions[rng.integers(len(directions))]]
     # farthest-point initialisation: the centres are spread, and every cluster starts with a member
     for _ in range(clusters - 1):
@@ -157,11 +156,7 @@ def axial_kmeans(
     return centre, np.bincount(member, minlength=clusters)
 
 
-def normal_axes(
-    normals: Float[np.ndarray, "n 3"],
-    up: Float64[np.ndarray, "3"] | None,
-    config: RcvConfig,
-) -> Float64[np.ndarray, "3 3"]:
+def normal_axes(normals: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
     """Axes with a3 along the largest cluster of normals; the next cluster (or gravity, if upright) gives the others.
 
     Args:
@@ -173,26 +168,25 @@ def normal_axes(
     known = np.asarray(normals, np.float64)
     known = known[np.einsum("ij,ij->i", known, known) > 0.25]
     if up is not None:
-        known = known[np.abs(known @ up) < np.cos(config.axes.steep_normal_rad)]
+        known = known[np.abs(known @ up) < np.cos(STEEP_NORMAL_RAD)]
         known = known - np.outer(known @ up, up)
         known /= np.linalg.norm(known, axis=1, keepdims=True)
-    if len(known) < config.axes.min_normals:
+    if len(known) < MIN_NORMALS:
         raise NoAxesError(f"too few usable normals ({len(known)})")
-    if len(known) > config.axes.max_normals:
-        known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
-    centres, counts = axial_kmeans(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
+    known = every_nth(known, MAX_NORMALS)
+    centres, counts = axial_kmeans(known, min(KMEANS_CLUSTERS, len(known)))
     major = centres[np.argmax(counts)]
     if up is not None:
         return upright_axes(major, up)
-    second = _second_direction(centres, counts, major, config.axes.min_second_angle_rad)
+    second = _second_direction(centres, counts, major)
     a1 = second - major * (second @ major)
     a1 /= np.linalg.norm(a1)
     return np.stack([a1, np.cross(major, a1), major])
 
 
-def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray, min_angle_rad: float) -> np.ndarray:
+def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray) -> np.ndarray:
     for index in np.argsort(-counts, kind="stable"):
-        if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
+        if np.abs(centres[index] @ major) < np.cos(MIN_SECOND_ANGLE_RAD):
             return centres[index]
     # Only one direction, as on a wall: use the camera axis that is most nearly perpendicular to it.
     return np.eye(3)[np.argmin(np.abs(major))]
@@ -221,9 +215,9 @@ def find_axes(
         try:
             if candidate is Strategy.NORMALS:
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
-                axes = normal_axes(normals, up, config)
+                axes = normal_axes(normals, up)
             else:
-                axes = eigenvector_axes(cloud.xyz_m, up, config)
+                axes = eigenvector_axes(cloud.xyz_m, up, config.min_points)
         except NoAxesError as error:
             failed.append(f"{candidate}: {error}")
             continue
@@ -238,7 +232,7 @@ def needs_normals(config: RcvConfig) -> bool:
     )
 
 
-def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig) -> PointCloud:
+def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"]) -> PointCloud:
     """The frame's cloud with normals, at least at the points of `mask`; zero if unknown.
 
     They are estimated from pixel neighbours if the cloud comes from a depth image, otherwise from the nearest
@@ -252,13 +246,13 @@ def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig) -
         return replace(cloud, normals=grid[cloud.pixel_index])
     normals = np.zeros((len(cloud), 3), np.float32)
     if mask.any():
-        normals[mask] = normals_knn(cloud.xyz_m[mask], config.axes.normal_neighbours)
+        normals[mask] = normals_knn(cloud.xyz_m[mask], NORMAL_NEIGHBOURS)
     return replace(cloud, normals=normals)
 
 
-def frame_with_normals(frame: Frame, image_boxes: Sequence[Box2D], config: RcvConfig) -> Frame:
+def frame_with_normals(frame: Frame, image_boxes: Sequence[Box2D]) -> Frame:
     """The frame with normals in the frustums of all these boxes, so that they are not estimated once per object."""
     if not image_boxes or frame.cloud.normals is not None:
         return frame
     mask = np.logical_or.reduce(in_frustums(frame.camera, frame.cloud.xyz_m, image_boxes))
-    return replace(frame, cloud=with_normals(frame, mask, config))
+    return replace(frame, cloud=with_normals(frame, mask))

@@ -1,11 +1,10 @@
-"""The settings of Recursive Cross-View: every threshold, with its unit and bounds.
+"""The settings of Recursive Cross-View that somebody may want to change, with units and bounds.
 
-Numbers that only affect computing time, such as the resolution of a search, are constants beside their code.
+Thresholds chosen by measurements, and numbers that only affect computing time, are constants beside their code.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Annotated, Any
@@ -123,47 +122,11 @@ class ViewConfig(BaseModel):
         224, ge=32, le=2048, description="longer side of a first-step view of a deep frustum, pixels"
     )
     deep: float = Field(2.0, gt=0, description="depth/width ratio of a frustum above which `deep_size_px` applies")
-    points_per_px: float = Field(
-        4.0, gt=0, description="larger clouds are thinned to this many points per pixel of a square view"
-    )
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
-    min_extent_m: float = Field(0.02, gt=0, description="smallest extent that a view shows, metres")
-    max_splat_px: int = Field(9, ge=1, le=31, description="largest square that a point is drawn as, pixels")
-
-
-class AxesConfig(BaseModel):
-    """How axes are estimated from a cloud and its normals."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    min_flatness: float = Field(
-        0.05, ge=0, lt=1, description="relative gap between eigenvalues below which they determine no axes"
-    )
-    normal_neighbours: int = Field(
-        16, ge=3, le=256, description="neighbours used to estimate a normal if there is no depth image, points"
-    )
-    min_normals: int = Field(
-        30, ge=3, description="minimum number of usable normals; with fewer, eigenvectors are used"
-    )
-    max_normals: int = Field(2000, ge=16, description="maximum number of normals to cluster")
-    kmeans_clusters: int = Field(6, ge=1, le=16, description="clusters of point normals")
-    seed: int = Field(0, ge=0, description="random seed of K-means")
-    steep_normal_rad: float = Field(
-        math.radians(25),
-        ge=0,
-        le=math.pi / 2,
-        description="upright: normals within this angle of the vertical (floor, table top) are ignored, radians",
-    )
-    min_second_angle_rad: float = Field(
-        math.radians(30),
-        gt=0,
-        le=math.pi / 2,
-        description="free: minimum angle between the major axis and the cluster that gives the second axis, radians",
-    )
 
 
 class FitConfig(BaseModel):
-    """The robust fit of one box through measured intervals."""
+    """How much the robust fit trusts the edges of detections."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -173,23 +136,10 @@ class FitConfig(BaseModel):
         description="expected error of a detected edge if the detector does not tell it, share of the view's extent",
     )
     use_edge_errors: bool = Field(True, description="weight edges by the errors that the detector expects of them")
-    cut_doubt: float = Field(
-        3.0, ge=1, description="factor on the expected error of an edge that is cut off by the view's border"
-    )
-    huber_sigmas: float = Field(
-        1.5, gt=0, description="residual above which an edge is down-weighted (Huber), multiples of its expected error"
-    )
-    min_size_m: float = Field(1e-3, gt=0, description="a fit with a side of at most this length is rejected, metres")
-    min_determinacy: float = Field(
-        0.02,
-        gt=0,
-        lt=1,
-        description="smallest singular value of the normalised equations below which the fit is rejected",
-    )
 
 
 class ConsensusConfig(BaseModel):
-    """The axis hypotheses of a consensus step and, for silhouette detectors, which of their boxes qualify."""
+    """How many views a consensus takes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -197,94 +147,8 @@ class ConsensusConfig(BaseModel):
         4, ge=2, le=16, description="upright: yaw hypotheses of a wide step, over a quarter turn"
     )
     free_hypotheses: int = Field(12, ge=4, le=64, description="free: orientation hypotheses of a wide step")
-    refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a refinement step, close to the last fit")
     refine_steps: int = Field(
         1, ge=0, le=16, description="refinement steps after the wide step; cut-off objects get more, up to `max_steps`"
-    )
-    refine_spread_rad: float = Field(
-        0.35, gt=0, description="angle of the refinement hypotheses from the last fit, radians"
-    )
-    whole_share: float = Field(
-        0.95,
-        ge=0,
-        le=1,
-        description="silhouettes: a hypothesis with less than this share of the median point count is discarded",
-    )
-    silhouette_margin: float = Field(
-        0.03, ge=0, le=1, description="silhouettes: margin within which points count as inside, share of the box's size"
-    )
-
-
-class WarmConfig(BaseModel):
-    """Warm starts: how an object starts from its previous box (the start box), and when that box is dropped."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    min_image_iou: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="minimum IoU on the image of the image box with the start box, and with the result",
-    )
-    room: float = Field(
-        0.2,
-        ge=0,
-        le=2,
-        description="margin around the start box within which points are used, share of its longest side",
-    )
-    spread_rad: float = Field(
-        0.35, gt=0, le=1.5, description="free: angle of the hypotheses from the start box's axes, radians"
-    )
-    min_seen: float = Field(
-        0.6, ge=0, le=1, description="minimum share of the first step's views on which the object is detected"
-    )
-    max_size_ratio: float = Field(
-        1.5, ge=1, description="maximum ratio between a side of the result and of the start box"
-    )
-    min_iou: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="minimum IoU between result and start box with their centres aligned",
-    )
-    settled_iou: float = Field(
-        0.8,
-        ge=0,
-        le=1,
-        description="IoU between result and start box with their centres aligned, above which one step is enough",
-    )
-    seed_doubt: float = Field(
-        0.05,
-        gt=0,
-        description="expected error of the start box's faces, share of its mean side; smaller values raise its weight",
-    )
-    max_steps: int = Field(2, ge=1, le=20, description="maximum number of steps after a warm start")
-
-
-class FirstLookConfig(BaseModel):
-    """The first step with a class-agnostic view detector (`rcv/first_look.py`)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    depth_percentiles: tuple[Annotated[float, Field(ge=0, le=100)], ...] = Field(
-        (5.0, 20.0, 40.0, 60.0, 80.0),
-        description="positions of the crops: percentiles of the depths in the box's middle",
-    )
-    lengths: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        (1.0, 2.5), description="lengths of the crops, multiples of the image box's longer side there"
-    )
-    plane_noise_px: float = Field(
-        2.0, ge=0, description="expected error of the image box's edges as bounds of the 3D box, pixels; 0: no bounds"
-    )
-    silhouette_room: float = Field(
-        0.13,
-        ge=0,
-        le=1,
-        description="how far the outline of a whole 3D box lies outside a box around what is seen, share of its side",
-    )
-    silhouette_spread: float = Field(0.1, gt=0, le=1, description="standard deviation of that share")
-    use_typical_sizes: bool = Field(
-        True, description="whether objects whose class has a typical size start from boxes of about this size"
     )
 
 
@@ -298,16 +162,16 @@ class RcvConfig(BaseModel):
     box_kind: BoxKind = Field(BoxKind.BOX, description="what the view detector's boxes measure")
     image_box_kind: BoxKind = Field(BoxKind.BOX, description="what the boxes on the camera image enclose")
     view: ViewConfig = ViewConfig()
-    axes: AxesConfig = AxesConfig()
     consensus: ConsensusConfig = ConsensusConfig()
     fit: FitConfig = FitConfig()
-    warm: WarmConfig = WarmConfig()
-    first_look: FirstLookConfig = FirstLookConfig()
     typical_sizes: tuple[TypicalSize, ...] = Field(
         (), description="typical sizes of classes, in place of those of reviewed boxes and of well-known classes"
     )
     reviewed_sizes: tuple[TypicalSize, ...] = Field(
         (), description="typical sizes of a project's classes, from its reviewed boxes"
+    )
+    use_typical_sizes: bool = Field(
+        True, description="whether a class-agnostic detector's objects start from boxes of their class's typical size"
     )
     class_agnostic: bool = Field(
         False, description="whether the view detector measures the object of a crop, whatever its class"
@@ -318,42 +182,10 @@ class RcvConfig(BaseModel):
         5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
     )
     min_points: int = Field(5, ge=1, description="minimum number of points; with fewer, the recursion ends")
-    axes_tolerance_rad: float = Field(
-        0.02, gt=0, description="the recursion has converged if the axes turn by less than this, radians"
-    )
-    box_tolerance: float = Field(
-        0.03, gt=0, lt=1, description="the recursion has converged if 1 - IoU with the last box is below this"
-    )
 
     min_image_score: float = Field(0.25, ge=0, le=1, description="image detections with a lower score are ignored")
     min_view_score: float = Field(0.05, ge=0, le=1, description="view detections with a lower score are ignored")
-    min_shared_overlap: float = Field(
-        0.3, ge=0, le=1, description="first step: minimum 1D IoU of front and side box on their shared axis"
-    )
     max_objects_per_frustum: int = Field(5, ge=1, description="first step: maximum number of objects per frustum")
-    stranger_weight: float = Field(
-        0.1,
-        ge=0,
-        description="added to a detection's IoU with the last box to give its weight",
-    )
-    border_px: float = Field(
-        1.0, ge=0, description="an edge within this distance of the view's border counts as cut off, pixels"
-    )
-    cut_room: float = Field(
-        1.4, ge=1, description="if the object was cut off, the next views show its box enlarged by this factor"
-    )
-    keep_margin: float = Field(
-        0.03, ge=0, le=1, description="margin around the box within which points are kept, share of its mean side"
-    )
-    keep_margin_view: float = Field(
-        0.04, ge=0, le=1, description="additional margin for the detector's inaccuracy, share of the view's extent"
-    )
-    min_image_agreement: float = Field(
-        0.05,
-        ge=0,
-        le=1,
-        description="minimum IoU with the image box for further objects in a frustum",
-    )
     coarse_box: bool = Field(
         False,
         description="propose a coarse box for a lost object: its last box, or one around the frustum's points",
@@ -384,7 +216,7 @@ class RcvConfig(BaseModel):
     @property
     def uses_typical_sizes(self) -> bool:
         """Whether objects whose class has a typical size start from boxes of this size."""
-        return self.class_agnostic and self.box_kind is BoxKind.BOX and self.first_look.use_typical_sizes
+        return self.class_agnostic and self.box_kind is BoxKind.BOX and self.use_typical_sizes
 
     def typical_size(self, label: str) -> TypicalSize | None:
         """The typical size of a class, if it has one and it is used."""
@@ -404,7 +236,7 @@ class RcvConfig(BaseModel):
         if not (self.trained and self.uses_typical_sizes):
             left_out["trained"] = True
         if not self.class_agnostic:
-            left_out |= {"class_agnostic": True, "first_look": True}
+            left_out |= {"class_agnostic": True, "use_typical_sizes": True}
         if self.image_box_kind is BoxKind.BOX or self.box_kind is BoxKind.SILHOUETTE:  # it changes nothing
             left_out["image_box_kind"] = True
         if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint

@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.iou import iou_3d_matrix, nms_3d
+from annotator.geometry.iou import box_iou, iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.first_look import expected_outline
-from annotator.rcv.measure import box_iou
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Candidates, best_expected, changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
@@ -26,6 +25,8 @@ MIDDLE_MARGIN = 0.03
 CHANGES, CHANGE_SCALE = 20, 0.5
 # How much the IoU with the box of another object of the frame lowers a candidate's score.
 OVERLAP_WEIGHT = 2.0
+# Least IoU with the image box for further objects in a frustum.
+MIN_IMAGE_AGREEMENT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
         score = float(np.sqrt(state.image_box.score * (state.view_score or config.min_view_score)))
         quality = replace(state.quality, image_agreement=image_agreement(frame.camera, state, box, config))
         proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, quality))
-    proposals = _agreeing_with_image(proposals, config)
+    proposals = _agreeing_with_image(proposals)
     rank = np.array([p.score * _agreement(p) for p in proposals])
     keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], config.nms_iou)
     by_score = sorted((proposals[int(i)] for i in keep), key=lambda p: -p.score)
@@ -164,15 +165,15 @@ def _coarse_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
     return canonical_box(aligned_box(state.cloud.xyz_m, camera_axes(state.up).T), state.up)
 
 
-def _agreeing_with_image(proposals: Iterable[Proposal], config: RcvConfig) -> list[Proposal]:
-    """The proposal of each frustum that agrees best with the image box, and others above `min_image_agreement`."""
+def _agreeing_with_image(proposals: Iterable[Proposal]) -> list[Proposal]:
+    """The proposal of each frustum that agrees best with the image box, and others above `MIN_IMAGE_AGREEMENT`."""
     by_frustum: dict[int, list[Proposal]] = defaultdict(list)
     for proposal in proposals:
         by_frustum[id(proposal.image_box)].append(proposal)
     agreeing: list[Proposal] = []
     for candidates in by_frustum.values():
         best = max(candidates, key=_agreement)
-        agreeing += [p for p in candidates if p is best or _agreement(p) >= config.min_image_agreement]
+        agreeing += [p for p in candidates if p is best or _agreement(p) >= MIN_IMAGE_AGREEMENT]
     return agreeing
 
 

@@ -15,10 +15,16 @@ from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.outline import edges_at_border
 from annotator.geometry.projection import project, undistort_px
-from annotator.rcv.config import FirstLookConfig, RcvConfig
+from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, BoxKind, Camera
 
+# The crops: percentiles of the depths in the box's middle, and lengths in multiples of the box's longer side there.
+DEPTH_PERCENTILES, LENGTHS = (5.0, 20.0, 40.0, 60.0, 80.0), (1.0, 2.5)
+# Expected error of the image box's edges as bounds of the 3D box, pixels.
+PLANE_NOISE_PX = 2.0
+# How far the outline of a whole 3D box lies outside a box around what is seen, share of its side; standard deviation.
+SILHOUETTE_ROOM, SILHOUETTE_SPREAD = 0.13, 0.1
 # Share of the image box, in width and height, that counts as its middle.
 MIDDLE = 0.5
 # Crops that share more of their points than this (IoU) are the same.
@@ -47,7 +53,7 @@ def depth_crop(xyz_m: Float[np.ndarray, "n 3"], depth_m: float, length_m: float)
 
 
 def depth_crops(
-    camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D, config: FirstLookConfig, min_points: int
+    camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D, min_points: int
 ) -> list[Bool[np.ndarray, "n"]]:
     """The masks of different crops along the depth, the short ones first.
 
@@ -55,9 +61,9 @@ def depth_crops(
         xyz_m: the points in the frustum of `image_box`, camera frame.
         min_points: crops with fewer points are left out.
     """
-    depths = np.percentile(xyz_m[in_middle(camera, xyz_m, image_box), 2], config.depth_percentiles)
+    depths = np.percentile(xyz_m[in_middle(camera, xyz_m, image_box), 2], DEPTH_PERCENTILES)
     crops: list[np.ndarray] = []
-    for length, depth in product(config.lengths, depths.tolist()):
+    for length, depth in product(LENGTHS, depths.tolist()):
         crop = depth_crop(xyz_m, depth, length * width_at(camera, image_box, depth))
         if crop.sum() >= min_points and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
             crops.append(crop)
@@ -86,11 +92,11 @@ def expected_outline(camera: Camera, image_box: Box2D, config: RcvConfig) -> Out
     It is the box on the image, except that the outline of a whole 3D box lies outside a box around what is seen: its
     corners are empty. Edges at the image's border stay there.
     """
-    look, noise_px = config.first_look, np.full(4, config.first_look.plane_noise_px)
+    noise_px = np.full(4, PLANE_NOISE_PX)
     if (config.image_box_kind, config.box_kind) != (BoxKind.SILHOUETTE, BoxKind.BOX):
         return Outline(image_box, noise_px)
     sides = np.array([image_box.width_px, image_box.width_px, image_box.height_px, image_box.height_px])
-    room = look.silhouette_room * sides * ~np.array(edges_at_border(camera, image_box, BORDER_PX))
+    room = SILHOUETTE_ROOM * sides * ~np.array(edges_at_border(camera, image_box, BORDER_PX))
     left, right, top, bottom = room.tolist()
     outline = replace(
         image_box,
@@ -99,7 +105,7 @@ def expected_outline(camera: Camera, image_box: Box2D, config: RcvConfig) -> Out
         y_min=max(image_box.y_min - top, -0.5),
         y_max=min(image_box.y_max + bottom, camera.height_px - 0.5),
     )
-    return Outline(outline, np.hypot(noise_px, look.silhouette_spread * sides))
+    return Outline(outline, np.hypot(noise_px, SILHOUETTE_SPREAD * sides))
 
 
 def image_planes(camera: Camera, outline: Outline, depth_m: float) -> Intervals | None:

@@ -130,10 +130,7 @@ def refine(
     """The best box that steps reach from several start rotations.
 
     Args:
-        rotations: start rotations; columns = box axes.
         unknowns: `HELD` or `FREE`.
-        delta: residual, in expected errors, above which Huber's cost is linear.
-        least: lower bound of the sizes, metres.
 
     Returns:
         the box; and its robust cost, in units of the expected variance.

@@ -22,12 +22,12 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Float64
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import KDTree
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import every_nth
 from annotator.geometry.registration import register, share_found
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
@@ -46,68 +46,27 @@ MARGIN = 0.03
 # Thickness of the slabs at a box's faces, share of its side or its mean side, whichever is less.
 SLAB = 0.15
 MIN_CONTACT_POINTS, MOST_CONTACT = 10, 2.0
-
-
-class FollowConfig(BaseModel):
-    """How an object is looked for, and when it counts as lost."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    room: float = Field(
-        0.6, gt=0, description="margin around the predicted box within which it is looked for, share of its mean side"
-    )
-    reach: float = Field(
-        0.35, gt=0, description="distance at which registration looks for counterparts at first, share of the mean side"
-    )
-    shift: float = Field(
-        0.4, gt=0, description="distance around the predicted position at which it is looked for, too, as above"
-    )
-    jump_weight: float = Field(
-        1.0,
-        ge=0,
-        description="weight of the distance from the predicted position, per mean side, against the found shares, "
-        "if an object is looked for elsewhere",
-    )
-    well_found: float = Field(
-        0.8, ge=0, le=1, description="if at least this share of the points is found, it is not looked for elsewhere"
-    )
-    tolerance: float = Field(
-        0.06, gt=0, description="a point is found again with another one so near, share of the mean side"
-    )
-    full_share: float = Field(
-        0.97, gt=0, le=1, description="share of the last frame's points that is found if nothing has changed"
-    )
-    full_points_share: float = Field(
-        0.4, gt=0, description="nothing counts as missing from this share of the expected points on"
-    )
-    free_contact: float = Field(
-        1.0, ge=0, description="new contact of the box's faces with other points that is no sign of drift"
-    )
-    full_contact: float = Field(2.5, gt=0, description="new contact from which the loss per frame is greatest")
-    contact_loss: float = Field(
-        0.2, ge=0, le=1, description="share of the object that is lost with each frame of full contact"
-    )
-    min_kept: float = Field(0.4, ge=0, le=1, description="minimum share of the reviewed object that is kept")
-    doubtful_kept: float = Field(
-        0.6, ge=0, le=1, description="share of the object up to which a box is marked as doubtful"
-    )
-    sure_kept: float = Field(0.9, ge=0, le=1, description="share of the object from which a box is sure")
-    max_size_ratio: float = Field(
-        1.6, ge=1, description="with a detector of the class: maximum ratio between a side and the reviewed one"
-    )
-    min_points_share: float = Field(
-        0.3, ge=0, le=1, description="minimum share of the expected points, from the last frame and the distances"
-    )
-    min_points: int = Field(8, ge=1, description="minimum number of points in a box")
-    max_jump: float = Field(
-        0.7, gt=0, description="maximum distance from the predicted centre, share of the box's mean side"
-    )
-    same_iou: float = Field(
-        0.5, ge=0, le=1, description="minimum IoU of a measured box with the registered one, which it replaces"
-    )
-    grow: float = Field(
-        0.06, ge=0, le=1, description="margin around the outline on the image for a detector, share of its size"
-    )
+# Lengths below are shares of the box's mean side. Margin around the predicted box within which an object is looked for;
+# distance at which registration looks for counterparts at first; distance around the predicted position at which it is
+# looked for, too; and within which a point is found again with another one.
+ROOM, REACH, SHIFT, TOLERANCE = 0.6, 0.35, 0.4, 0.06
+# Weight of the distance from the predicted position against the found shares, if it is looked for elsewhere. If this
+# share of the points is found, it is not looked for elsewhere.
+JUMP_WEIGHT, WELL_FOUND = 1.0, 0.8
+# Share of the last frame's points that is found if nothing has changed, and share of the expected number of points from
+# which nothing counts as missing.
+FULL_SHARE, FULL_POINTS_SHARE = 0.97, 0.4
+# New contact of the box's faces with other points: that is no sign of drift, and from which the loss is greatest; the
+# share of the object that is lost then with each frame.
+FREE_CONTACT, FULL_CONTACT, CONTACT_LOSS = 1.0, 2.5, 0.2
+# Share of the reviewed object: that must be kept, up to which a box is doubtful, and from which it is sure.
+MIN_KEPT, DOUBTFUL_KEPT, SURE_KEPT = 0.4, 0.6, 0.9
+# Limits of a box: ratio between a side and the reviewed one (with a detector of the class), share of the expected
+# number of points and their number, and distance from the predicted centre.
+MAX_SIZE_RATIO, MIN_POINTS_SHARE, MIN_POINTS, MAX_JUMP = 1.6, 0.3, 8, 0.7
+# Least IoU of a measured box with the registered one that it replaces, and the margin around the outline on the image
+# for the detector, share of its size.
+SAME_IOU, GROW = 0.5, 0.06
 
 
 class FollowStop(StrEnum):
@@ -166,7 +125,7 @@ class Look:
         outer_m = box.size_m + 2 * margin_m
         inside = (np.abs(local) <= outer_m / 2).all(axis=1)
         own = local[inside]
-        return cls(box, _thinned(own, OBJECT_POINTS), len(own), _contact(local, outer_m), kept)
+        return cls(box, every_nth(own, OBJECT_POINTS), len(own), _contact(local, outer_m), kept)
 
 
 def follow_object(
@@ -177,39 +136,34 @@ def follow_object(
     label: str,
     view: Detector | None,
     config: RcvConfig,
-    limits: FollowConfig,
 ) -> Followed:
     """Looks for an object near its predicted box.
 
     Args:
-        frame: with cloud.
-        predicted: the box at the frame's time, camera frame.
         reviewed, last: the object in the frame of the reviewed box, and in the last frame.
         view: view detector that was trained on the class, or None.
-        config: the recursion's settings for this detector and the frame's orientation.
-        limits: when the object counts as lost.
     """
     start = OrientedBox(predicted.pose, reviewed.box.size_m)
-    outline = _grown(frame.camera, start, label, limits.grow)
+    outline = _grown(frame.camera, start, label)
     if outline is None:
         return Followed(None, FollowStop.LEFT)
     scale = float(start.size_m.mean())
-    around = frame.cloud.xyz_m[contains(start, frame.cloud.xyz_m, limits.room * scale)]
-    if len(around) < limits.min_points:
+    around = frame.cloud.xyz_m[contains(start, frame.cloud.xyz_m, ROOM * scale)]
+    if len(around) < MIN_POINTS:
         return Followed(None, FollowStop.POINTS)
-    cloud = KDTree(_thinned(around.astype(np.float64), CLOUD_POINTS))
-    found = _registration(around, cloud, start, reviewed, last, held_direction(frame.up, config), limits)
+    cloud = KDTree(every_nth(around.astype(np.float64), CLOUD_POINTS))
+    found = _registration(around, cloud, start, reviewed, last, held_direction(frame.up, config))
     if found is None:
         return Followed(None, FollowStop.POINTS)
     box = found.box
-    present = found.points / max(limits.full_points_share * expected_points(reviewed, box), 1.0)
-    kept = min(found.kept(last, limits), present)
-    if kept < limits.min_kept:
+    present = found.points / max(FULL_POINTS_SHARE * expected_points(reviewed, box), 1.0)
+    kept = min(found.kept(last), present)
+    if kept < MIN_KEPT:
         return Followed(None, FollowStop.CHANGED, f"{kept:.0%}")
-    proposal = _registered(box, outline, label, kept, limits)
+    proposal = _registered(box, outline, label, kept)
     if view is not None:
-        proposal = _measured(frame, proposal, view, config, limits)
-    stop = _why_stop(around, proposal.box, start, last, limits)
+        proposal = _measured(frame, proposal, view, config)
+    stop = _why_stop(around, proposal.box, start, last)
     return Followed(None, stop) if stop is not None else Followed(proposal, kept=kept)
 
 
@@ -232,11 +186,11 @@ class _Registered:
         """How well it agrees with both looks."""
         return self.reviewed + self.last - self.cost
 
-    def kept(self, last: Look, limits: FollowConfig) -> float:
+    def kept(self, last: Look) -> float:
         """The share of the reviewed object that is still there."""
-        touching = (self.new_contact - limits.free_contact) / max(limits.full_contact - limits.free_contact, 1e-9)
-        stays = 1 - limits.contact_loss * float(np.clip(touching, 0.0, 1.0))
-        return max(self.reviewed, last.kept * min(1.0, self.last / limits.full_share) * stays)
+        touching = (self.new_contact - FREE_CONTACT) / (FULL_CONTACT - FREE_CONTACT)
+        stays = 1 - CONTACT_LOSS * float(np.clip(touching, 0.0, 1.0))
+        return max(self.reviewed, last.kept * min(1.0, self.last / FULL_SHARE) * stays)
 
 
 def _registration(
@@ -246,7 +200,6 @@ def _registration(
     reviewed: Look,
     last: Look,
     up: Float64[np.ndarray, "3"] | None,
-    limits: FollowConfig,
 ) -> _Registered | None:
     """The box that agrees best with both looks; None if too few points lie nearby.
 
@@ -254,30 +207,28 @@ def _registration(
     look, small errors add up. So both are tried. Where neither is found well, the object may have moved further than
     registration reaches, so it is looked for around the predicted position, too.
     """
-    scale, tolerance_m = float(start.size_m.mean()), _tolerance_m(reviewed, limits)
+    scale, tolerance_m = float(start.size_m.mean()), _tolerance_m(reviewed)
     looks = (reviewed.xyz_m, np.concatenate([last.xyz_m, reviewed.xyz_m]))
     tried: list[_Registered] = []
-    for shift in (np.zeros(3), *limits.shift * scale * SHIFTS):
-        if any(max(one.reviewed, one.last) >= limits.well_found for one in tried):
+    for shift in (np.zeros(3), *SHIFT * scale * SHIFTS):
+        if any(max(one.reviewed, one.last) >= WELL_FOUND for one in tried):
             break
         for points in looks:
-            pose = register(points, cloud, (start.rotation, start.center_m + shift), limits.reach * scale, up)
+            pose = register(points, cloud, (start.rotation, start.center_m + shift), REACH * scale, up)
             if pose is not None:
                 box = OrientedBox.from_parts(pose[1], pose[0], start.size_m)
                 shares = [share_found(look.xyz_m, cloud, pose, tolerance_m) for look in (reviewed, last)]
                 now = Look.of(around, box)
                 new_contact = float(np.maximum(now.contact - reviewed.contact, 0.0).sum())
                 # what looks alike elsewhere may be another object
-                cost = (
-                    limits.jump_weight * float(np.linalg.norm(pose[1] - start.center_m)) / scale if shift.any() else 0.0
-                )
+                cost = JUMP_WEIGHT * float(np.linalg.norm(pose[1] - start.center_m)) / scale if shift.any() else 0.0
                 tried.append(_Registered(box, shares[0], shares[1], now.points, new_contact, cost))
     return max(tried, key=lambda one: one.agreement) if tried else None
 
 
-def _tolerance_m(reviewed: Look, limits: FollowConfig) -> float:
+def _tolerance_m(reviewed: Look) -> float:
     """The distance within which a point is found again: not less than that of a sparse cloud's points."""
-    return max(limits.tolerance * float(reviewed.box.size_m.mean()), reviewed.spacing_m)
+    return max(TOLERANCE * float(reviewed.box.size_m.mean()), reviewed.spacing_m)
 
 
 def _contact(local: Float64[np.ndarray, "n 3"], size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "6"]:
@@ -295,37 +246,35 @@ def _contact(local: Float64[np.ndarray, "n 3"], size_m: Float64[np.ndarray, "3"]
     return np.array(ratios)
 
 
-def _registered(box: OrientedBox, outline: Box2D, label: str, kept: float, limits: FollowConfig) -> Proposal:
+def _registered(box: OrientedBox, outline: Box2D, label: str, kept: float) -> Proposal:
     """The proposal of a registered box; its signals are the share that is kept, and a score from it."""
-    sure = (kept - limits.doubtful_kept) / max(limits.sure_kept - limits.doubtful_kept, 1e-9)
+    sure = (kept - DOUBTFUL_KEPT) / (SURE_KEPT - DOUBTFUL_KEPT)
     quality = Quality(view_disagreement=math.nan, kept_share=kept, last_change=math.nan)
     return Proposal(label, float(np.clip(sure, 0.0, 1.0)), box, outline, (), quality)
 
 
-def _measured(frame: Frame, registered: Proposal, view: Detector, config: RcvConfig, limits: FollowConfig) -> Proposal:
+def _measured(frame: Frame, registered: Proposal, view: Detector, config: RcvConfig) -> Proposal:
     """The box that a detector measures from the registered one on, if they agree; else the registered one."""
     box, label = registered.box, registered.label
-    outline = _grown(frame.camera, box, label, limits.grow)
+    outline = _grown(frame.camera, box, label)
     if outline is None:
         return registered
     (result,) = propose_from_boxes([frame], [[outline]], view, config, [[WarmStart(label, box)]])
     for proposal in result.proposals:
-        if is_warm(proposal) and iou_3d(proposal.box, box) >= limits.same_iou:
+        if is_warm(proposal) and iou_3d(proposal.box, box) >= SAME_IOU:
             score = min(proposal.score, registered.score)
             return replace(proposal, box=with_axes_like(proposal.box, box), score=score)
     return registered
 
 
-def _why_stop(
-    around: Float[np.ndarray, "m 3"], box: OrientedBox, start: OrientedBox, last: Look, limits: FollowConfig
-) -> FollowStop | None:
+def _why_stop(around: Float[np.ndarray, "m 3"], box: OrientedBox, start: OrientedBox, last: Look) -> FollowStop | None:
     ratio = np.sort(box.size_m) / np.sort(start.size_m)
-    if max(ratio.max(), 1 / ratio.min()) > limits.max_size_ratio:
+    if max(ratio.max(), 1 / ratio.min()) > MAX_SIZE_RATIO:
         return FollowStop.SIZE
-    if np.linalg.norm(box.center_m - start.center_m) > limits.max_jump * start.size_m.mean():
+    if np.linalg.norm(box.center_m - start.center_m) > MAX_JUMP * start.size_m.mean():
         return FollowStop.JUMP
     points = Look.of(around, box).points
-    if points < max(limits.min_points, limits.min_points_share * expected_points(last, box)):
+    if points < max(MIN_POINTS, MIN_POINTS_SHARE * expected_points(last, box)):
         return FollowStop.POINTS
     return None
 
@@ -336,16 +285,11 @@ def expected_points(look: Look, now: OrientedBox) -> float:
     return look.points * (before / after) ** 2
 
 
-def _thinned(xyz_m: Float64[np.ndarray, "n 3"], most: int) -> Float64[np.ndarray, "k 3"]:
-    """At most so many points, spread evenly over their order."""
-    return xyz_m if len(xyz_m) <= most else xyz_m[np.linspace(0, len(xyz_m) - 1, most).astype(np.intp)]
-
-
-def _grown(camera: Camera, box: OrientedBox, label: str, margin: float) -> Box2D | None:
+def _grown(camera: Camera, box: OrientedBox, label: str) -> Box2D | None:
     outline = box_on_image(camera, box, label)
     if outline is None:
         return None
-    dx, dy = margin * outline.width_px / 2, margin * outline.height_px / 2
+    dx, dy = GROW * outline.width_px / 2, GROW * outline.height_px / 2
     right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
     return replace(
         outline,

@@ -14,8 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.rcv.config import FitConfig
-from annotator.rcv.rotations import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
+from annotator.rcv.rotations import (
+    HUBER_SIGMAS,
+    MIN_SIZE_M,
+    cheapest_distinct,
+    free_grid,
+    grid_neighbours,
+    rotation_costs,
+    yaw_grid,
+)
 
 # Mean absolute value of a Gaussian variable, in its standard deviations.
 MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
@@ -39,10 +46,7 @@ def expected_iou_loss(
     Args:
         directions: unit vectors along which intervals were measured.
         weights: of the low and high end of each; one over the variance, square metres; 0 for an unknown end.
-        rotation: columns = box axes.
-        size_m: full side lengths.
         held: the box turns about its z axis only.
-        scale: factor on all standard deviations.
 
     Returns:
         0 (certain) to 1.
@@ -83,7 +87,8 @@ INDEPENDENT_ENDS = 8
 # Standard deviation of a Gaussian variable, in medians of its absolute value.
 SIGMAS_PER_MEDIAN = 1.4826
 
-DEFAULTS = FitConfig()
+# Smallest singular value of the normalised equations below which a fit is rejected.
+MIN_DETERMINACY = 0.02
 
 
 @dataclass(frozen=True)
@@ -133,8 +138,8 @@ class BoxFit:
         """The expected 1 - IoU with the true box (`fit_uncertainty`), by the errors that the fit itself has."""
         ends = self.ends
         known = ends.inverse > 0
-        errors = np.abs(ends.residuals(self)) * ends.inverse
-        weights = ends.inverse**2 * np.minimum(1.0, ends.config.huber_sigmas / np.maximum(errors, 1e-9))
+        errors = np.abs(ends.residuals(self.center_m, self.rotation, self.size_m)) * ends.inverse
+        weights = ends.inverse**2 * np.minimum(1.0, HUBER_SIGMAS / np.maximum(errors, 1e-9))
         scale = SIGMAS_PER_MEDIAN * _median(errors[known]) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
         return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
 
@@ -143,7 +148,6 @@ def fit_box(
     intervals: Intervals,
     up: Float64[np.ndarray, "3"] | None,
     near: Float64[np.ndarray, "3 3"] | None = None,
-    config: FitConfig = DEFAULTS,
 ) -> BoxFit | None:
     """The box that fits the intervals best; None if they do not determine one.
 
@@ -151,17 +155,22 @@ def fit_box(
         up: unit vector along which the box's z axis is held; None leaves the rotation free.
         near: (3, 3) box rotation to try besides the grid, such as that of the last step.
     """
+    from annotator.rcv.fit_kernels import FREE, HELD, determined, refine
+
     known = np.isfinite(intervals.sigma_m)
     if known.sum() < (7 if up is not None else 9):
         return None
-    edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
-    fit = edges.refine(_starts(intervals, up, near, config), held=up is not None)
-    if not np.isfinite(fit.cost) or (fit.size_m <= config.min_size_m).any():
+    edges = Edges.of(intervals)
+    unknowns = HELD if up is not None else FREE
+    starts = np.array(_starts(intervals, up, near), order="C")
+    (center, rotation, size), cost = refine(edges.measured, starts, unknowns, HUBER_SIGMAS, MIN_SIZE_M)
+    if not np.isfinite(cost) or (size <= MIN_SIZE_M).any():
         return None
-    if not edges.determine(fit, held=up is not None):
+    center_m = center + edges.shift
+    if not determined(edges.measured, (center_m, rotation, size), unknowns, MIN_DETERMINACY):
         return None
-    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(fit)[known]))
-    return BoxFit(fit.center_m, fit.rotation, fit.size_m, fit.cost, spread, edges, up is not None)
+    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(center_m, rotation, size)[known]))
+    return BoxFit(center_m, rotation, size, cost, spread, edges, up is not None)
 
 
 def _median(values: Float64[np.ndarray, "n"]) -> float:
@@ -170,25 +179,13 @@ def _median(values: Float64[np.ndarray, "n"]) -> float:
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
-def _starts(
-    intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None, config: FitConfig
-) -> Float64[np.ndarray, "k 3 3"]:
+def _starts(intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None) -> Float64[np.ndarray, "k 3 3"]:
     """The grid's rotations that fit the intervals' lengths best, and `near`."""
     grid = free_grid() if up is None else yaw_grid(up)
-    costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
+    costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid)
     count = STARTS if near is None else STARTS - 1
     best = cheapest_distinct(costs, grid_neighbours(up, START_DISTANCE_RAD), count)
     return grid[best] if near is None else np.concatenate([near[None], grid[best]])
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A refined box and its robust cost, in units of the expected variance; columns of `rotation` are its axes."""
-
-    center_m: Float64[np.ndarray, "3"]
-    rotation: Float64[np.ndarray, "3 3"]
-    size_m: Float64[np.ndarray, "3"]
-    cost: float
 
 
 @dataclass(frozen=True)
@@ -206,52 +203,24 @@ class Edges:
     ends: Float64[np.ndarray, "m 2"]
     inverse: Float64[np.ndarray, "m 2"]
     shift: Float64[np.ndarray, "3"]
-    config: FitConfig
 
     @classmethod
-    def of(
-        cls,
-        direction: Float64[np.ndarray, "m 3"],
-        ends_m: Float64[np.ndarray, "m 2"],
-        sigma_m: Float64[np.ndarray, "m 2"],
-        config: FitConfig,
-    ) -> Edges:
-        """From the parts of `Intervals`."""
+    def of(cls, intervals: Intervals) -> Edges:
+        direction, ends_m, sigma_m = intervals.directions, intervals.ends_m, intervals.sigma_m
         known = np.isfinite(sigma_m)
         middle = np.where(known, ends_m, 0.0) @ (0.5, 0.5)
         # any point near the object is sufficient; the ridge handles directions without an interval
         spread = direction.T @ direction + RIDGE * len(direction) * np.eye(3)
         shift = np.linalg.solve(spread, direction.T @ middle)
         ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
-        return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift, config)
+        return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift)
 
-    def residuals(self, fit: Solution | BoxFit) -> Float64[np.ndarray, "m 2"]:
-        """Predicted minus measured ends, metres."""
-        reach = np.abs(self.direction @ fit.rotation) @ fit.size_m / 2
-        middle = self.direction @ (fit.center_m - self.shift)
+    def residuals(self, center_m: np.ndarray, rotation: np.ndarray, size_m: np.ndarray) -> Float64[np.ndarray, "m 2"]:
+        """The ends that a box has, minus the measured ones, metres."""
+        reach = np.abs(self.direction @ rotation) @ size_m / 2
+        middle = self.direction @ (center_m - self.shift)
         return np.stack([middle - reach, middle + reach], axis=1) - self.ends
 
-    def determine(self, fit: Solution, held: bool) -> bool:
-        """True if the equations determine all unknowns of the box; `held` as in `refine`."""
-        from annotator.rcv.fit_kernels import FREE, HELD, determined
-
-        box = (fit.center_m, fit.rotation, fit.size_m)
-        return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
-
-    def refine(self, rotation: Float64[np.ndarray, "k 3 3"], held: bool) -> Solution:
-        """The best box that Gauss-Newton steps reach from several start rotations.
-
-        Args:
-            rotation: start rotations; columns = box axes.
-            held: rotate about the boxes' z axes only.
-        """
-        from annotator.rcv.fit_kernels import FREE, HELD, refine
-
-        starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
-        delta, least = self.config.huber_sigmas, self.config.min_size_m
-        (center, turned, size), cost = refine(self._measured, starts, unknowns, delta, least)
-        return Solution(center + self.shift, turned, size, cost)
-
     @property
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.direction, self.ends, self.inverse

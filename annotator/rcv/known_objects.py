@@ -9,7 +9,7 @@ objects: a frustum often contains neighbours, which would otherwise be unlabelle
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -37,21 +37,20 @@ Span = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class DrawnView:
-    """A pseudo-view, the number of its step (from 0), and the box drawn on it."""
+    """A pseudo-view, the number of its step (from 0), and the boxes on it; that of the drawn object is the first."""
 
     view: PseudoView
     step: int
-    box: Box2D
+    boxes: tuple[Box2D, ...]
+
+    @property
+    def box(self) -> Box2D:
+        return self.boxes[0]
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnObject:
-    """One object with all its drawn boxes.
-
-    Attributes:
-        image_box: on the camera image.
-        views: front and side of each step.
-    """
+    """An object's box on the camera image, and its views: front and side of each step."""
 
     image_box: Box2D
     views: tuple[DrawnView, ...]
@@ -59,10 +58,6 @@ class DrawnObject:
 
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
     """Draws one object's boxes in both steps.
-
-    Args:
-        frame: with normals (`frame_with_normals`) if several of its objects are drawn.
-        draw: draws the boxes on views.
 
     Returns:
         None if too few points are left, or if the object is not visible on a view.
@@ -73,7 +68,7 @@ def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvCon
         boxes = None if views is None else [draw(view) for view in views]
         if views is None or boxes is None or boxes[0] is None or boxes[1] is None:
             return None
-        drawn += [DrawnView(view, step, box) for view, box in zip(views, boxes, strict=True) if box is not None]
+        drawn += [DrawnView(view, step, (box,)) for view, box in zip(views, boxes, strict=True) if box is not None]
         if step + 1 < LABELLED_STEPS:
             spans = [(d.view.axes, d.view.interval_m(d.box)) for d in drawn]
             views = next_views(frame, image_box, spans, config)
@@ -98,7 +93,6 @@ def next_views(
     """The views of the next step: the points inside the front and the side box.
 
     Args:
-        frame: see `draw_object`.
         spans: of the boxes on the front and the side view, in this order.
         next_axes: rows = axes of the next front view; None: those of the points' normals.
 
@@ -109,18 +103,18 @@ def next_views(
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
     if mask.sum() < config.min_points:
         return None
-    frustum = with_normals(frame, mask, config).select(mask)
+    frustum = with_normals(frame, mask).select(mask)
     # as in the recursion, so that these views look like those that the detector will process
     front, side = frustum_views(frustum, axes, config)
     label = image_box.label
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
     box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
-    cloud = cut_cloud(frustum, box, (front, side), config)
+    cloud = cut_cloud(frustum, box, (front, side))
     if len(cloud) < config.min_points:
         return None
     if next_axes is None:
         next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
-    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0), config), config))
+    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0))))
     front, side = render_pairs(cloud, [next_axes], config.view, show)
     return front, side
 
@@ -143,36 +137,18 @@ HIDING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class KnownView:
-    """A pseudo-view, the number of its step (from 0), and the boxes on it; the box of its own object is the first."""
-
-    view: PseudoView
-    step: int
-    boxes: tuple[Box2D, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class KnownObject:
-    """An object's box on the image, and its views: front and side of each step."""
-
-    image_box: Box2D
-    views: tuple[KnownView, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class KnownFrame:
     """The 2D boxes of a frame's 3D boxes.
 
     Attributes:
         on_image: boxes on the image of all visible objects, including those without views.
-        objects: the objects that went through both steps.
         outside: classes of the objects outside the image.
         hidden: classes of the objects without points that are hidden behind something else.
         without_views: classes of the visible objects with too few points for both steps.
     """
 
     on_image: tuple[Box2D, ...]
-    objects: tuple[KnownObject, ...]
+    objects: tuple[DrawnObject, ...]
     outside: tuple[str, ...]
     hidden: tuple[str, ...]
     without_views: tuple[str, ...]
@@ -187,7 +163,6 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
     Args:
         frame: with cloud; missing normals are estimated.
         truths: all labelled objects of the classes to learn.
-        config: how views are drawn.
     """
     known = _Known(frame, truths)
     outside, hidden, visible = [], [], []
@@ -199,7 +174,7 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
             hidden.append(truth.label)
         else:
             visible.append((index, image_box))
-    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]], config)
+    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]])
     objects, without_views = [], []
     for index, image_box in visible:
         known_object = known.follow(frame, index, image_box, config) if known.points[index] else None
@@ -236,7 +211,7 @@ class _Known:
         corners_m = np.array([box_corners(t.box) for t in self.truths]).reshape(-1, 8, 3)
         object.__setattr__(self, "corners_m", corners_m)
 
-    def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> KnownObject | None:
+    def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> DrawnObject | None:
         """Takes one object through both steps; None if too few points are left."""
         truth = self.truths[index]
         # cached, since both views of a step have the same points; the array is kept so that its id stays valid
@@ -253,13 +228,8 @@ class _Known:
         drawn = draw_object(frame, image_box, draw, config)
         if drawn is None:
             return None
-        return KnownObject(
-            image_box,
-            tuple(
-                KnownView(d.view, d.step, (d.box, *self._others(d.view, index, objects_on(d.view))))
-                for d in drawn.views
-            ),
-        )
+        views = [replace(d, boxes=(d.box, *self._others(d.view, index, objects_on(d.view)))) for d in drawn.views]
+        return DrawnObject(image_box, tuple(views))
 
     def _others(self, view: PseudoView, target: int, shown: Sequence[int]) -> list[Box2D]:
         others = [self.truths[index] for index in shown if index != target]

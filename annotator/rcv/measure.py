@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.geometry.iou import box_iou
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
@@ -19,6 +20,20 @@ from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrac
 
 # The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
 LEAST_SCORE = 0.05
+# First step: least 1D IoU of a front and a side box on their shared axis.
+MIN_SHARED_OVERLAP = 0.3
+# Added to a detection's IoU with the last box to give its weight.
+STRANGER_WEIGHT = 0.1
+# An edge this near to the view's border counts as cut off, pixels, and the factor on its expected error.
+BORDER_PX, CUT_DOUBT = 1.0, 3.0
+# Margins around a step's box within which points are kept: share of its mean side, and, for the detector's inaccuracy,
+# share of the view's extent.
+KEEP_MARGIN, KEEP_MARGIN_VIEW = 0.03, 0.04
+# Silhouettes: a hypothesis with less than this share of the median point count is discarded; margin within which points
+# count as inside, share of the box's size.
+WHOLE_SHARE, SILHOUETTE_MARGIN = 0.95, 0.03
+# Expected error of the faces of a warm start's box, share of its mean side; a smaller value raises its weight.
+START_DOUBT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +115,9 @@ def pair_all(
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
             pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
-            if pair.shared_overlap < config.min_shared_overlap:
+            if pair.shared_overlap < MIN_SHARED_OVERLAP:
                 continue
-            margin = cut_margin_m(pair.box, views, config)
+            margin = cut_margin_m(pair.box, views)
             low, high = (
                 (pair.spans_m[:, 0] - margin).astype(np.float32),
                 (pair.spans_m[:, 1] + margin).astype(np.float32),
@@ -133,7 +148,7 @@ def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float
     return tuple(chosen if detected == label else (replace(box, label=label) for box in chosen))
 
 
-def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, config: RcvConfig) -> int | None:
+def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) -> int | None:
     """The detection that continues an object: the one with the best score times agreement with the last box.
 
     Args:
@@ -152,37 +167,22 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, co
     corners = last @ view.axes[:2].T
     expected = view.box_px(np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1), boxes[0].label)
     agreement = np.array([box_iou(box, expected) for box in boxes])
-    return int(np.argmax(scores * (config.stranger_weight + agreement)))
-
-
-def box_iou(a: Box2D, b: Box2D) -> float:
-    """IoU of two axis-aligned boxes."""
-    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
-    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
-    if width <= 0 or height <= 0:
-        return 0.0
-    shared = width * height
-    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+    return int(np.argmax(scores * (STRANGER_WEIGHT + agreement)))
 
 
 def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
-    """The intervals that detections measure along their views' x and y axes, two per view.
-
-    Args:
-        views: one or more.
-        boxes: one per view.
-    """
+    """The intervals that detections measure along their views' x and y axes, two per view."""
     # dimensions of the arrays: view, axis, end
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
     origins_m = np.array([view.origin_m for view in views])[:, :, None]
     sizes_px = np.array([view.rgb.shape[1::-1] for view in views])[:, :, None]
     edges_px = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes]).reshape(-1, 2, 2)
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
-    is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
+    is_cut = np.array([cut_edges(view, box) for view, box in zip(views, boxes, strict=True)])
     noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
     is_cut = is_cut.reshape(-1, 2, 2)
     # a cut-off edge is only a bound, so its expected error is larger
-    sigma_m = noise_m * np.where(is_cut, config.fit.cut_doubt, 1.0)
+    sigma_m = noise_m * np.where(is_cut, CUT_DOUBT, 1.0)
     if config.fit.use_edge_errors:
         # NaN where the detector does not tell
         told_px = np.array([box.edge_sigma_px or (np.nan,) * 4 for box in boxes])[:, [0, 2, 1, 3]].reshape(-1, 2, 2)
@@ -204,17 +204,17 @@ def traced_intervals(trace: Sequence[StepTrace], config: RcvConfig) -> Intervals
     return measured_intervals(views, boxes, config) if views else None
 
 
-def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> tuple[bool, bool, bool, bool]:
+def cut_edges(view: PseudoView, box: Box2D) -> tuple[bool, bool, bool, bool]:
     """Which edges of a box lie on the view's border: left, right, top, bottom."""
     height_px, width_px = view.rgb.shape[:2]
-    near, right, bottom = config.border_px - 0.5, width_px - 0.5 - config.border_px, height_px - 0.5 - config.border_px
+    near, right, bottom = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
     return bool(box.x_min <= near), bool(box.x_max >= right), bool(box.y_min <= near), bool(box.y_max >= bottom)
 
 
-def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:
+def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView]) -> float:
     """The margin around a step's box within which points are kept, metres: a share of the box and of the views."""
     extent = max(max(view.rgb.shape[:2]) * view.metres_per_px for view in views)
-    return config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent
+    return KEEP_MARGIN * float(box.size_m.mean()) + KEEP_MARGIN_VIEW * extent
 
 
 UNDETERMINED = "consensus: the measured intervals do not determine a box"
@@ -226,12 +226,9 @@ class Measurement:
 
     Attributes:
         box: the step's box, axes in any order.
-        axes: rows = the axes of the step.
         disagreement: see `Quality.view_disagreement`.
         score: mean score of the detections used.
         used: per view, the index of the detection that was used.
-        intervals: all intervals measured of the object so far.
-        fallback: what failed before, with the reason.
         cut: whether a used detection touches the border of its view.
         fit: the fit that gave the box; None for a pair of views.
     """
@@ -248,11 +245,11 @@ class Measurement:
 
 
 def choose_all(
-    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, config: RcvConfig
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None
 ) -> tuple[int | None, ...]:
     """The detection on each view that continues the last box, see `choose`."""
     corners = None if last is None else box_corners(last)
-    return tuple(choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
+    return tuple(choose(view, on_view, corners) for view, on_view in zip(views, boxes, strict=True))
 
 
 def measure_pair(
@@ -260,15 +257,14 @@ def measure_pair(
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
-    config: RcvConfig,
 ) -> Measurement | None:
     """The paper's step: a pair of one front and one side detection; None if a view has none."""
-    front, side = choose_all(views, boxes, last, config)
+    front, side = choose_all(views, boxes, last)
     if front is None or side is None:
         return None
     pair = make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
     used = (front, side)
-    return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
+    return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
 
 
 def measure_consensus(
@@ -291,27 +287,27 @@ def measure_consensus(
     Returns:
         the fit, or the pair of least volume if the intervals do not determine a box; None without detections.
     """
-    used = choose_all(views, boxes, last, config)
+    used = choose_all(views, boxes, last)
     detected = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
     if not detected:
         return None
     parts = [measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
     if start_box is not None:
-        parts.append(_start_intervals(start_box, parts[0], config))
+        parts.append(_start_intervals(start_box, parts[0]))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
     known = intervals if bounds is None else Intervals.concatenate([intervals, bounds])
-    fit = fit_box(known, up, None if last is None else last.rotation, config.fit)
+    fit = fit_box(known, up, None if last is None else last.rotation)
     if fit is None:
         pairs = _pairs(axes, views, boxes, used)
         return _least_volume(pairs, used, intervals, (UNDETERMINED,))
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in detected])) * len(detected) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
-    is_cut = any_cut(views, boxes, used, config)
+    is_cut = any_cut(views, boxes, used)
     return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=is_cut, fit=fit)
 
 
-def _start_intervals(start_box: OrientedBox, measured: Intervals, config: RcvConfig) -> Intervals:
+def _start_intervals(start_box: OrientedBox, measured: Intervals) -> Intervals:
     """The start box as three intervals around the centre of the measured intervals.
 
     It stabilises sides that the few views of a warm start measure inaccurately.
@@ -319,7 +315,7 @@ def _start_intervals(start_box: OrientedBox, measured: Intervals, config: RcvCon
     center = np.linalg.lstsq(measured.directions, measured.ends_m.mean(axis=1), rcond=None)[0]
     axes, half = start_box.rotation.T, start_box.size_m / 2
     ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
-    return Intervals(axes, ends, np.full((3, 2), config.warm.seed_doubt * float(start_box.size_m.mean())))
+    return Intervals(axes, ends, np.full((3, 2), START_DOUBT * float(start_box.size_m.mean())))
 
 
 def _pairs(
@@ -337,13 +333,10 @@ def _pairs(
     return pairs
 
 
-def any_cut(
-    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None], config: RcvConfig
-) -> bool:
+def any_cut(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None]) -> bool:
     """True if a used detection touches the border of its view."""
     return any(
-        i is not None and any(cut_edges(view, on_view[i], config))
-        for view, on_view, i in zip(views, boxes, used, strict=True)
+        i is not None and any(cut_edges(view, on_view[i])) for view, on_view, i in zip(views, boxes, used, strict=True)
     )
 
 
@@ -365,22 +358,17 @@ def measure_tightest(
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
     cloud: PointCloud,
-    config: RcvConfig,
 ) -> Measurement | None:
     """The pair of least volume among the hypotheses, because silhouettes fit tightly only along the object's axes.
 
     If detections miss a part of the object, their hypothesis is too small. So hypotheses that contain clearly fewer
     points than the median are discarded.
     """
-    used = choose_all(views, boxes, last, config)
+    used = choose_all(views, boxes, last)
     pairs = _pairs(axes, views, boxes, used)
     if not pairs:
         return None
-    margin = config.consensus.silhouette_margin * float(np.median([pair.box.size_m.mean() for pair in pairs]))
+    margin = SILHOUETTE_MARGIN * float(np.median([pair.box.size_m.mean() for pair in pairs]))
     inside = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
-    whole = [
-        pair
-        for pair, points in zip(pairs, inside, strict=True)
-        if points >= config.consensus.whole_share * np.median(inside)
-    ]
+    whole = [pair for pair, points in zip(pairs, inside, strict=True) if points >= WHOLE_SHARE * np.median(inside)]
     return _least_volume(whole, used, None)

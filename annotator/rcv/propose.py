@@ -30,9 +30,6 @@ def propose(
     Args:
         warm_starts: for each frame, the boxes of its objects in an earlier frame. An object starts from the box that
             matches its image box (`annotator.rcv.starts`).
-
-    Returns:
-        one result per frame, in the order of `frames`.
     """
     image_boxes = image_detector.detect(frames)
     return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts)
@@ -93,9 +90,9 @@ def _initial_states(
     masks = in_frustums(frame.camera, frame.cloud.xyz_m, boxes)
     cloud = frame.cloud
     if boxes and needs_normals(config):
-        cloud = with_normals(frame, np.logical_or.reduce(masks), config)
+        cloud = with_normals(frame, np.logical_or.reduce(masks))
     states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
-    start_boxes = match_warm_starts(frame.camera, boxes, warm_starts, config) if warm_starts else [None] * len(states)
+    start_boxes = match_warm_starts(frame.camera, boxes, warm_starts) if warm_starts else [None] * len(states)
     begun: list[ObjectState] = []
     for state, box in zip(states, start_boxes, strict=True):
         if box is not None and state.stop is StopReason.CONTINUES:

@@ -22,6 +22,10 @@ from annotator.types import PointCloud, PseudoView
 
 # The padding grey of letterboxing, so that the detector does not see the view's border.
 BACKGROUND = 114
+# Smallest extent that a view shows, metres, and largest square that a point is drawn as, pixels.
+MIN_EXTENT_M, MAX_SPLAT_PX = 0.02, 9
+# Larger clouds are thinned to this many points per pixel of a square view.
+POINTS_PER_PX = 4
 # The bits of the smallest and the largest normal positive float32: the range of keys.
 LEAST_KEY, LAST_KEY = 0x00800000, 0x7F7FFFFF
 # With more bits, float32 rounding would put points on a neighbouring level.
@@ -42,7 +46,7 @@ def fit_windows(
     low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], config: ViewConfig
 ) -> list[Window]:
     """The windows that show view coordinates from `low_m` to `high_m`, with the configured border."""
-    extent = np.maximum(high_m - low_m, config.min_extent_m) * (1 + 2 * config.padding)
+    extent = np.maximum(high_m - low_m, MIN_EXTENT_M) * (1 + 2 * config.padding)
     scale = extent.max(axis=1) / config.size_px
     size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
     origin = (low_m + high_m) / 2 - (size - 1) / 2 * scale[:, None]
@@ -51,13 +55,13 @@ def fit_windows(
     return [Window(o, s, *side) for o, s, side in zip(origin, scale.tolist(), sides, strict=True)]
 
 
-def splat_px(n_points: int, window: Window, largest: int) -> int:
+def splat_px(n_points: int, window: Window) -> int:
     """Side of the square that a point is drawn as, odd: about the spacing of points spread evenly over the view."""
     spacing = (window.width_px * window.height_px / max(n_points, 1)) ** 0.5
     # The object fills only part of the view, so its points are denser than this spacing. Squares are still needed to
     # close single rows of missing pixels, which arise where the sensor's grid interferes with the view's.
     radius = round(0.5 * spacing - 0.15)
-    return min(2 * radius + 1, largest - (1 - largest % 2))
+    return min(2 * radius + 1, MAX_SPLAT_PX)
 
 
 def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "packed"] | None:
@@ -76,7 +80,6 @@ class KeyLayout:
 
     Attributes:
         index_bits: number of low bits that hold the index.
-        levels: number of depth levels; the last one is the background's.
         empty: the key of a pixel without a point; larger than the key of any point.
     """
 
@@ -105,7 +108,6 @@ def draw_views(
     axes: Float32[np.ndarray, "v 3 3"],
     windows: Sequence[Window],
     depths_m: Float[np.ndarray, "v 2"],
-    largest_splat_px: int,
 ) -> list[UInt8[np.ndarray, "_ _ 3"]]:
     """Images of the same points, one per view; each pixel shows the nearest point. The images share one buffer.
 
@@ -115,7 +117,6 @@ def draw_views(
         axes: of each view, rows = right, down, into the image.
         windows: of each view; points outside are drawn at its border.
         depths_m: smallest and largest depth of the points in each view.
-        largest_splat_px: largest square that a point is drawn as.
     """
     from annotator.rcv import drawing_kernels as kernel
 
@@ -123,7 +124,7 @@ def draw_views(
     sizes = np.array([(w.width_px, w.height_px) for w in windows], np.int64).reshape(-1, 2)
     corners = np.array([(*(w.origin_m - w.metres_per_px / 2), 1 / w.metres_per_px) for w in windows], np.float32)
     depths = np.array([(near, layout.scale(near, far)) for near, far in depths_m.tolist()], np.float32)
-    splats = np.array([splat_px(n, window, largest_splat_px) for window in windows], np.int64)
+    splats = np.array([splat_px(n, window) for window in windows], np.int64)
     bits = np.array([layout.index_bits, layout.levels, LEAST_KEY, BACKGROUND], np.int64)
     lengths = sizes.prod(axis=1)
     begins = np.cumsum(lengths) - lengths
@@ -159,6 +160,8 @@ def render_pairs(
     axes: Sequence[Float64[np.ndarray, "3 3"]],
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None = None,
+    *,
+    every_point: bool = False,
 ) -> list[PseudoView]:
     """Front and side pseudo-views of a cloud along several sets of axes: front 0, side 0, front 1, ...
 
@@ -167,12 +170,13 @@ def render_pairs(
         axes: each with rows a1, a2, a3, right-handed and orthonormal. The front view looks along a3 with a1 to
             the right and a2 down; the side view shares a2 and has a3 to the right.
         show: additional points, metres, that must lie within the views (the corners of the last step's box).
+        every_point: draws dense clouds as they are, too.
     """
     from annotator.rcv import drawing_kernels as kernel
 
     if not axes:
         return []
-    keep = drawn_points(len(cloud), config)
+    keep = None if every_point else drawn_points(len(cloud), config.size_px)
     drawn = cloud if keep is None else cloud.select(keep)
     # one row per coordinate, so that the loops run along contiguous memory
     xyz = np.array(drawn.xyz_m.T, order="C")
@@ -185,21 +189,18 @@ def render_pairs(
     # the side view looks along -a1
     depths = np.stack([least[:, 2], most[:, 2], -most[:, 0], -least[:, 0]], axis=1).reshape(-1, 2)
     packed = pack_colors(point_colors(drawn), len(drawn))
-    images = draw_views(xyz, packed, view_axes.astype(np.float32), windows, depths, config.max_splat_px)
+    images = draw_views(xyz, packed, view_axes.astype(np.float32), windows, depths)
     return [
         PseudoView(image, rows, window.metres_per_px, window.origin_m, cloud.xyz_m)
         for image, rows, window in zip(images, view_axes, windows, strict=True)
     ]
 
 
-def render_window(
-    cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], window: Window, max_splat_px: int
-) -> UInt8[np.ndarray, "h w 3"]:
+def render_window(cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], window: Window) -> UInt8[np.ndarray, "h w 3"]:
     """The image that a window of a view plane shows of a cloud; points outside the window are left out.
 
     Args:
         axes: rows = right, down, into the image.
-        max_splat_px: as in `ViewConfig`.
     """
     from annotator.rcv import drawing_kernels as kernel
 
@@ -213,12 +214,12 @@ def render_window(
     kernel.extents(xyz, rows, least, most)
     depths = np.stack([least[:, 2], most[:, 2]], axis=1)
     packed = pack_colors(point_colors(cloud), len(cloud))
-    return draw_views(xyz, packed, rows, [window], depths, max_splat_px)[0]
+    return draw_views(xyz, packed, rows, [window], depths)[0]
 
 
-def drawn_points(n_points: int, config: ViewConfig) -> Int64[np.ndarray, "m"] | None:
-    """Indices of the points that are drawn, at most `points_per_px` per pixel; None = all points."""
-    return thin(n_points, max(round(config.points_per_px * config.size_px**2), 1))
+def drawn_points(n_points: int, size_px: int) -> Int64[np.ndarray, "m"] | None:
+    """Indices of the points that are drawn on a view whose longer side has `size_px`; None = all points."""
+    return thin(n_points, POINTS_PER_PX * size_px**2)
 
 
 def pair_windows(
@@ -257,13 +258,13 @@ def frustum_views(
         axes: as in `render_pairs`.
         enlarge_deep: False for crops of a frustum, which class-agnostic detectors see at the usual size.
     """
+    view, is_large = config.view, enlarge_deep and is_deep(cloud, config)
+    if is_large:
+        view = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
     # all points are drawn, because thinning would leave too few points of a far object
-    view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
-    if not (enlarge_deep and is_deep(cloud, config)):
-        front, side = render_pairs(cloud, [axes], view)
+    front, side = render_pairs(cloud, [axes], view, every_point=True)
+    if not is_large:
         return front, side
-    large = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
-    front, side = render_pairs(cloud, [axes], large)
     return replace(front, look_px=view.deep_size_px), replace(side, look_px=view.deep_size_px)
 
 

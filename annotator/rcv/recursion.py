@@ -46,13 +46,19 @@ from annotator.types import (
     ViewTrace,
 )
 
+# The recursion has converged if the axes turn by less than this, or if 1 - IoU with the last box is below this.
+AXES_TOLERANCE_RAD, BOX_TOLERANCE = 0.02, 0.03
+# If the object was cut off, the next views show its box enlarged by this factor.
+CUT_ROOM = 1.4
+# Most steps after a warm start.
+WARM_STEPS = 2
+
 
 @dataclass(frozen=True, eq=False)
 class FrustumFacts:
     """The frustum of an object that starts from a crop of it.
 
     Attributes:
-        cloud: all its points.
         middle_m: (k, 3) a sample of the points in the middle of the image box.
         evidence, placed: of an object of a class with a typical size: what is known of it, and the boxes that are
             plausible before a detector is used.
@@ -70,20 +76,9 @@ class ObjectState:
     """The state of one object in the recursion.
 
     Attributes:
-        frame_index: position of its frame in the batch.
-        image_box: the detection on the camera image.
-        cloud: the points kept so far.
         up: unit vector against gravity for an upright box, None for a free one.
-        axes: rows = axes of the last step.
-        box: the last step's box.
-        measured: intervals of all consensus steps so far.
         is_cut: whether a detection of the last step touched its view's border; the object may extend beyond it.
-        view_score: mean score of the detections that gave the last box.
-        disagreement, last_change, kept_share: the quality signals of the last step.
-        fit: the fit of the last step, if it was one.
         expected_loss: the expected 1 - IoU of a box that was chosen among candidates (`finish`); None = by the fit.
-        steps: the trace.
-        stop: CONTINUES while the recursion runs.
         notes: how the object came to its present box or cloud, for the trace of the next step.
         is_warm: whether the object started from its previous box (`warm_start`).
         cold: the state without the warm start or the look of a trained detector (`starts`); None without them, or
@@ -173,19 +168,19 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     if state.is_first:
         views = frustum_views(state.cloud, axes[0], config, enlarge_deep=state.frustum is None)
     else:
-        show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
+        show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut))
         views = render_pairs(state.cloud, axes, config.view, show)
     return StepPlan(strategy, fallback, tuple(axes), tuple(views))
 
 
-def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
+def shown_box(box: OrientedBox, is_cut: bool) -> OrientedBox:
     """The box that the next views must show: the last box, enlarged if it was cut off."""
-    return OrientedBox(box.pose, box.size_m * (config.cut_room if is_cut else 1.0))
+    return OrientedBox(box.pose, box.size_m * (CUT_ROOM if is_cut else 1.0))
 
 
-def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> PointCloud:
+def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView]) -> PointCloud:
     """The points that a step keeps: those in its box and within `cut_margin_m` of it."""
-    return cloud.select(contains(box, cloud.xyz_m, cut_margin_m(box, views, config)))
+    return cloud.select(contains(box, cloud.xyz_m, cut_margin_m(box, views)))
 
 
 def _consensus_axes(state: ObjectState, config: RcvConfig) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
@@ -193,9 +188,9 @@ def _consensus_axes(state: ObjectState, config: RcvConfig) -> tuple[list[Float64
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
         return wide_axes(state.up, config, state.rivals), ()
     if state.is_warm:
-        axes = warm_axes(state.box.rotation, state.up, len(state.steps), config)
+        axes = warm_axes(state.box.rotation, state.up, len(state.steps))
     else:
-        axes = near_axes(state.box.rotation, state.up, config)
+        axes = near_axes(state.box.rotation, state.up)
     if config.box_kind is not BoxKind.SILHOUETTE:
         return axes, ()
     reference = camera_axes(state.up)
@@ -217,9 +212,9 @@ def absorb_step(
     if state.is_first:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:
-        measured = measure_pair(plan.axes[0], plan.views, boxes, state.box, config)
+        measured = measure_pair(plan.axes[0], plan.views, boxes, state.box)
     elif config.box_kind is BoxKind.SILHOUETTE:
-        measured = measure_tightest(plan.axes, plan.views, boxes, state.box, state.cloud, config)
+        measured = measure_tightest(plan.axes, plan.views, boxes, state.box, state.cloud)
     else:
         start_box = state.box if state.is_warm and not state.steps else None
         measured = measure_consensus(
@@ -230,7 +225,7 @@ def absorb_step(
 
 def _planes(state: ObjectState, config: RcvConfig) -> Intervals | None:
     """The bounds that the image box gives the fit, with class-agnostic detectors; None without any."""
-    if state.frustum is None or state.box is None or not config.first_look.plane_noise_px:
+    if state.frustum is None or state.box is None:
         return None
     depth_m = max(float(state.box.center_m[2]), NEAR_M)
     return image_planes(state.frustum.camera, expected_outline(state.frustum.camera, state.image_box, config), depth_m)
@@ -248,9 +243,7 @@ def _absorb_first(
         used = (pair.front, pair.side)
         # The consensus does not use the first step's intervals: the object is small in these views, and their edges
         # have a bias and three times the error of later ones.
-        measured = Measurement(
-            pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config)
-        )
+        measured = Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
         results.append(_advance(state, plan, boxes, measured, config))
     return results
 
@@ -268,10 +261,10 @@ def _advance(
         step = _step_trace(plan, boxes, (None,) * len(boxes), None, n, 0, StopReason.LOST)
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
-    cloud = cut_cloud(state.cloud, box, plan.views, config)
+    cloud = cut_cloud(state.cloud, box, plan.views)
     if state.frustum is not None and measured.cut:
         # the object may extend beyond the points kept so far
-        cloud = cut_cloud(state.frustum.cloud, shown_box(box, True, config), plan.views, config)
+        cloud = cut_cloud(state.frustum.cloud, shown_box(box, True), plan.views)
     inside = int(np.count_nonzero(contains(box, cloud.xyz_m)))
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else axes_angle_rad(measured.axes, state.axes)
@@ -305,11 +298,11 @@ def _stop(
     # In a consensus, agreement with the first step is not convergence, because the camera's axes do not depend on the
     # object. A cut-off object gets another step with larger views.
     first = 2 if config.strategy is Strategy.CONSENSUS and not state.is_warm else 1
-    if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
+    if steps > first and not is_cut and turned_rad < AXES_TOLERANCE_RAD:
         return StopReason.AXES_CONVERGED
-    if steps > first and not is_cut and change < config.box_tolerance:
+    if steps > first and not is_cut and change < BOX_TOLERANCE:
         return StopReason.BOX_CONVERGED
-    limit = config.warm.max_steps if state.is_warm else config.max_steps
+    limit = WARM_STEPS if state.is_warm else config.max_steps
     if config.strategy is Strategy.CONSENSUS and not state.is_warm and not is_cut:
         limit = min(limit, 2 + config.consensus.refine_steps)
     return StopReason.STEP_LIMIT if steps >= limit else StopReason.CONTINUES

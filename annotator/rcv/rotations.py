@@ -17,8 +17,10 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.axes import BOX_SYMMETRIES, UPRIGHT_SYMMETRIES, camera_axes, match_all_axes
-from annotator.rcv.config import FitConfig, RcvConfig
+from annotator.rcv.config import RcvConfig
 
+# Residual above which an edge is down-weighted (Huber), multiples of its expected error, and smallest side of a box.
+HUBER_SIGMAS, MIN_SIZE_M = 1.5, 1e-3
 # Resolution of the search. These are not settings, because they only trade accuracy against time.
 GRID_SIZE = 400
 YAW_GRID = 36
@@ -109,11 +111,7 @@ def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Boo
 def cheapest_distinct(
     costs: Float64[np.ndarray, "k"], near: Bool[np.ndarray, "k k"], count: int
 ) -> Int64[np.ndarray, "c"]:
-    """Indices of up to `count` lowest finite costs, ascending, without neighbours of a cheaper rotation.
-
-    Args:
-        near: from `neighbours`.
-    """
+    """Indices of up to `count` lowest finite costs, ascending, without neighbours of a cheaper rotation."""
     left = costs.copy()
     chosen: list[int] = []
     while len(chosen) < count:
@@ -131,7 +129,6 @@ def rotation_costs(
     ends_m: Float64[np.ndarray, "m 2"],
     sigma_m: Float64[np.ndarray, "m 2"],
     rotations: Float64[np.ndarray, "k 3 3"],
-    config: FitConfig,
 ) -> Float64[np.ndarray, "k"]:
     """The robust cost of each rotation with its best sizes, in units of the expected variance.
 
@@ -148,14 +145,13 @@ def rotation_costs(
     known = np.isfinite(sigma)
     # in multiples of the expected error, so that all weights start at one
     scaled, target = directions[known] / sigma[known, None] / 2, half[known] / sigma[known]
-    delta, least = config.huber_sigmas, config.min_size_m
     # copies, since numba compiles a second variant for read-only arrays
     if len(rotations) <= SMALL_GRID:
-        return size_costs(scaled, target, rotations.copy(), delta, least, 2)
-    costs = size_costs(scaled, target, rotations.copy(), delta, least, 1)
+        return size_costs(scaled, target, rotations.copy(), HUBER_SIGMAS, MIN_SIZE_M, 2)
+    costs = size_costs(scaled, target, rotations.copy(), HUBER_SIGMAS, MIN_SIZE_M, 1)
     again = np.argpartition(costs, int(len(costs) * SECOND_ROUND_SHARE))[: int(len(costs) * SECOND_ROUND_SHARE)]
     costs[:] = np.inf
-    costs[again] = size_costs(scaled, target, rotations[again], delta, least, 2)
+    costs[again] = size_costs(scaled, target, rotations[again], HUBER_SIGMAS, MIN_SIZE_M, 2)
     return costs
 
 
@@ -176,7 +172,10 @@ def _read_only(values: np.ndarray) -> np.ndarray:
 
 # Rivals share the hypotheses of a wide step, but each has at least this number, or all.
 LEAST_SHARE = 4
-DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+# Hypotheses of a refinement step, and their angle from the last fit; the same angle after a warm start.
+REFINE_HYPOTHESES, REFINE_SPREAD_RAD = 3, 0.35
+# Of the four diagonals of a cube, as many as there are hypotheses.
+DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1]]) / np.sqrt(3.0)
 
 
 def wide_axes(
@@ -199,24 +198,21 @@ def wide_axes(
 
 
 def near_axes(
-    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
+    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None
 ) -> list[Float64[np.ndarray, "3 3"]]:
-    """The axes of a box rotation (columns = axes), and others up to `refine_spread_rad` away.
+    """The axes of a box rotation (columns = axes), and others up to `REFINE_SPREAD_RAD` away.
 
     More views along a box's own axes hardly improve a fit; views from slightly other directions determine its rotation.
     """
-    count, spread = config.consensus.refine_hypotheses, config.consensus.refine_spread_rad
     if up is not None:
-        angles = np.linspace(-spread, spread, count) if count > 1 else np.zeros(1)
-        offsets = angles[:, None] * up
+        offsets = np.linspace(-REFINE_SPREAD_RAD, REFINE_SPREAD_RAD, REFINE_HYPOTHESES)[:, None] * up
     else:
-        directions = _fibonacci_directions(max(count - 1, 1))
-        offsets = np.concatenate([np.zeros((1, 3)), spread * directions])[:count]
+        offsets = np.concatenate([np.zeros((1, 3)), REFINE_SPREAD_RAD * _fibonacci_directions(REFINE_HYPOTHESES - 1)])
     return _all_facing_camera((Rotation.from_rotvec(offsets).as_matrix() @ rotation).swapaxes(1, 2), up)
 
 
 def warm_axes(
-    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, step: int, config: RcvConfig
+    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, step: int
 ) -> list[Float64[np.ndarray, "3 3"]]:
     """Axes around a nearly correct rotation, which determine a box without a previous wide step.
 
@@ -226,20 +222,12 @@ def warm_axes(
 
     Args:
         rotation: columns = box axes.
-        step: number of the step, from 0.
     """
     if up is not None:
-        return near_axes(rotation, up, config)
-    count, spread = config.consensus.refine_hypotheses, config.warm.spread_rad
-    sign = 1.0 if step % 2 == 0 else -1.0
-    return _all_facing_camera((rotation @ rotation_matrices(sign * spread * _diagonals(count))).swapaxes(1, 2), up)
-
-
-def _diagonals(count: int) -> Float64[np.ndarray, "k 3"]:
-    """`count` unit vectors: up to four diagonals of a cube, no two opposite; evenly spread directions for more."""
-    if count > len(DIAGONALS):
-        return _fibonacci_directions(count)
-    return DIAGONALS[:count]
+        return near_axes(rotation, up)
+    angle_rad = REFINE_SPREAD_RAD if step % 2 == 0 else -REFINE_SPREAD_RAD
+    turned = rotation @ rotation_matrices(angle_rad * DIAGONALS)
+    return _all_facing_camera(turned.swapaxes(1, 2), up)
 
 
 def face_camera(axes: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:

@@ -20,14 +20,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
-from annotator.geometry.iou import iou_3d
+from annotator.geometry.iou import box_iou, iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains, nearest_upright
 from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
-from annotator.rcv.measure import UNDETERMINED, box_iou
+from annotator.rcv.measure import UNDETERMINED
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Evidence, distinct, place, place_near
@@ -47,11 +47,7 @@ NOT_SEEN = "the view of the whole frustum shows no box that agrees with the imag
 
 
 def begin(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
-    """The states of an object before its first step.
-
-    Args:
-        state: from `recursion.start`.
-    """
+    """The states of an object before its first step."""
     if not config.class_agnostic or state.stop is not StopReason.CONTINUES:
         return [state]
     # the views of a deep frustum show too little of an object
@@ -87,15 +83,11 @@ def _agreement(camera: Camera, state: ObjectState, config: RcvConfig) -> float:
 
 
 def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
-    """The rivals of an object: plausible boxes of the typical size of its class, or its frustum and crops of it.
-
-    Args:
-        state: from `recursion.start`.
-    """
+    """The rivals of an object: plausible boxes of the typical size of its class, or its frustum and crops of it."""
     facts, evidence = _facts(camera, state), _evidence(camera, state, config)
     if evidence is not None:
         return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), STARTS, config)
-    crops = depth_crops(camera, state.cloud.xyz_m, state.image_box, config.first_look, config.min_points)
+    crops = depth_crops(camera, state.cloud.xyz_m, state.image_box, config.min_points)
     whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
     return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
 
@@ -129,6 +121,13 @@ def _placed(state: ObjectState, facts: FrustumFacts, count: int, config: RcvConf
 
 
 WARM_START = "warm start"
+# Least IoU on the image of an image box with the start box, and with the result.
+MIN_IMAGE_IOU = 0.3
+# Margin around the start box within which points are used, share of its longest side.
+ROOM = 0.2
+# The result: least share of the first step's views that show the object; largest ratio between a side and that of the
+# start box; least IoU with the start box with aligned centres, and the IoU above which one step is enough.
+MIN_SEEN, MAX_SIZE_RATIO, MIN_IOU, SETTLED_IOU = 0.6, 1.5, 0.4, 0.8
 # An object whose 2D box ends this close to the image's border may extend beyond it, pixels.
 BORDER_PX = 2.0
 
@@ -151,7 +150,7 @@ def is_warm(proposal: Proposal) -> bool:
 
 
 def match_warm_starts(
-    camera: Camera, image_boxes: Sequence[Box2D], warm_starts: Sequence[WarmStart], config: RcvConfig
+    camera: Camera, image_boxes: Sequence[Box2D], warm_starts: Sequence[WarmStart]
 ) -> list[OrientedBox | None]:
     """The start box of each image box, or None; each warm start is used at most once.
 
@@ -164,7 +163,7 @@ def match_warm_starts(
         for j, outline in enumerate(outlines):
             if outline is not None and outline.label == box.label:
                 overlap[i, j] = box_iou(box, outline)
-    overlap[overlap < config.warm.min_image_iou] = 0.0
+    overlap[overlap < MIN_IMAGE_IOU] = 0.0
     matched: list[OrientedBox | None] = [None] * len(image_boxes)
     for i, j in zip(*linear_sum_assignment(-overlap), strict=True):
         outline = outlines[j]
@@ -189,23 +188,18 @@ def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:
 
 
 def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> ObjectState:
-    """The state before the first step of a warm start; `cold` with a note if too few points are around the start box.
-
-    Args:
-        cold: the state before the first step without a warm start.
-        start_box: from `match_warm_starts`.
-    """
+    """The state before the first step of a warm start; `cold` with a note if few points are around the start box."""
     box = start_box if cold.up is None else nearest_upright(start_box, cold.up)[0]
     box = canonical_box(box, cold.up)
-    cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box, config)))
+    cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box)))
     if len(cloud) < config.min_points:
         return _dropped(cold, f"too few points around the start box ({len(cloud)})")
     axes = box.rotation.T
     return replace(cold, cloud=cloud, axes=axes, box=box, notes=(WARM_START,), is_warm=True, cold=cold)
 
 
-def _margin_m(box: OrientedBox, config: RcvConfig) -> float:
-    return config.warm.room * float(box.size_m.max())
+def _margin_m(box: OrientedBox) -> float:
+    return ROOM * float(box.size_m.max())
 
 
 def check_first_step(camera: Camera, before: ObjectState, after: ObjectState, config: RcvConfig) -> ObjectState:
@@ -213,17 +207,13 @@ def check_first_step(camera: Camera, before: ObjectState, after: ObjectState, co
 
     This is `after`, stopped if the step hardly changed the box; or the state without a warm start if the result does
     not agree with the start box.
-
-    Args:
-        before: the state from `start_warm`.
-        after: the state after the first step.
     """
     cold, start_box = before.cold, before.box
     assert cold is not None and start_box is not None
     reason, similarity = _disagreement(camera, start_box, after, config)
     if reason is not None:
         return _dropped(cold, reason)
-    if after.stop is StopReason.CONTINUES and not after.is_cut and similarity >= config.warm.settled_iou:
+    if after.stop is StopReason.CONTINUES and not after.is_cut and similarity >= SETTLED_IOU:
         last = replace(after.steps[-1], stop=StopReason.BOX_CONVERGED)
         after = replace(after, steps=(*after.steps[:-1], last), stop=last.stop)
     return replace(after, cold=None)
@@ -240,29 +230,29 @@ def _disagreement(
     box = after.box
     if box is None or after.stop is StopReason.LOST:
         return "the views do not show the object", 0.0
-    if (reason := _implausible(start_box, box, after, config)) is not None:
+    if (reason := _implausible(start_box, box, after)) is not None:
         return reason, 0.0
-    if (similarity := shape_iou(start_box, box)) < config.warm.min_iou:
+    if (similarity := shape_iou(start_box, box)) < MIN_IOU:
         return f"with aligned centres, the IoU with the start box is {similarity:.2f}", similarity
-    if (agreement := image_agreement(camera, after, box, config)) < config.warm.min_image_iou:
+    if (agreement := image_agreement(camera, after, box, config)) < MIN_IMAGE_IOU:
         return f"the IoU with the image box is {agreement:.2f}", similarity
     return None, similarity
 
 
-def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState, config: RcvConfig) -> str | None:
+def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState) -> str | None:
     """Why the first step of a warm start is rejected before its boxes are compared by IoU; None if it is not."""
-    warm, step = config.warm, after.steps[-1]
+    step = after.steps[-1]
     if after.stop is StopReason.TOO_FEW_POINTS:
         return f"too few points in the box ({len(after.cloud)})"
     seen_share = sum(view.used is not None for view in step.views) / len(step.views)
-    if seen_share < warm.min_seen:
+    if seen_share < MIN_SEEN:
         return f"only {seen_share:.0%} of the views show the object"
     if UNDETERMINED in step.fallback:
         return UNDETERMINED
-    if not contains(start_box, box_corners(box), _margin_m(start_box, config)).all():
+    if not contains(start_box, box_corners(box), _margin_m(start_box)).all():
         return "the box extends beyond the points used around the start box"
     ratio = np.sort(box.size_m) / np.sort(start_box.size_m)
-    if max(ratio.max(), 1 / ratio.min()) > warm.max_size_ratio:
+    if max(ratio.max(), 1 / ratio.min()) > MAX_SIZE_RATIO:
         return f"a side is {ratio[np.argmax(np.abs(np.log(ratio)))]:.2f} times that of the start box"
     return None
 

@@ -108,7 +108,7 @@ def span_on_view(view: PseudoView, xyz_m: Float[np.ndarray, "n 3"], label: str) 
 def teach_views(
     frame: Frame,
     objects: Sequence[TaughtObject],
-    kind: BoxKind,
+    kind: BoxKind | None,
     draws: int,
     config: RcvConfig,
     up: Float64[np.ndarray, "3"] | None,
@@ -118,8 +118,11 @@ def teach_views(
 ) -> list[TaughtView]:
     """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
 
+    For a class-agnostic detector, only the object that a crop is about is labelled. It gets two boxes, one of each
+    class of `AGNOSTIC_LABELS`: around its 3D box, and around its points on the view. A crop that misses it has none.
+
     Args:
-        kind: what the 2D boxes measure.
+        kind: what the 2D boxes measure; None: for a class-agnostic detector.
         draws: number of random crops per object; each gives two views.
         up: unit vector against gravity for upright objects, whose views are level; None for free ones.
         doubtful: boxes of possible further objects. Views that show enough of such an object for a label are left out,
@@ -129,48 +132,21 @@ def teach_views(
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
     known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
     doubts = [contains(box, frame.cloud.xyz_m) & ~known for box in doubtful]
+    scene, stages = _Scene(frame, objects, masks, doubts), CLASS_AGNOSTIC if kind is None else WITH_CLASSES
     taught: list[TaughtView] = []
     for index in range(len(objects)) if targets is None else targets:
         target = objects[index]
-        if masks[index].sum() < MIN_POINTS:
+        if kind is not None and masks[index].sum() < MIN_POINTS:
             continue
-        scene = _Scene(frame, objects, masks, doubts)
         # all crops except the frustum are close to the object, so most points of a large cloud can be skipped
         near = scene.near(target.box)
         for _ in range(draws):
-            drawn = _draw(scene, near, target, WITH_CLASSES, config, up, rng)
+            drawn = _draw(scene, near, target, stages, config, up, rng)
             if drawn is not None:
-                taught.extend(_label(view, drawn, kind) for view in drawn.views)
-    return taught
-
-
-def teach_agnostic_views(
-    frame: Frame,
-    objects: Sequence[TaughtObject],
-    targets: Sequence[int],
-    draws: int,
-    config: RcvConfig,
-    up: Float64[np.ndarray, "3"] | None,
-    rng: np.random.Generator,
-) -> list[TaughtView]:
-    """As `teach_views`, for a class-agnostic detector: only the object that a crop is about is labelled.
-
-    It gets two boxes, one of each class of `AGNOSTIC_LABELS`: around its 3D box, and around its points on the view. A
-    crop that misses the object has none.
-
-    Args:
-        objects: all objects, with their points.
-        targets: indices of the objects to take crops of.
-    """
-    masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
-    scene = _Scene(frame, objects, masks, [])
-    taught: list[TaughtView] = []
-    for index in targets:
-        near = scene.near(objects[index].box)
-        for _ in range(draws):
-            drawn = _draw(scene, near, objects[index], CLASS_AGNOSTIC, config, up, rng)
-            if drawn is not None:
-                taught.extend(_label_target(view, drawn, index) for view in drawn.views)
+                taught += [
+                    _label_target(view, drawn, index) if kind is None else _label(view, drawn, kind)
+                    for view in drawn.views
+                ]
     return taught
 
 
@@ -203,7 +179,6 @@ class _Drawn:
     Attributes:
         scene: the scene, or its part near the object.
         keep: mask of the crop's points in the scene's cloud.
-        totals: number of points of each object.
     """
 
     views: Sequence[PseudoView]

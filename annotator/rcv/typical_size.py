@@ -95,7 +95,6 @@ class Evidence:
         window: left, right, top and bottom end of the expected outline, normalised (x/z, y/z).
         sigma: expected errors of these ends, normalised.
         image: the ends of the image, in the same way.
-        typical: size of its class.
         up: unit vector against gravity for an upright box, None for a free one.
     """
 

@@ -27,7 +27,7 @@ from scipy.spatial import KDTree
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.normals import normals_knn
 from annotator.geometry.oriented_box import tightest_box
-from annotator.geometry.projection import project
+from annotator.geometry.projection import every_nth, project
 from annotator.geometry.registration import Pose, register_surface, share_found
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.measure import make_pair
@@ -72,7 +72,6 @@ class SeenObject:
         xyz_m: (n, 3) a sample of the points inside all drawn boxes, without noise at edges, camera frame.
         normals: (n, 3) unit vectors towards the camera.
         up: unit vector against gravity for upright boxes, None for free ones.
-        camera: of the frame.
         nearest_m: (rows, columns) depth of the nearest point of the frame in each cell of the image box; infinite
             without a point.
         links: to the same object in other frames, as far as they were looked for.
@@ -97,7 +96,7 @@ class SeenObject:
         up: Float64[np.ndarray, "3"] | None,
     ) -> SeenObject:
         """From the mask of an object's points in the frame's cloud; it needs at least one."""
-        xyz_m = _without_noise(_thinned(frame.cloud.xyz_m[mask].astype(np.float64), MOST_POINTS))
+        xyz_m = _without_noise(every_nth(frame.cloud.xyz_m[mask].astype(np.float64), MOST_POINTS))
         normals = normals_knn(xyz_m.astype(np.float32)).astype(np.float64)
         nearest = _nearest_m(frame, image_box, int(mask.sum()))
         return cls(image_box, rotation, xyz_m, normals, up, frame.camera, nearest)
@@ -152,7 +151,6 @@ def whole_boxes(
         before, after: the drawn objects of the same class in the other frames of the recording, the nearest frame
             first; read only as far as the object can be followed.
         view: detector for pseudo-views, or None.
-        config: its settings (`RcvConfig.for_detector`).
     """
     if len(seen.xyz_m) < MIN_POINTS or _is_line(seen.xyz_m):
         return []
@@ -179,10 +177,10 @@ def _from_all_frames(
     points, normals = [seen.xyz_m], [seen.normals]
     for others in (before, after):
         for other, (rotation, translation) in _followed(seen, others):
-            moved = _thinned(other.xyz_m, ADDED_POINTS) @ rotation.T + translation
+            moved = every_nth(other.xyz_m, ADDED_POINTS) @ rotation.T + translation
             possible = seen.may_be_at(moved)
             points.append(moved[possible])
-            normals.append((_thinned(other.normals, ADDED_POINTS) @ rotation.T)[possible])
+            normals.append((every_nth(other.normals, ADDED_POINTS) @ rotation.T)[possible])
     return np.concatenate(points), np.concatenate(normals)
 
 
@@ -222,7 +220,7 @@ def link(to: SeenObject, other: SeenObject) -> Link | None:
 
 
 def _registered(to: SeenObject, other: SeenObject) -> Link | None:
-    points = _thinned(other.xyz_m, REGISTERED_POINTS)
+    points = every_nth(other.xyz_m, REGISTERED_POINTS)
     start = (np.eye(3), to.middle_m - other.middle_m)
     pose = register_surface(points, to.tree, to.normals, start, REACH * to.side_m, to.up)
     if pose is None:
@@ -230,7 +228,7 @@ def _registered(to: SeenObject, other: SeenObject) -> Link | None:
     rotation, translation = pose
     back = (rotation.T, -rotation.T @ translation)
     tolerance = TOLERANCE * to.side_m
-    there = share_found(_thinned(to.xyz_m, ADDED_POINTS), other.tree, back, tolerance)
+    there = share_found(every_nth(to.xyz_m, ADDED_POINTS), other.tree, back, tolerance)
     return Link(pose, max(share_found(points, to.tree, pose, tolerance), there))
 
 
@@ -302,11 +300,6 @@ def _nearest_m(frame: Frame, image_box: Box2D, points: int) -> Float64[np.ndarra
     nearest = np.full(tuple(cells[::-1]), np.inf)
     np.minimum.at(nearest, (row, column), ahead[inside, 2])
     return nearest
-
-
-def _thinned(values: Float64[np.ndarray, "n 3"], most: int) -> Float64[np.ndarray, "k 3"]:
-    """At most so many rows, spread evenly over their order."""
-    return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.intp)]
 
 
 def _without_noise(xyz_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 3"]:

@@ -37,10 +37,8 @@ class Placed:
     """An object at its place.
 
     Attributes:
-        mesh: in the object's coordinates.
         axes: columns = axes of the object and its box, world frame.
         origin_m: position of the object's origin, world frame.
-        radius_m: of its footprint.
     """
 
     mesh: Mesh
@@ -52,15 +50,7 @@ class Placed:
 
 @dataclass(eq=False)
 class Arrangement:
-    """A scene without motion.
-
-    Attributes:
-        palette: materials of all meshes.
-        still: unlabelled meshes.
-        lights: of the scene.
-        T_world_camera: pose of the camera.
-        objects: labelled objects.
-    """
+    """A scene without motion."""
 
     palette: Palette
     still: list[Mesh]

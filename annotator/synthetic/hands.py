@@ -10,7 +10,7 @@ The hand bends and rolls relative to the forearm, so that all its sides become v
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -80,16 +80,7 @@ def hand_mesh(pose: HandPose, scale: float, skin: int, nail: int, track: int, *,
     _thumb(blobs, pose, skin, nail)
     mirror = np.diag([1.0, -1.0 if left else 1.0, 1.0])
     mesh = blobs.mesh()
-    grown = Mesh(
-        mesh.vertices * np.float32(scale),
-        mesh.normals,
-        mesh.texture,
-        mesh.material,
-        mesh.track,
-        mesh.triangles,
-        mesh.parts,
-    )
-    return grown.moved(mirror, np.zeros(3))
+    return replace(mesh, vertices=mesh.vertices * np.float32(scale)).moved(mirror, np.zeros(3))
 
 
 def _palm(blobs: Blobs, skin: int, pose: HandPose) -> None:

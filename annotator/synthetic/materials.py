@@ -32,11 +32,7 @@ class Material:
 
     Attributes:
         colour, second: the two colours of the pattern, sRGB, 0..1.
-        pattern: arrangement of the colours.
-        period_m: period of the pattern.
         axis: the texture direction along which the pattern repeats (2 = along a blob's axis).
-        grain: relative strength of the random grain.
-        grain_m: period of the grain.
         gloss: strength of the highlight.
         glow: emitted light (lamps, windows).
     """
@@ -171,8 +167,6 @@ class Looks:
 
     Attributes:
         height_m: without shoes.
-        girth: 1 = average.
-        hair_style: one of `HAIR_STYLES`.
         long_sleeves, long_trousers, skirt, backpack: clothes.
     """
 

@@ -48,15 +48,8 @@ class Mesh:
     def moved(self, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]) -> Mesh:
         """The mesh after mapping p to linear p + offset; `linear` is orthogonal and may be a reflection."""
         matrix = linear.astype(np.float32)
-        return Mesh(
-            self.vertices @ matrix.T + offset.astype(np.float32),
-            self.normals @ matrix.T,
-            self.texture,
-            self.material,
-            self.track,
-            self.triangles,
-            self.parts,
-        )
+        vertices = self.vertices @ matrix.T + offset.astype(np.float32)
+        return replace(self, vertices=vertices, normals=self.normals @ matrix.T)
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
@@ -127,6 +120,10 @@ class Blobs:
         self._radii.append(np.array([radii, radii]))
         self._axes.append(np.eye(3) if axes is None else axes)
         self._numbers.append((power, material, self.track))
+
+    @property
+    def is_begun(self) -> bool:
+        return bool(self._ends)
 
     def mesh(self) -> Mesh:
         """The mesh of all blobs."""
@@ -251,7 +248,6 @@ class Parts:
 
     _meshes: list[Mesh] = field(default_factory=list)
     _blobs: Blobs = field(default_factory=Blobs)
-    _has_blobs: bool = False
 
     def slab(
         self,
@@ -296,7 +292,6 @@ class Parts:
             side=side,
             power=power,
         )
-        self._has_blobs = True
 
     def ball(
         self,
@@ -310,7 +305,6 @@ class Parts:
         """Adds an ellipsoid; with a higher `power`, a cushion."""
         a, b, c = (float(radius) for radius in radii)
         self._blobs.ball(np.asarray(center, np.float64), (a, b, c), material, axes=np.asarray(axes), power=power)
-        self._has_blobs = True
 
     def ring(self, center: Float[np.ndarray, "3"], axis: int, radius: float, thickness: float, material: int) -> None:
         """Adds a ring (tyre, handle) around a coordinate axis through `center`."""
@@ -341,7 +335,7 @@ class Parts:
 
     def mesh(self) -> Mesh:
         """All parts as one mesh."""
-        return joined([*self._meshes, self._blobs.mesh()] if self._has_blobs else self._meshes)
+        return joined([*self._meshes, *([self._blobs.mesh()] if self._blobs.is_begun else [])])
 
 
 def mirrored(mesh: Mesh) -> Mesh:

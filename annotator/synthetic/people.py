@@ -40,7 +40,6 @@ class Pose:
         lean: forward tilt of the trunk.
         twist: rotation of the shoulders relative to the hips, to the left.
         head_turn, head_nod: rotation of the head to the left, and downwards.
-        left_arm, right_arm, left_leg, right_leg: the limbs.
     """
 
     lean: float = 0.0

@@ -156,7 +156,6 @@ class Stage:
         Args:
             camera: without distortion.
             still: the static mesh, world frame.
-            palette: materials of all meshes.
         """
         self.camera, self._palette, self._lights = camera, palette, lights
         self._T_camera_world = T_world_camera.inv()
@@ -251,12 +250,10 @@ class Lidar:
     """A spinning LiDAR.
 
     Attributes:
-        rings: number of lasers.
         lowest_rad, highest_rad: elevation of the first and the last laser.
         step_rad: angle between two measurements of a laser.
         noise_m: standard deviation of the distance.
         nearest_m, farthest_m: range.
-        dropout: share of measurements that are lost.
     """
 
     rings: int = 64

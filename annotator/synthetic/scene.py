@@ -54,8 +54,6 @@ class Room:
 
     Attributes:
         mesh: room and furniture, world frame.
-        obstacles: footprints of the furniture.
-        lights: lights of the room.
     """
 
     mesh: Mesh
@@ -141,10 +139,6 @@ class Scene:
     """A scene from a preset and a seed.
 
     Attributes:
-        palette: materials of all meshes.
-        still: the static mesh.
-        lights: lights of the room.
-        T_world_camera: pose of the static camera.
         moments: an endless sequence, one every `PERIOD_S`.
     """
 

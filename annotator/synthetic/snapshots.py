@@ -40,12 +40,7 @@ class SnapshotObject:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A frame and its objects with at least `MIN_POINTS` points.
-
-    Attributes:
-        frame: with `up`.
-        objects: labelled objects.
-    """
+    """A frame and its objects with at least `MIN_POINTS` points."""
 
     frame: Frame
     objects: tuple[SnapshotObject, ...]

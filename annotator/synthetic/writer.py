@@ -11,12 +11,10 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int16, UInt8
-from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import box_corners
@@ -31,27 +29,11 @@ LEAST_VISIBLE = 0.1
 LEAST_PIXELS = 100
 
 
-@dataclass(frozen=True, eq=False)
-class TrueObject:
-    """One visible object of a frame.
-
-    Attributes:
-        track: track id within the recording.
-        box: tightest box along the object's own axes around its whole surface, hidden parts included; camera frame.
-        visible: visible share of its silhouette, which includes parts beyond the image border.
-    """
-
-    track: int
-    label: str
-    box: OrientedBox
-    visible: float
-
-
-def true_objects(
+def _true_objects(
     camera: Camera, T_camera_world: RigidTransform, actors: tuple[Actor, ...], track: Int16[np.ndarray, "h w"]
-) -> tuple[list[TrueObject], UInt8[np.ndarray, "h w"]]:
-    """The visible objects, and a mask with their positions in the list, from 1; 0 elsewhere."""
-    objects: list[TrueObject] = []
+) -> tuple[list[dict[str, object]], UInt8[np.ndarray, "h w"]]:
+    """The visible objects as in `boxes.json`, and a mask with their positions in the list, from 1; 0 elsewhere."""
+    objects: list[dict[str, object]] = []
     mask = np.zeros(track.shape, np.uint8)
     for actor in actors:
         shown = track == actor.track
@@ -60,7 +42,7 @@ def true_objects(
             continue
         visible = min(1.0, pixels / max(_silhouette_px(camera, T_camera_world, actor.mesh), 1))
         if visible >= LEAST_VISIBLE:
-            objects.append(TrueObject(actor.track, actor.label, actor_box(actor, T_camera_world), visible))
+            objects.append(_entry(actor, actor_box(actor, T_camera_world), visible))
             mask[shown] = len(objects)
     return objects, mask
 
@@ -93,18 +75,6 @@ PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {
 Report = Callable[[int, int], None]
 
 
-class GeneratedFile(BaseModel):
-    """`generated.json`: the parameters that reproduce the recording, byte for byte, with the same version."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    version: int
-    preset: str
-    seed: int
-    frames: int
-    period_s: float
-
-
 def write_generated(
     path: Path,
     preset: str,
@@ -117,8 +87,6 @@ def write_generated(
     """Writes a generated recording; the folder is created only when the recording is complete.
 
     Args:
-        path: the folder to create; it must not exist.
-        preset: "people", "hands" or "objects".
         frames: number of frames, at ten per second.
         seed: random seed of the scene; the same seed gives the same bytes.
         width, height: image size, pixels.
@@ -169,9 +137,12 @@ def _write(folder: Path, preset: str, frames: int, seed: int, camera: Camera, re
     scene = PRESETS[preset](np.random.default_rng([VERSION, seed]))
     for name in ("color", "depth", "truth/mask"):
         (folder / name).mkdir(parents=True)
-    parameters = GeneratedFile(version=VERSION, preset=preset, seed=seed, frames=frames, period_s=PERIOD_S)
-    (folder / "generated.json").write_text(parameters.model_dump_json(indent=1) + "\n")
-    _write_json(folder / "camera_intrinsic.json", _intrinsics(camera))
+    # with the same version, these reproduce the recording byte for byte
+    parameters = {"version": VERSION, "preset": preset, "seed": seed, "frames": frames, "period_s": PERIOD_S}
+    (folder / "generated.json").write_text(json.dumps(parameters, indent=1) + "\n")
+    intrinsics = {"width": camera.width_px, "height": camera.height_px}
+    column_major = camera.matrix.T.ravel().tolist()
+    _write_json(folder / "camera_intrinsic.json", {**intrinsics, "intrinsic_matrix": column_major})
     up = scene.T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
     _write_json(folder / "gravity.json", {"up": up.tolist()})
     stage = Stage(camera, scene.T_world_camera, scene.still, scene.palette, scene.lights)
@@ -179,16 +150,18 @@ def _write(folder: Path, preset: str, frames: int, seed: int, camera: Camera, re
     for i in range(frames):
         key = f"{i:06}"
         random = np.random.default_rng([VERSION, seed, i])
-        boxes[key] = [_entry(item) for item in _write_frame(folder, key, stage, scene, random)]
+        boxes[key] = _write_frame(folder, key, stage, scene, random)
         if report is not None:
             report(i + 1, frames)
     _write_json(folder / "truth" / "boxes.json", boxes)
 
 
-def _write_frame(folder: Path, key: str, stage: Stage, scene: Scene, random: np.random.Generator) -> list[TrueObject]:
+def _write_frame(
+    folder: Path, key: str, stage: Stage, scene: Scene, random: np.random.Generator
+) -> list[dict[str, object]]:
     moment = next(scene.moments)
     ideal = stage.render([*moment.rest, *(actor.mesh for actor in moment.actors)])
-    objects, mask = true_objects(stage.camera, scene.T_world_camera.inv(), moment.actors, ideal.track)
+    objects, mask = _true_objects(stage.camera, scene.T_world_camera.inv(), moment.actors, ideal.track)
     sensor = Sensor()
     _write_image(folder / "depth" / f"{key}.png", depth_image(ideal, sensor, random))
     _write_image(folder / "color" / f"{key}.jpg", colour_image(ideal, sensor, random)[:, :, ::-1])
@@ -196,21 +169,16 @@ def _write_frame(folder: Path, key: str, stage: Stage, scene: Scene, random: np.
     return objects
 
 
-def _intrinsics(camera: Camera) -> dict[str, object]:
-    column_major = camera.matrix.T.ravel().tolist()
-    return {"width": camera.width_px, "height": camera.height_px, "intrinsic_matrix": column_major}
-
-
-def _entry(item: TrueObject) -> dict[str, object]:
-    box = item.box
+def _entry(actor: Actor, box: OrientedBox, visible: float) -> dict[str, object]:
+    """`visible`: share of its silhouette, which includes parts beyond the image border."""
     return {
-        "label": item.label,
+        "label": actor.label,
         "center": _rounded(box.center_m),
         "size": _rounded(box.size_m),
         "rotation": _rounded(box.rotation),
         "corners": _rounded(box_corners(box)),
-        "track": item.track,
-        "visible": round(item.visible, 3),
+        "track": actor.track,
+        "visible": round(visible, 3),
     }
 
 

@@ -39,7 +39,6 @@ class Box2D:
     """An axis-aligned box on an image, in continuous pixels (centre of the first pixel = (0, 0)).
 
     Attributes:
-        label: class name.
         x_min, y_min, x_max, y_max: edges, pixels, x right, y down.
         score: detector confidence in 0..1; 1 for a drawn box.
         edge_sigma_px: expected error of x_min, y_min, x_max, y_max, pixels; None if unknown.

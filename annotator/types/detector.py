@@ -28,7 +28,6 @@ class Region:
     """A rectangular part of an image, which a detector processes at the same scale as the whole image.
 
     Attributes:
-        of: the whole image.
         x_px, y_px: first column and row within the whole image.
         width_px, height_px: size; the region lies completely within the image.
     """

@@ -63,11 +63,7 @@ class UnknownFormatError(RecordingError):
 
 
 class FrameError(RecordingError):
-    """One frame cannot be read; the rest of the recording may be fine.
-
-    Attributes:
-        path: the offending file.
-    """
+    """One frame cannot be read; the rest of the recording may be fine."""
 
     def __init__(self, path: Path, problem: str, remedy: str = "") -> None:
         self.path = path
@@ -86,7 +82,6 @@ class FormatError(InputError):
     """A label or dataset file does not follow its format.
 
     Attributes:
-        path: the offending file.
         line: 1-based line number; None for formats without lines.
     """
 
@@ -106,11 +101,7 @@ class UnitKind(StrEnum):
 
 
 class UnitError(FormatError):
-    """The numbers of a label file are in another unit, or in another order, than its format has.
-
-    Attributes:
-        kind: which numbers.
-    """
+    """The numbers of a label file are in another unit, or in another order, than its format has."""
 
     def __init__(self, kind: UnitKind, path: Path, problem: str, line: int | None = None) -> None:
         self.kind = kind
@@ -122,11 +113,7 @@ class ConfigError(InputError):
 
 
 class MovedError(ConfigError):
-    """A recording that is to be added is one of the project whose path is gone: it has only moved.
-
-    Attributes:
-        recording_id, name: of the project's recording.
-    """
+    """A recording that is to be added is one of the project whose path is gone: it has only moved."""
 
     def __init__(self, message: str, recording_id: int, name: str) -> None:
         self.recording_id, self.name = recording_id, name
@@ -162,12 +149,7 @@ class InUseError(ProjectError):
 
 
 class StaleRevisionError(ProjectError):
-    """A change was based on an older revision of the frame than the stored one.
-
-    Attributes:
-        expected: the revision on which the change was made.
-        actual: the revision that is stored.
-    """
+    """A change was based on an older revision of the frame than the stored one."""
 
     def __init__(self, where: str, expected: int, actual: int) -> None:
         self.expected = expected
@@ -179,11 +161,7 @@ class StaleRevisionError(ProjectError):
 
 
 class TrackTakenError(ProjectError):
-    """A track would get a second box in a frame, or a track id that was free when it was chosen is in use by now.
-
-    Attributes:
-        track_id: of the track.
-    """
+    """A track would get a second box in a frame, or a track id that was free when it was chosen is in use by now."""
 
     def __init__(self, message: str, track_id: int) -> None:
         self.track_id = track_id

@@ -21,7 +21,6 @@ class Camera:
     covers [-0.5, width_px - 0.5] x [-0.5, height_px - 0.5].
 
     Attributes:
-        width_px, height_px: image size.
         fx, fy, cx, cy: focal lengths and principal point, pixels.
         distortion: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]] as in `cv2.projectPoints`;
             empty for an ideal pinhole.
@@ -115,7 +114,6 @@ class Frame:
     Attributes:
         key: the frame's name within its recording, such as "000012"; unique and stable.
         index: position within the recording, from 0.
-        camera: the colour camera.
         rgb: (H, W, 3) uint8 image of the colour camera, RGB order.
         cloud: all valid points, in the camera frame.
         depth_m: (H, W) float32 depth registered to the image, metres, 0 = no measurement; None for a LiDAR. If another

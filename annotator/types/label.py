@@ -49,7 +49,6 @@ class Suggestion:
     """The view detector that suggested boxes from which an operator made a label.
 
     Attributes:
-        detector: its name.
         fingerprint: as in `Detector`.
         corrected: True if the operator drew some of the boxes, or has changed the 3D box since.
     """
@@ -65,8 +64,6 @@ class Said:
 
     Attributes:
         source: name of the detector, person or file.
-        label: class name.
-        box: the oriented box, camera frame.
         score: its certainty in 0..1, if known.
         track_id: the object's id within the recording, if known.
         box_kind: what the box encloses.
@@ -90,12 +87,7 @@ class Label:
 
     Attributes:
         uid: unique within a project and stable over edits.
-        label: class name.
-        box: the oriented box, camera frame.
         score: detector confidence in 0..1; None for a box that does not come from a detector.
-        source: origin of the box.
-        state: review state.
-        author: author of the last change.
         time_ns: time of the last change, nanoseconds since the epoch.
         track_id: the object's id within the recording; None if unknown.
         expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
@@ -126,12 +118,9 @@ class Truth:
     """One labelled object from the files of a recording, or from another source.
 
     Attributes:
-        label: class name.
-        box: the oriented box, camera frame.
         track_id: the object's id within the recording; None if unknown.
         score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
         image_box: the label's own 2D box on the image; None if its file has none.
-        box_kind: what the box encloses.
         attributes: values of its attributes as in its file, by name.
         said: what sources of boxes said of the object, as in its file.
     """
@@ -240,11 +229,9 @@ class Proposal:
     """An oriented 3D box proposed for one object of one frame.
 
     Attributes:
-        label: class name, from the image detector.
         score: 0..1, from both detectors.
         box: camera frame.
         image_box: the box on the camera image whose frustum was processed.
-        trace: every step.
         quality: signals for the review.
     """
 

@@ -15,7 +15,6 @@ def amount(number: int, noun: str, plural: str = "") -> str:
     """A number with its noun: "1 box", "3 boxes".
 
     Args:
-        number: how many there are.
         noun: the word or words for one of them; these may end with the verb, such as "frame has".
         plural: the words for several; default: the noun with s, or with es after x, s and ch.
     """
@@ -69,11 +68,7 @@ _NAMING_A_CLASS = ("model_type", "model_attributes_type", "dataclass_type", "is_
 
 
 def first_problem(error: ValidationError, *within: str | int) -> str:
-    """Returns the first problem in one line, after its place: "annotations.3.bbox: Field required".
-
-    Args:
-        within: the place of the value itself.
-    """
+    """Returns the first problem in one line, after its place: "annotations.3.bbox: Field required"."""
     first = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(map(str, (*within, *first["loc"])))
     # pydantic prefixes the messages of custom validators

@@ -135,7 +135,7 @@ def draw_frame(
     """Returns the boxes on the image, and the objects with boxes on all four views."""
     visible = [(item, box) for item in objects if (box := image_box_of(frame, item, kind)) is not None]
     on_image = [box for _, box in visible]
-    frame = frame_with_normals(frame, on_image, config)
+    frame = frame_with_normals(frame, on_image)
     finished: list[DrawnObject] = []
     for item, image_box in visible:
         drawn = draw_object(frame, image_box, partial(_draw, frame=frame, item=item, kind=kind), config)

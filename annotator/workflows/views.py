@@ -30,6 +30,7 @@ from scipy.optimize import linear_sum_assignment
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import CocoImage, write_coco
 from annotator.formats.json_file import write_text
+from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
@@ -48,7 +49,7 @@ from annotator.project.overview import FramePage
 from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import first_views, next_views
-from annotator.rcv.measure import box_iou, make_pair
+from annotator.rcv.measure import make_pair
 from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_axes
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
@@ -222,8 +223,8 @@ def redrawn(
     width_px, height_px = size_px(view)
     axes, drawn = np.array(geometry.axes), frustum
     if view.step:
-        drawn = _cut(frustum, steps, size_px, config)
-        keep = drawn_points(len(drawn), config.view.model_copy(update={"size_px": max(width_px, height_px)}))
+        drawn = _cut(frustum, steps, size_px)
+        keep = drawn_points(len(drawn), max(width_px, height_px))
         drawn = drawn if keep is None else drawn.select(keep)
     if view.boxes:
         low, high = spans_m(view).T
@@ -231,10 +232,10 @@ def redrawn(
         if np.count_nonzero(((on_view >= low) & (on_view <= high)).all(axis=1)) < MIN_POINTS:
             return None
     window = Window(np.array(geometry.origin_m), geometry.metres_per_px, width_px, height_px)
-    return render_window(drawn, axes, window, config.view.max_splat_px)
+    return render_window(drawn, axes, window)
 
 
-def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx, config: RcvConfig) -> PointCloud:
+def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx) -> PointCloud:
     """The points in the boxes of the first step, as in `rcv.known_objects.next_views`; all if these boxes are gone."""
     pair = front_and_side(steps.get(0, ()))
     if pair is None:
@@ -245,7 +246,7 @@ def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx, config: RcvConfig) 
     front, side = ([replace(view.boxes[0], score=1.0)] for view in pair)
     both = views[0], views[1]
     box = make_pair(both[0].axes, both, front, side, 0, 0).box
-    return cut_cloud(frustum, box, both, config)
+    return cut_cloud(frustum, box, both)
 
 
 COCO = "coco.json"
@@ -366,7 +367,7 @@ def _second(frames: _Frames) -> Iterator[_Drawn]:
         if read is None:
             continue
         stored, frame, settings = read
-        frame = frame_with_normals(frame, [image_box for image_box, _ in objects], settings)
+        frame = frame_with_normals(frame, [image_box for image_box, _ in objects])
         for number, (image_box, pair) in enumerate(objects):
             spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
             following = next_views(frame, image_box, spans, settings)

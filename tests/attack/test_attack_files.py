@@ -20,6 +20,7 @@ from annotator.cli.main import main
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
+from annotator.workflows.add_recordings import register_recording
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -31,11 +32,8 @@ XML = {
     "quadratic": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "' + "a" * 100_000 + '">]><b>'
     + "&a;" * 100_000 + "</b>",
     "outside": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY x SYSTEM "file:///etc/passwd">]><b>&x;</b>',
-    "parameter": '<?xml version="1.0"?><!DOCTYPE l SYSTEM "file:///etc/passwd"><b/>',
     "deep": "<a>" * 100_000,
-    "deep closed": "<a>" * 100_000 + "</a>" * 100_000,
     "attributes": "<a " + " ".join(f'a{n}="1"' for n in range(100_000)) + "/>",
-    "zero": "\0" * 1000,
 }  # fmt: skip
 
 
@@ -76,9 +74,6 @@ def _hostile_arrays(trace: Path) -> dict[str, bytes]:
         "a bare pickle": code,
         "code in the header": header.replace(b"(4, 3)", b"__import__('os').mkdir('x')"),
         "a huge shape": header.replace(b"(4, 3)", b"(99999999999, 3)"),
-        "a negative shape": header.replace(b"(4, 3)", b"(-4, -3)"),
-        "text": b"[[1, 2, 3]]",
-        "nothing": b"",
     }
 
 
@@ -116,12 +111,8 @@ def _must_fail(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
 
 DAMAGED = {
     "deep": "[" * 200_000,
-    "deep object": '{"a":' * 200_000,
-    "numbers": '{"name": ' + "9" * 1_000_000 + "}",
     "not a number": '{"version": NaN}',
-    "null": "null",
     "unknown": json.dumps({"__reduce__": ["os.system", ["true"]]}),
-    "bytes": "\udcff\udcfe",
 }
 
 
@@ -141,20 +132,14 @@ def test_a_sent_project_with_a_hostile_configuration_is_refused(
 
 NAMES = (
     "<img src=x onerror=alert(1)>",
-    "$(touch hacked)",
     "; touch hacked",
-    "`touch hacked`",
     "-rf",
-    "--config=x",
-    "%s%n{0}",
     "\x1b[31mred\x1b]0;title\x07",
     "a\nb",
     "=cmd|'calc'!A0",
     "‮gpj.exe",
     "..",
-    "CON",
     "é" * 100,
-    "😀",
     "'; DROP TABLE labels; --",
 )
 
@@ -217,9 +202,6 @@ def test_an_endless_file_of_a_project_is_refused(live: Live, tmp_path: Path, kin
 
 @pytest.mark.parametrize("kind", ENDLESS)
 def test_an_endless_file_of_a_recording_is_refused(live: Live, own_copy: Callable[[str], Path], kind: str) -> None:
-    from annotator.recordings import open_recording
-    from annotator.workflows.add_recordings import register_recording
-
     recording = own_copy("people")
     project = live.context.project("room")
     registered = register_recording(project, open_recording(recording))
@@ -234,9 +216,6 @@ def test_an_endless_file_of_a_recording_is_refused(live: Live, own_copy: Callabl
 
 
 def test_a_small_archive_of_a_gigabyte_is_refused(live: Live, tmp_path: Path) -> None:
-    from annotator.recordings import open_recording
-    from annotator.workflows.add_recordings import register_recording
-
     clouds = tmp_path / "clouds"
     clouds.mkdir()
     np.savez_compressed(clouds / "0.npz", points=np.zeros((20_000_000, 3), np.float32))

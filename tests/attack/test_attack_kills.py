@@ -173,7 +173,6 @@ def damage(database: Path) -> None:
 
 COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
     "copy": (["project", "copy", "{folder}/long", "new"], None),
-    "copy by name": (["project", "copy", "long", "new"], None),
     "repair": (["project", "repair", "long"], None),
     "salvage": (["project", "repair", "long", "new"], damage),
 }

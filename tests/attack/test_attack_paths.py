@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from attacks import content_of, request, require_alive
-from live_server import Live, ended, running
+from live_server import Live, running
 
 from annotator.cli.main import main
 from annotator.web.security import ServerSettings
@@ -45,15 +43,6 @@ PARTS = (
     "9" * 400,
     "1e3",
     "١",
-)
-FILES = (
-    "../secret",
-    "%2e%2e/secret",
-    "..%2fsecret",
-    "..\\secret",
-    "//etc/passwd",
-    "%2fetc%2fpasswd",
-    "js/../../secret",
 )
 
 
@@ -96,14 +85,6 @@ def test_no_path_parameter_leads_out(places: Live, tmp_path: Path) -> None:
     require_alive(places)
 
 
-@pytest.mark.parametrize("prefix", ["/assets/", "/", "/viser/1/", "/assets/js/", "/assets/vendor/"])
-def test_no_file_beside_the_page_is_served(places: Live, prefix: str) -> None:
-    for name in (*FILES, *PARTS, "../../../../../../../etc/passwd", "..;/secret", "js//../../pyproject.toml"):
-        status, answer = request(places, "GET", prefix + name)
-        assert 400 <= status < 500, (prefix + name, status)
-        assert SECRET not in answer and b"root:" not in answer and b"[project]" not in answer
-
-
 FOLDERS = [
     "..", "folder/..", "folder/../..", "/", "/etc", "folder/out", "folder/up", "folder/loop", "folder/file", "folder//",
     "folder/./", "folder/.hidden", "folder\\..\\..", "folder/\0", "C:\\", "file:///etc", "~", "$HOME",
@@ -128,22 +109,6 @@ def test_recordings_come_from_the_registered_folders_only(places: Live, path: st
         assert 400 <= answer.status_code < 500, (method, target, answer.text)
         assert "etc" not in answer.text.replace(path, "") and SECRET not in answer.content
     assert places.client.get("/api/projects/room").json() == before
-
-
-def test_listings_leave_out_links_that_lead_out(places: Live) -> None:
-    listed = places.client.get("/api/folders", params={"path": "folder"}).json()
-    assert listed["entries"] == []
-
-
-@pytest.mark.parametrize(
-    "name", ["..", ".", "", "a/b", "/abs", "a\0b", "a\nb", "nul\\x", "x" * 300, "é", "a b", "-rf", ".x"]
-)
-def test_projects_have_plain_names(places: Live, name: str) -> None:
-    root = places.settings.projects_root
-    before = sorted(path.name for path in root.iterdir())
-    answer = places.client.post("/api/projects", json={"name": name, "classes": ["person"]})
-    assert 400 <= answer.status_code < 500, answer.text
-    assert sorted(path.name for path in root.iterdir()) == before
 
 
 # --- links and paths in a project or a projects folder that somebody sent: nothing outside is read or written ---------
@@ -204,63 +169,7 @@ def test_no_command_follows_a_link(
     assert not (outside.parent / "out").exists()
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_no_server_follows_a_link(web_settings: ServerSettings, outside: Path, place: str) -> None:
-    linked(web_settings.projects_root / "room" / place, outside)
-    before = content_of(outside)
-    with running(web_settings) as live:
-        (card,) = live.client.get("/api/projects").json()["projects"]
-        assert f"{place}: is a link that leads out of the project" in card["problem"]
-        for path in ("", "/models", "/models/1/pictures/0.jpg", f"/views/{'0' * 64}.png", "/frames/1"):
-            answer = live.client.get(f"/api/projects/room{path}")
-            assert 400 <= answer.status_code < 500
-            assert SECRET_TEXT not in answer.text and str(outside) not in answer.text
-    assert content_of(outside) == before
-
-
-JOBS: dict[str, Callable[[Path, Path], None]] = {
-    "the folder": lambda jobs, outside: jobs.symlink_to(outside),
-    "the lock": lambda jobs, outside: _file(jobs / "lock").symlink_to(outside / "secret.txt"),
-    "the journal": lambda jobs, outside: _file(jobs / "journal.json").symlink_to(outside / "secret.txt"),
-    "an export": lambda jobs, outside: _file(jobs / ("a" * 32) / "x.zip").symlink_to(outside / "secret.txt"),
-    "a job": lambda jobs, outside: _file(jobs / ("a" * 32)).symlink_to(outside),
-}
-
-
-def _file(path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path
-
-
-@pytest.mark.parametrize("kind", JOBS)
-def test_a_server_does_not_start_with_linked_jobs(
-    web_settings: ServerSettings, outside: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    JOBS[kind](web_settings.projects_root / ".jobs", outside)
-    before = content_of(outside)
-    assert main(["serve", "--projects", str(web_settings.projects_root), "--port", "0"]) == 2
-    assert "is a link that leads out of the projects' folder of jobs; remove it" in capsys.readouterr().err
-    assert content_of(outside) == before
-
-
-@pytest.mark.parametrize("file", ["../../../outside/secret.txt", "/etc/passwd", "..", ".", "", "a/../../../x", 3, None])
-@pytest.mark.parametrize("job", ["a" * 32, "../../outside", "/etc", "..", ""])
-def test_a_journal_leads_nowhere(web_settings: ServerSettings, outside: Path, file: Any, job: str) -> None:
-    jobs = web_settings.projects_root / ".jobs"
-    (jobs / ("a" * 32)).mkdir(parents=True)
-    record = {"id": job, "project": "room", "kind": "export", "state": "done", "created_ns": 1, "operator": "Eve"}
-    content = {"jobs": [{**record, "download": "kept", "result": {"file": file}}]}
-    (jobs / "journal.json").write_text(json.dumps(content), encoding="utf-8")
-    before = content_of(outside)
-    with running(web_settings) as live:
-        for name in {"a" * 32, job.replace("/", "%2f")}:
-            answer = live.client.get(f"/api/jobs/{name}/download")
-            assert answer.status_code in (404, 405, 422)
-            assert SECRET_TEXT not in answer.text and "root:" not in answer.text
-    assert content_of(outside) == before
-
-
-@pytest.mark.parametrize("path", ["/etc", "/etc/passwd", "/proc/self/environ", "OUTSIDE", "../../outside"])
+@pytest.mark.parametrize("path", ["/etc/passwd", "OUTSIDE", "../../outside"])
 def test_a_recording_elsewhere_shows_nothing(web_settings: ServerSettings, outside: Path, path: str) -> None:
     """Its path is of the project's author. What is no recording is not shown; to others, nothing outside is."""
     named = path.replace("OUTSIDE", str(outside))
@@ -268,21 +177,6 @@ def test_a_recording_elsewhere_shows_nothing(web_settings: ServerSettings, outsi
         database.execute("UPDATE recordings SET path = ?", [named])
     with running(web_settings) as live:
         _require_nothing(live)
-
-
-def test_other_computers_see_no_recording_elsewhere(web_settings: ServerSettings, tmp_path: Path) -> None:
-    """Neither a page nor a job of a server for other computers reads it, although it is a sound one."""
-    (tmp_path / "offered").mkdir()
-    settings = replace(web_settings, host="0.0.0.0", token="t" * 32, folders=(tmp_path / "offered",))
-    with running(settings) as live:
-        _require_nothing(live)
-        for request in (
-            {"kind": "import", "recordings": [1]},
-            {"kind": "export", "format": "rcv", "empty_frames": True},
-        ):
-            job = ended(live, live.client.post("/api/projects/room/jobs", json=request).json())
-            assert job["state"] == "failed", job
-            assert "lies outside the folders that this server offers" in job["message"]
 
 
 def _require_nothing(live: Live) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import struct
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from attacks import require_alive, unharmed
+from attacks import unharmed
 from live_server import PATIENCE_S, running, wait_until
 from room_api import change, state
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -21,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from annotator.project import create_project
 from annotator.web import limits
 from annotator.web.limits import BURST, FILE, limited_log
-from annotator.web.security import GUESSES_BURST, ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -41,36 +40,16 @@ def live(live: Live) -> Iterator[Live]:
             assert "presence" in events.recv(timeout=PATIENCE_S)
 
 
-@pytest.mark.parametrize("query", ["?project=..", "?project=" + "a" * 65, "?project=%00", "?project=nothing"])
-def test_a_socket_of_no_project_is_refused(live: Live, query: str) -> None:
-    with pytest.raises(InvalidStatus) as refused, live.listen(query):
-        pass
-    assert 400 <= refused.value.response.status_code < 500
-
-
-def test_a_socket_without_an_operator_is_refused(live: Live) -> None:
-    others = "; ".join(part for part in live.cookies().split("; ") if not part.startswith("annotator_operator"))
-    with pytest.raises(InvalidStatus) as refused, live.listen(cookie=others):
-        pass
-    assert refused.value.response.status_code in (401, 403)
-
-
 MESSAGES: dict[str, str | bytes] = {
     "binary": b"\0\1\2",
-    "pickle": b"\x80\x04.",
     "not JSON": "{",
     "deep": "[" * 100_000,
-    "number": "1" * 100_000,
-    "unknown": json.dumps({"type": "shutdown"}),
     "more": json.dumps({**OPEN, "operator": "root"}),
-    "path": json.dumps({**OPEN, "project": "../../etc"}),
     "types": json.dumps({**OPEN, "frame": [1]}),
     "large": json.dumps({**OPEN, "project": "a" * 900_000}),
     "too large": "a" * (20 << 20),
-    "null": "null",
     "empty": "",
     "frame": json.dumps({**OPEN, "frame": 2**53}),
-    "viewport": json.dumps({"type": "workbench", "id": "../1"}),
 }
 
 
@@ -110,17 +89,6 @@ def test_frames_that_break_the_protocol_end_their_own_connection_at_most(live: L
             assert raw.recv(4096).startswith(b"HTTP/1.1 101")
             with suppress(OSError):  # it has been closed already
                 raw.sendall(frame)
-
-
-def test_a_flood_of_messages_does_not_stop_the_others(live: Live) -> None:
-    with live.listen() as events:
-        try:
-            for number in range(FLOOD):
-                events.send(json.dumps({**OPEN, "frame": 1 + number % 5}))
-                if number % 2000 == 0:
-                    require_alive(live)
-        except ConnectionClosed:
-            pass  # a limit of messages
 
 
 def test_readers_that_do_not_read_are_dropped_or_kept_small(live: Live) -> None:
@@ -174,15 +142,6 @@ def test_half_sent_requests_do_not_stop_the_server(locked: Live, monkeypatch: py
         assert httpx.get(f"{locked.url}/api/session", cookies=locked.client.cookies, timeout=60).status_code == 200
         wait_until(lambda: config.open.silent == 0)
     assert log_of(locked) == ""
-
-
-def test_tokens_cannot_be_guessed_fast(locked: Live) -> None:
-    with httpx.Client(base_url=locked.url, timeout=PATIENCE_S) as guesser:
-        said = Counter(guesser.get("/", params={"token": f"{number:021d}"}).status_code for number in range(GUESSES))
-        assert set(said) == {401, 429}
-        assert said[401] < 2 * GUESSES_BURST
-        assert guesser.get("/", params={"token": TOKEN}).status_code == 429
-    assert locked.client.get("/api/session").status_code == 200
 
 
 def test_a_page_cannot_flood_the_others(locked: Live) -> None:

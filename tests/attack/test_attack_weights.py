@@ -70,32 +70,28 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("backend", ["auto", "fastest", "torch", "openvino", "onnxruntime"])
+@pytest.mark.parametrize("backend", ["auto", "torch", "openvino", "onnxruntime"])
 @pytest.mark.parametrize("kind", PICKLES)
-@pytest.mark.parametrize("name", ["detector.pt", "detector.safetensors"])
-def test_no_backend_runs_a_pickle(tmp_path: Path, trap: Path, kind: str, backend: Any, name: str) -> None:
-    (tmp_path / name).write_bytes(PICKLES[kind](trap))
-    with pytest.raises(DetectionError, match=UNREADABLE):
-        YoloDetector(tmp_path / name, DetectorConfig(image_size_px=96, device="cpu", backend=backend))
+def test_no_backend_runs_a_pickle(tmp_path: Path, trap: Path, kind: str, backend: Any) -> None:
+    for name in ("detector.pt", "detector.safetensors"):
+        (tmp_path / name).write_bytes(PICKLES[kind](trap))
+        with pytest.raises(DetectionError, match=UNREADABLE):
+            YoloDetector(tmp_path / name, DetectorConfig(image_size_px=96, device="cpu", backend=backend))
 
 
 @pytest.mark.parametrize(
     ("words", "codes", "said"),
     [
         (["annotate", "sent", "--engine", "inline"], {2}, UNREADABLE),
-        (["annotate", "sent", "--engine", "local", "--workers", "1"], {2}, UNREADABLE),
         (["annotate", "sent", "--backend", "onnxruntime"], {2}, UNREADABLE),
         (["lift", "sent", "--detector", "project"], {2}, UNREADABLE),
         (["lift", "sent", "--detector", "best.pt"], {2}, UNREADABLE),
-        (["lift", "sent", "--detector", "yolo11n.pt"], {2}, UNREADABLE),
         (["live", "sent", "people", "--limit", "1", "--port", "0"], {2}, UNREADABLE),
         (["train", "sent", "--only", "image", "--weights", "best.pt"], {2}, UNREADABLE),
-        (["train", "sent", "--only", "image", "--weights", "weights/last.pt"], {2}, UNREADABLE),
         (["train", "sent", "--only", "view", "--epochs", "1", "--views", "2", "--weights", "never"], {0, 2}, ""),
         (["stats", "sent"], {0}, ""),
         (["check", "sent"], {0}, ""),
         (["export", "sent", "out"], {0}, ""),
-        (["track", "sent"], {0}, ""),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -125,13 +121,17 @@ def test_a_server_runs_no_code_of_a_sent_project(sent: Path) -> None:
         live.client.post("/api/projects/sent/models/1/activate")
 
 
+def training_set(folder: Path) -> Path:
+    rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    samples = [TrainingSample(rgb, (Box2D("cat", 8.0, 8.0, 40.0, 40.0),), str(i), "drawn") for i in range(4)]
+    write_dataset(folder, samples, ["cat"], {"3"}.__contains__, kind=BoxKind.BOX)
+    return folder
+
+
 def test_a_training_reads_no_cache_and_no_checkpoint_of_a_sent_project(
     tmp_path: Path, trap: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
-    samples = [TrainingSample(rgb, (Box2D("cat", 8.0, 8.0, 40.0, 40.0),), str(i), "drawn") for i in range(4)]
-    dataset, out = tmp_path / "dataset", tmp_path / "run"
-    write_dataset(dataset, samples, ["cat"], {"3"}.__contains__, kind=BoxKind.BOX)
+    dataset, out = training_set(tmp_path / "dataset"), tmp_path / "run"
     code = PICKLES["archive"](trap)
     for split in ("train", "val"):
         (dataset / "labels" / f"{split}.cache").write_bytes(NUMPY_CACHE + pickle.dumps(Touch(trap)))
@@ -148,13 +148,9 @@ def test_a_training_reads_no_cache_and_no_checkpoint_of_a_sent_project(
 
 HOSTILE_STATES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no settings": lambda state: state | {"groups": [{} for _ in state["groups"]]},
-    "texts": lambda state: state | {"groups": [{**group, "lr": "x"} for group in state["groups"]]},
     "other parameters": lambda state: state | {"groups": [{**g, "params": [10**9]} for g in state["groups"]]},
-    "no groups": lambda state: state | {"groups": state["groups"][:1]},
-    "a name that is no number": lambda state: state | {"plain": {"__class__": {"step": 1.0}}},
     "attributes": lambda state: state | {"plain": {"0": {"__class__": 1.0}}},
     "negative epoch": lambda state: state | {"epoch": -5},
-    "huge epoch": lambda state: state | {"epoch": 10**30},
     "not a number": lambda state: state | {"stopper": {"best_fitness": None, "best_epoch": None}},
     "code": lambda state: state | {"code": "print()"},
 }
@@ -164,9 +160,7 @@ HOSTILE_STATES: dict[str, Callable[[dict[str, Any]], Any]] = {
 def interrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A training set, and the folder of a training that was stopped after its first epoch."""
     folder = tmp_path_factory.mktemp("interrupted")
-    rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
-    samples = [TrainingSample(rgb, (Box2D("cat", 8.0, 8.0, 40.0, 40.0),), str(i), "drawn") for i in range(4)]
-    write_dataset(folder / "dataset", samples, ["cat"], {"3"}.__contains__, kind=BoxKind.BOX)
+    training_set(folder / "dataset")
     done: list[int] = []
 
     def progress(report: Any) -> None:
@@ -199,22 +193,13 @@ def test_a_hostile_checkpoint_is_an_error_or_harmless(
 HEADER = {"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 8]}}
 FILES: dict[str, bytes] = {
     "huge header": safetensors(HEADER, bytes(8), 2**62),
-    "header longer than the file": safetensors(HEADER, bytes(8), 10**6),
-    "negative header": b"\xff" * 8 + b"{}",
     "no JSON": safetensors(b"{\x00\xff\xfe}"),
     "deep JSON": safetensors(b'{"a":' * 100_000),
-    "a list": safetensors(b"[]" + b" " * 30),
     "negative offsets": safetensors({"a": {"dtype": "F32", "shape": [2], "data_offsets": [-8, 0]}}, bytes(8)),
-    "reversed offsets": safetensors({"a": {"dtype": "F32", "shape": [2], "data_offsets": [8, 0]}}, bytes(8)),
     "offsets past the end": safetensors({"a": {"dtype": "F32", "shape": [2], "data_offsets": [2**40, 2**40 + 8]}}),
     "overlap": safetensors({**HEADER, "b": HEADER["a"]}, bytes(8)),
-    "hole": safetensors({**HEADER, "b": {"dtype": "F32", "shape": [2], "data_offsets": [16, 24]}}, bytes(24)),
     "shape and size differ": safetensors({"a": {"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}}, bytes(8)),
-    "shape overflows": safetensors({"a": {"dtype": "F32", "shape": [2**62, 8], "data_offsets": [0, 8]}}, bytes(8)),
-    "negative shape": safetensors({"a": {"dtype": "F32", "shape": [-2], "data_offsets": [0, 8]}}, bytes(8)),
     "unknown format": safetensors({"a": {"dtype": "EVIL", "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
-    "rare format": safetensors({"a": {"dtype": "F8_E8M0", "shape": [8], "data_offsets": [0, 8]}}, bytes(8)),
-    "complex": safetensors({"a": {"dtype": "C64", "shape": [1], "data_offsets": [0, 8]}}, bytes(8)),
     "metadata that is no text": safetensors({"__metadata__": {"description": {"a": 1}}, **HEADER}, bytes(8)),
     "no description": safetensors(HEADER, bytes(8)),
     "two equal names": safetensors(
@@ -259,18 +244,11 @@ def test_huge_files_and_pipes_are_refused_unread(tmp_path: Path) -> None:
     [
         {"architecture": "yolo11x"},
         {"architecture": "../../../tmp/yolo11n"},
-        {"architecture": "/tmp/yolo11n"},
         {"architecture": "http://127.0.0.1/yolo11n"},
-        {"architecture": "yolo11n.yaml"},
-        {"architecture": "yolo11n\n"},
-        {"architecture": "yolo11n-seg"},
         {"architecture": "yolo" + "1" * 10_000},
         {"architecture": "__import__('os')"},
-        {"architecture": "yolo*"},
         {"labels": ["x"] * 10_001},
-        {"labels": ["x"] * 10_000},
         {"labels": ["x" * 10**6]},
-        {"labels": [1]},
         {"end2end": [1]},
         {"activation": "__import__('os')"},
     ],
@@ -352,39 +330,26 @@ def exceeding(torch: Any, size: tuple[int, ...], stride: tuple[int, ...], offset
 
 ATTACKS: dict[str, Callable[[], bytes]] = {
     "a function of the system": lambda: torch_file({"model": Called(os.system, "true")}),
-    "eval": lambda: torch_file({"model": Called(eval, "1")}),
-    "torch.load": lambda: torch_file({"model": Called(api().torch.load, "/etc/passwd")}),
     "torch.hub": lambda: torch_file({"model": Called(api().torch.hub.load, "a/b", "c")}),
-    "a huge layer": lambda: torch_file({"model": Called(api().torch.nn.Linear, 60_000, 60_000)}),
     "a network of any description": lambda: torch_file({"model": Called(api().DetectionModel, "/etc/passwd")}),
-    "2**60 layers": lambda: torch_file({"model": nested(60)}),
     "2**60 layers in a network": lambda: in_network(lambda model: model.model.add_module("0", nested(60))),
     "no model": lambda: torch_file([1, 2, 3]),
-    "an empty model": lambda: torch_file({"model": api().torch.nn.Module()}),
     "a bomb": bomb,
     "deep": lambda: archive(b"\x80\x02" + b"(" * 10**6 + b"."),
-    "deep lists": lambda: archive(b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b"."),
-    "no end": lambda: archive(b"\x80\x02}"),
     "a long text": lambda: archive(b"\x80\x04\x8d" + struct.pack("<Q", 2**62)),
     "another version": lambda: archive(b"\x80\xff."),
-    "an extension": lambda: archive(b"\x80\x02\x82\x01."),
     "an attribute in the place of a method": lambda: archive(
         b"\x80\x02ccollections\nOrderedDict\n)R}(X\x03\x00\x00\x00getK\x01ub."
     ),
     "beyond the storage": lambda: in_network(replaced(exceeding(api().torch, (10**9,), (1,), 0))),
-    "before the storage": lambda: in_network(replaced(exceeding(api().torch, (2,), (1,), -4))),
-    "backwards": lambda: in_network(replaced(exceeding(api().torch, (2,), (-1,), 1))),
     "overflow": lambda: in_network(replaced(exceeding(api().torch, (2**62, 2**62), (2**62, 1), 0))),
     "a petabyte by repetition": lambda: in_network(replaced(exceeding(api().torch, (10**9, 10**6), (0, 0), 0))),
-    "dimensions without steps": lambda: in_network(replaced(exceeding(api().torch, (2, 2), (1,), 0))),
     "a text as size": lambda: in_network(replaced(exceeding(api().torch, ("x",), (1,), 0))),
     "another architecture": lambda: in_network(lambda model: model.yaml.update(yaml_file="yolo11x.yaml")),
-    "an architecture elsewhere": lambda: in_network(lambda model: model.yaml.update(yaml_file="/tmp/evil.yaml")),
     "a URL": lambda: in_network(lambda model: model.yaml.update(yaml_file="http://127.0.0.1/yolo99n.yaml")),
     "no architecture": lambda: in_network(lambda model: model.yaml.clear()),
     "many classes": lambda: in_network(lambda model: setattr(model, "names", dict.fromkeys(range(10**6), "x"))),
     "classes that are no texts": lambda: in_network(lambda model: setattr(model, "names", {0: model.yaml})),
-    "mixed numbers": lambda: in_network(lambda model: setattr(model, "names", {0: "a", "b": "c"})),
 }
 
 
@@ -447,20 +412,6 @@ def test_random_damage_is_an_error_or_harmless(
             load_weights(path, "cpu")
         except DetectionError as error:
             assert UNREADABLE in str(error)
-
-
-def test_settings_name_no_weights(sent: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = sent / "project.json"
-    config = json.loads(file.read_text(encoding="utf-8"))
-    for settings in (
-        {"weights": "/tmp/evil.pt"},
-        {"model": "http://127.0.0.1/evil.pt"},
-        {"rcv": {"weights": "evil.pt"}},
-        {"rcv": {"view": {"model": "evil"}}},
-    ):
-        file.write_text(json.dumps({**config, "settings": settings}), encoding="utf-8")
-        assert main(["annotate", "sent", "--projects", str(sent.parent)]) == 2
-        assert next(iter(settings)) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("weights", ["/etc/passwd", "../../../../outside.pt", "~/outside.pt", "https://a.b/c.pt"])

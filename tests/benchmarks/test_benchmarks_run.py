@@ -8,15 +8,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
-from annotator.recordings import open_recording
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, loop
-from benchmarks.batch import FOLDERS, lengthen
+from annotator.types.errors import ConfigError
+from benchmarks import axes, batch, loop, soak, workbench
+from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,10 +23,10 @@ STRATEGIES = ["camera", "eigenvectors", "normals", "consensus"]
 LOOP_KEYS = ["frames", "share_with_proposal", "mask_recall", "mask_precision", "mean_iou", "ap25", "ap50", "boxes_2d"]
 
 
-def program(name: str, *words: str | Path, json_asked: bool = True) -> tuple[dict[str, Any], list[str]]:
+def program(name: str, *words: str | Path) -> tuple[dict[str, Any], list[str]]:
     """Runs `python -m benchmarks.NAME`; returns its JSON object and the lines before it."""
     done = subprocess.run(
-        [sys.executable, "-m", f"benchmarks.{name}", *map(str, words), *(["--json"] if json_asked else [])],
+        [sys.executable, "-m", f"benchmarks.{name}", *map(str, words), "--json"],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -36,7 +35,7 @@ def program(name: str, *words: str | Path, json_asked: bool = True) -> tuple[dic
     )
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    return (json.loads(lines[-1]) if json_asked else {}), lines[:-1]
+    return json.loads(lines[-1]), lines[:-1]
 
 
 def in_process(module: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object) -> Any:
@@ -67,69 +66,13 @@ def test_axes_compares_all_strategies(
     assert [row["axes"] for row in result["results"]] == STRATEGIES
     for row in result["results"]:
         assert list(row) == [
-            "label",
-            "axes",
-            "objects",
-            "mean_iou",
-            "share_50",
-            "share_70",
-            "false_positives",
-            "steps",
-            "ms_per_object",
-        ]
+            "label", "axes", "objects", "mean_iou", "share_50", "share_70", "false_positives", "steps", "ms_per_object"
+        ]  # fmt: skip
         assert (row["label"], row["objects"]) == ("person", 6)
-        assert 0 < row["mean_iou"] <= 1
-        assert 0 <= row["share_70"] <= row["share_50"] <= 1
-        assert row["ms_per_object"] > 0
         assert row["false_positives"] == 0, "a perfect detector has no false positives"
-        assert 1 <= row["steps"] <= 10
     by_axes = {row["axes"]: row["mean_iou"] for row in result["results"]}
     assert by_axes["consensus"] > 0.97
     assert by_axes["consensus"] > max(by_axes[name] for name in STRATEGIES[:-1])
-
-
-def test_a_proposal_that_overlaps_no_true_box_is_false() -> None:
-    assert axes.false_share([0.0, 0.05, 0.1, 0.9]) == 0.5
-    assert axes.false_share([]) == 0.0
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    far = OrientedBox.from_parts(np.array([9.0, 0.0, 0.0]), np.eye(3), np.ones(3))
-    proposals = [
-        Proposal("a", 1.0, b, Box2D("a", 0.0, 0.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0)) for b in (far, box, box)
-    ]
-    assert axes.best_ious(proposals, [Truth("a", box)]) == pytest.approx([0, 1, 1])
-    assert axes.best_ious(proposals, []) == [0.0] * 3
-    assert axes.best_ious([], [Truth("a", box)]) == []
-
-
-def test_axes_with_jitter_depends_on_the_seed(
-    two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--jitter", "0.02", "--free", "--strategies", "camera"]
-    first, again, other = (
-        in_process(axes, monkeypatch, capsys, two_frames, *words, "--seed", seed)["results"] for seed in (1, 1, 2)
-    )
-    assert [row["axes"] for row in first] == ["camera"]
-    assert first[0]["mean_iou"] == again[0]["mean_iou"] != other[0]["mean_iou"]
-    assert 0.1 < first[0]["mean_iou"] < 0.99
-
-
-@pytest.mark.shared
-def test_axes_on_a_kitti_drive(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its first two frames: results by class, and upright boxes by default, since the drive has gravity."""
-    source, folder = shared / "data" / "kitti_drive_0005", tmp_path / "drive"
-    for name in ("image_02", "velodyne"):
-        (folder / name).mkdir(parents=True)
-        for path in sorted((source / name).iterdir())[:2]:
-            shutil.copyfile(path, folder / name / path.name)
-    for name in ("calib.txt", "label_02.txt"):
-        shutil.copyfile(source / name, folder / name)
-    result = in_process(axes, monkeypatch, capsys, folder, "--strategies", "normals", "consensus")
-    labels = {row["label"] for row in result["results"]}
-    assert {"Van", "Cyclist"} <= labels
-    consensus = {row["label"]: row["mean_iou"] for row in result["results"] if row["axes"] == "consensus"}
-    assert min(consensus.values()) > 0.95
 
 
 def test_batch_compares_engines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,14 +93,6 @@ def test_store_reports_times() -> None:
     assert all(took_ms > 0 for name, took_ms in result.items() if name.endswith("_ms"))
     assert result["open_proposals"] == 30 * 3 + 4 * 2
     assert any("statistics" in line for line in lines)
-
-
-def test_a_lengthened_recording_repeats_its_frames(generated: Path, tmp_path: Path) -> None:
-    lengthen(generated / "people", tmp_path / "long", 7, 3)
-    recording, source = open_recording(tmp_path / "long"), open_recording(generated / "people")
-    assert recording.keys == tuple(f"{n:06d}" for n in range(7))
-    assert (recording.frame(5).rgb == source.frame(2).rgb).all()
-    assert not (recording.frame(5).rgb == source.frame(0).rgb).all()
 
 
 @pytest.mark.slow
@@ -184,3 +119,15 @@ def test_unusable_input_is_an_error_without_a_traceback(
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "named"),
+    [(soak, ["--jobs", "train,dream"], "dream"), (workbench, ["--only", "switch,colour"], "colour")],
+)
+def test_an_unknown_part_is_an_error(
+    module: ModuleType, words: list[str], named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [module.__name__, *words])
+    with pytest.raises(ConfigError, match=named):
+        module.main()

@@ -8,19 +8,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.project import REVIEWED, Project
-from annotator.rcv.config import ViewConfig
-from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.types import Box2D, BoxKind, DetectorKind, Image
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.training.train import TrainPlan
 from benchmarks import cold_start, follow
 
@@ -31,13 +28,11 @@ class AnyClass:
     """The boxes of a perfect detector without their classes."""
 
     labels, fingerprint = ("whole", "seen"), "any class"
-    sides_px: ClassVar[set[int]] = set()
 
     def __init__(self, detector: PerfectDetector) -> None:
         self._detector = detector
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        self.sides_px.update(max(image.rgb.shape[:2]) for image in images)
         return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
 
 
@@ -114,34 +109,6 @@ def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> N
     assert result["silent_errors"] == 0
 
 
-def test_views_have_the_size_that_the_detector_was_trained_on(
-    run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(AnyClass, "sides_px", set())
-    run(cold_start, generated / "people", "--every", 4)
-    # a deep frustum is drawn larger
-    assert AnyClass.sides_px <= {SIZE_PX, ViewConfig().deep_size_px}
-    assert SIZE_PX in AnyClass.sides_px
-
-
-def test_a_lost_track_counts_as_zero(run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Follower, "step", lambda *_: Followed(None, FollowStop.POINTS))
-    result = run(follow, generated / "people")
-    assert {row["mean_iou"] for row in result["tracks"]} == {0.0}
-    assert {(row["stopped_at"], row["stopped_because"]) for row in result["tracks"]} == {
-        ("000001", "too few points are left")
-    }
-    assert (result["mean_iou"], result["silent_errors"], result["marked"]) == (0, 0, 0)
-
-
 def test_unusable_arguments_are_refused(generated: Path) -> None:
     with pytest.raises(ConfigError, match="--taught takes numbers of objects from 0 on"):
         cold_start.run(cold_start.Arguments(generated / "people", taught=(0, -1)))
-
-
-def test_without_weights_there_is_no_cold_start(
-    generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path)
-    with pytest.raises(DetectionError, match="the base detector is missing"):
-        cold_start.run(cold_start.Arguments(generated / "people"))

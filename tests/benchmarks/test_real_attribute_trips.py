@@ -15,7 +15,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.recordings.recording import ReaderOptions
 from annotator.workflows.exporting import ExportFormat
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.trips import FORMATS, LEVELS, NUSCENES, Outcome, measure
+from benchmarks.trips import FORMATS, LEVELS, NUSCENES, measure
 
 # All boxes and values return but those of frames, or all but KITTI's two numbers.
 HOLD_FRAMES = {ExportFormat.RCV, ExportFormat.OPENLABEL, ExportFormat.COCO}
@@ -71,10 +71,3 @@ def test_values_boxes_and_classes_are_equal_after_trips(
     assert done.new == 0 or format in KITTI
     assert done.moved_m < (0.05 if format in KITTI else 1e-9)
     assert done.drifted_m < 1e-9
-
-
-def test_a_lost_value_is_not_equal() -> None:
-    good = Outcome(2, True, 8, 3, 5, 0, 0, 0.0, 0.0)
-    assert good.is_equal
-    assert not Outcome(2, True, 8, 3, 4, 1, 0, 0.0, 0.0).is_equal
-    assert not Outcome(2, False, 8, 3, 5, 0, 0, 0.0, 0.0).is_equal

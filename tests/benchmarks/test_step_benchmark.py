@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from types import SimpleNamespace
 
 import pytest
 
 from annotator.types.errors import ConfigError
 from benchmarks import step
-from benchmarks.step import Stopwatch
 
 
 def test_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,22 +32,3 @@ def test_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest
 def test_a_number_out_of_its_range_is_an_error(wrong: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match=next(iter(wrong)).replace("_", "-")):
         step.run(step.Arguments(**wrong))
-
-
-def test_each_second_counts_for_the_innermost_stage() -> None:
-    now = [0.0]
-
-    def pass_time(seconds: float) -> None:
-        now[0] += seconds
-
-    program = SimpleNamespace(inner=lambda: pass_time(2.0), once=lambda: pass_time(5.0))
-    program.outer = lambda: (pass_time(1.0), program.inner(), pass_time(0.5))
-    before = program.inner
-    watch = Stopwatch(["once"], clock=lambda: now[0])
-    with watch.over((program, "outer", "outer", True), (program, "inner", "inner"), (program, "once", "once")):
-        program.once()
-        program.outer()
-        program.outer()
-    assert program.inner is before
-    assert watch.runs == [[{"inner": 2.0, "outer": 1.5}] * 2]
-    assert watch.median_ms("once") == 5000

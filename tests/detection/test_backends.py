@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export import export
 from annotator.detection.backends.network import Network
 from annotator.detection.backends.openvino_network import OpenVinoNetwork
 from annotator.detection.config import Backend, DetectorConfig, EdgeErrors
@@ -194,27 +191,6 @@ def test_output_agrees_with_torch_up_to_rounding(random_weights: dict[str, Path]
     for rows in (slice(0, 4), slice(4, None)):
         off, far = (np.abs(each - expected)[:, rows].mean() for each in (rounded, swapped))
         assert off < far / 2
-
-
-@pytest.mark.parametrize("name", ["yolo11n", "yolo26n", "yolov10n"])
-def test_only_convolutions_of_the_detection_head_are_marked(tmp_path: Path, name: str) -> None:
-    write_seeded_network(tmp_path / name, name)
-    _, parts = export(tmp_path / name, "openvino")
-    layers = list(ElementTree.fromstring(parts["network.xml"]).iterfind("layers/layer"))
-    precise = {
-        layer for layer in layers if any(m.get("name") == "precise" for m in layer.iterfind("rt_info/attribute"))
-    }
-    convolutions = [layer for layer in layers if "Convolution" in str(layer.get("type"))]
-    head = max(
-        int(number) for layer in layers for number in re.findall(r"model\.model\.(\d+)\.", str(layer.get("name")))
-    )
-    for layer in layers:
-        place = str(layer.get("name"))
-        is_edge = re.search(r"cv2\.\d\.[01]\.", place)
-        expected = layer in convolutions and f"model.model.{head}." in place and not is_edge
-        assert (layer in precise) == expected, place
-    # at each of three scales: the last convolution of the edges, and at least three of the classes
-    assert 12 <= len(precise) < len(convolutions) - 30
 
 
 @pytest.mark.usefixtures("bfloat16")

@@ -213,19 +213,6 @@ def test_a_tile_contains_its_object_at_the_scale_of_detection(
         assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.load().shape[0] - 0.5) == high_y
 
 
-@settings(deadline=None)
-@given(st.floats(-0.5, 150), st.floats(-0.5, 30), st.floats(1, 70), st.floats(1, 70))
-def test_objects_of_any_size_and_position_fit_into_their_tile(x: float, y: float, across: float, along: float) -> None:
-    box = Box2D("a", x, y, min(x + across, 223.5), min(y + along, 79.5))
-    around, _ = tiled([TrainingSample(picture_with_box(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
-    height, width = around.load().shape[:2]
-    assert SIZE_PX <= width <= 1.15 * 71 + 1
-    (shown,) = around.boxes
-    assert shown.width_px == pytest.approx(box.width_px)
-    assert -0.5 - 1e-9 <= shown.x_min < shown.x_max <= width - 0.5 + 1e-9
-    assert -0.5 - 1e-9 <= shown.y_min < shown.y_max <= height - 0.5 + 1e-9
-
-
 def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:
     boxes = (Box2D("a", 100.0, 10.0, 110.0, 20.0), Box2D("b", 0.0, 0.0, 5.0, 5.0))
     sample = TrainingSample(picture_with_box(30, 224), boxes, "g", "drawn", ("first", "second"), look_px=224)

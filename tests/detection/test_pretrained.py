@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 
 import annotator
+from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
 from annotator.detection.pretrained import check_model_name, check_start, find_starting_point
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
 from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.training.base_detector import MANIFEST_FILE, BaseManifest
 
 
@@ -37,7 +38,7 @@ def downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     return asked
 
 
-@pytest.mark.parametrize("name", ["yolo99n", "yolo11n-seg", "yolo11n-cls", "rtdetr-l", "../yolo11n", "", "resnet"])
+@pytest.mark.parametrize("name", ["yolo99n", "yolo11n-seg", "../yolo11n", ""])
 def test_unknown_models_are_an_error_with_suggestions(name: str) -> None:
     with pytest.raises(ConfigError, match="try yolo11n"):
         check_model_name(name)
@@ -143,3 +144,9 @@ def test_the_package_has_the_weights_that_its_manifest_describes() -> None:
     assert trained.classes == tuple(AGNOSTIC_LABELS.values())
     assert trained.image_size_px == manifest.image_size_px
     assert set(trained.edge_errors) == set(trained.classes)
+
+
+def test_a_package_without_the_base_detector_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
+    with pytest.raises(DetectionError, match="the base detector is missing; install annotator again"):
+        pretrained.base_weights()

@@ -208,17 +208,6 @@ def test_only_augmentations_that_keep_boxes_tight_are_used() -> None:
     assert (settings["mosaic"], settings["close_mosaic"]) == (1.0, 3)
 
 
-@pytest.mark.parametrize("turns", [0, 1, 2, 3])
-def test_boxes_rotate_with_their_image(turns: int) -> None:
-    from annotator.detection.trainer import turn_boxes
-
-    mask = np.zeros((7, 11), np.uint8)
-    mask[1:4, 2:9] = 1
-    rows, columns = np.nonzero(np.rot90(mask, turns))
-    want = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
-    assert turn_boxes(np.array([[2.0, 1, 9, 4]]), 11, 7, turns).tolist() == [want]
-
-
 def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
     """With all augmentations at once, each label must be the box around the coloured pixels of the augmented image."""
     from annotator.detection.dataset import read_manifest

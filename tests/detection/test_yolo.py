@@ -104,16 +104,6 @@ def test_detections_agree_with_ultralytics_own_predictor(
     assert list(tmp_path.iterdir()) == [tmp_path / "theirs.pt"]
 
 
-def test_boxes_scale_with_the_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    """Coordinates scale from the corner of the image, not from the first pixel centre: x + 1/2 doubles."""
-    one = scene(102)
-    double = Picture(one.rgb.repeat(2, axis=0).repeat(2, axis=1))
-    small, large = make(detector.weights, confidence=ANY).detect([one, double])
-    assert small
-    for a, b in zip(small[:1], large[:1], strict=True):
-        np.testing.assert_allclose(np.array(b.xyxy) + 0.5, 2 * (np.array(a.xyxy) + 0.5), atol=1.0)
-
-
 @pytest.mark.parametrize(
     "rgb", [np.zeros((5, 5), np.uint8), np.zeros((5, 5, 3), np.float32), np.zeros((0, 5, 3), np.uint8)]
 )

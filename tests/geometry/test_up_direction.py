@@ -45,8 +45,8 @@ def degrees(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b, -1, 1))))
 
 
-@pytest.mark.parametrize("roll_deg", [-20, 0, 12])
-@pytest.mark.parametrize("pitch_deg", [35, 10, -10])
+@pytest.mark.parametrize("roll_deg", [-20, 12])
+@pytest.mark.parametrize("pitch_deg", [35, -10])
 def test_a_room_tells_its_up_direction_whatever_the_tilt(roll_deg: int, pitch_deg: int):
     turn = Rotation.from_euler("xz", [pitch_deg, roll_deg], degrees=True)
     up = turn.apply(LEVEL)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types import Box2D, Camera, Detector, Frame, Image, OrientedBox, PointCloud, Truth
 
 CAMERA = Camera(width_px=640, height_px=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
 
@@ -40,3 +42,18 @@ def frame_with(
 def some_box(center: list[float], rotvec: list[float], size: list[float]) -> OrientedBox:
     """A box from a centre, a rotation vector (radians) and a size."""
     return OrientedBox.from_parts(np.array(center), Rotation.from_rotvec(rotvec).as_matrix(), np.array(size))
+
+
+class Counting:
+    """Forwards calls to a detector and records the number of images of each."""
+
+    def __init__(self, inner: Detector) -> None:
+        self.inner = inner
+        self.calls: list[int] = []
+
+    labels = property(lambda self: self.inner.labels)
+    fingerprint = property(lambda self: self.inner.fingerprint)
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self.calls.append(len(images))
+        return self.inner.detect(images)

@@ -11,14 +11,14 @@ from scenes import CAMERA, box_surface, some_box
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
+from annotator.rcv import follow_object as following
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.follow_object import FollowConfig, Followed, FollowStop, Look, follow_object
+from annotator.rcv.follow_object import Followed, FollowStop, Look, follow_object
 from annotator.types import Box2D, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.workbench.review_queue import doubt
 
 UP = np.array([0.0, -1.0, 0.0])
 UPRIGHT = RcvConfig(orientation=Orientation.UPRIGHT)
-LIMITS = FollowConfig()
 # From this doubt on, `benchmarks.follow` counts a box as marked.
 MARKED = 0.8
 
@@ -48,12 +48,12 @@ def turned(box: OrientedBox, angle_rad: float, shift: Sequence[float] = (0.0, 0.
 BOX = turned(some_box([0.2, 0.1, 3.0], [np.pi / 2, 0.0, 0.0], [0.8, 0.5, 1.2]), 0.4)
 
 
-def follow(frames: Sequence[Frame], start: OrientedBox = BOX, limits: FollowConfig = LIMITS) -> list[Followed]:
+def follow(frames: Sequence[Frame], start: OrientedBox = BOX) -> list[Followed]:
     """Follows a box from the first frame on, up to the first frame without it."""
     reviewed = last = Look.of(frames[0].cloud.xyz_m, start)
     results = []
     for frame in frames[1:]:
-        followed = follow_object(frame, last.box, reviewed, last, "thing", None, UPRIGHT, limits)
+        followed = follow_object(frame, last.box, reviewed, last, "thing", None, UPRIGHT)
         results.append(followed)
         if followed.proposal is None:
             break
@@ -88,12 +88,13 @@ def test_an_object_that_turns_its_other_side_is_not_lost() -> None:
     assert iou_3d(last.box, boxes[-1]) > 0.4
 
 
-def test_an_object_that_jumps_further_than_registration_reaches_is_found() -> None:
+def test_an_object_that_jumps_further_than_registration_reaches_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = turned(BOX, 0.1, [0.4, -0.2, 0.1])
     (followed,) = follow([frame_of(seen(BOX)), frame_of(seen(moved, 1))])
     assert followed.proposal is not None
     assert iou_3d(followed.proposal.box, moved) > 0.6
-    (stays,) = follow([frame_of(seen(BOX)), frame_of(seen(moved, 1))], limits=FollowConfig(well_found=0.0))
+    monkeypatch.setattr(following, "WELL_FOUND", 0.0)  # so it is looked for at the predicted position only
+    (stays,) = follow([frame_of(seen(BOX)), frame_of(seen(moved, 1))])
     assert stays.proposal is None or iou_3d(stays.proposal.box, moved) < 0.5
 
 
@@ -127,8 +128,8 @@ def test_only_the_reviewed_look_counts_if_a_box_gets_in_touch_with_other_things(
     reviewed = Look.of(seen(BOX), BOX)
     other = replace(reviewed, xyz_m=reviewed.xyz_m + 9.0)
     frame = frame_of(seen(BOX, 1), *([shell] if is_touched else []))
-    followed = follow_object(frame, BOX, other, reviewed, "thing", None, UPRIGHT, LIMITS)
-    assert followed.kept == pytest.approx(1 - LIMITS.contact_loss if is_touched else 1.0, abs=0.05)
+    followed = follow_object(frame, BOX, other, reviewed, "thing", None, UPRIGHT)
+    assert followed.kept == pytest.approx(1 - following.CONTACT_LOSS if is_touched else 1.0, abs=0.05)
 
 
 def test_what_is_not_there_is_not_followed() -> None:
@@ -161,7 +162,7 @@ class Measures:
 def test_a_measured_box_is_taken_if_it_agrees(factor: float, is_taken: bool) -> None:
     whole = [box_surface(box, 3000, np.random.default_rng(k)) for k, box in enumerate((BOX, turned(BOX, 0.05)))]
     reviewed = Look.of(whole[0], BOX)
-    followed = follow_object(frame_of(whole[1]), BOX, reviewed, reviewed, "thing", Measures(factor), UPRIGHT, LIMITS)
+    followed = follow_object(frame_of(whole[1]), BOX, reviewed, reviewed, "thing", Measures(factor), UPRIGHT)
     assert followed.proposal is not None
     assert bool(followed.proposal.trace) is is_taken
     assert iou_3d(followed.proposal.box, turned(BOX, 0.05)) > 0.7

@@ -65,20 +65,6 @@ def test_an_object_needs_a_front_and_a_side_box_in_each_of_two_steps() -> None:
         assert np.linalg.det(side.view.axes) == pytest.approx(1)
 
 
-@pytest.mark.parametrize("orientation", list(Orientation))
-def test_the_second_step_shows_only_the_object(orientation: Orientation) -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    config = RcvConfig(orientation=orientation)
-    views = next_views(frame, image_box(frame), spans(drawn(frame, config))[:2], config)
-    assert views is not None
-    shown = {tuple(point) for point in views[0].xyz_m}
-    mine = sum(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
-    assert mine >= 795
-    assert len(shown) == mine, "the wall has been cut away"
-    if orientation is Orientation.UPRIGHT:
-        np.testing.assert_allclose(views[0].axes[1], -UP, atol=1e-9)
-
-
 def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
     """Otherwise the detector would be trained on tighter crops than it gets in the recursion."""
     frame, truths = frame_with([BOX], up=UP)
@@ -175,23 +161,6 @@ def test_an_unoccluded_object_without_points_is_on_the_image_only() -> None:
     assert [box.label for box in found.on_image] == ["a", "b"]
     assert [item.image_box.label for item in found.objects] == ["a"]
     assert (found.hidden, found.outside, found.without_views) == ((), (), ("b",))
-
-
-def test_image_boxes_are_clipped_and_include_the_occluded_part() -> None:
-    """The second object extends beyond the image; the third is half occluded by the first."""
-    out, covered = (
-        some_box([1.5, 0.0, 2.4], [0, 0, 0], [0.8, 0.6, 0.4]),
-        some_box([-0.3, 0.1, 3.2], [0, 0, 0], [1.0, 0.6, 0.4]),
-    )
-    found, _ = known(NEAR, out, covered)
-    _, cut, whole = found.on_image
-    near_m = 2.4 - 0.2
-    assert cut.x_max == CAMERA.width_px - 0.5
-    assert cut.x_min == pytest.approx(CAMERA.cx + CAMERA.fx * (1.5 - 0.4) / (2.4 + 0.2), abs=1e-6)
-    assert cut.y_max == pytest.approx(CAMERA.cy + CAMERA.fy * 0.3 / near_m, abs=1e-6)
-    front_m = 3.2 - 0.2
-    expected = [CAMERA.fx * (-0.3 - 0.5) / front_m, CAMERA.fy * (0.1 - 0.3) / front_m]
-    assert [whole.x_min - CAMERA.cx, whole.y_min - CAMERA.cy] == pytest.approx(expected, abs=1e-6)
 
 
 def test_too_few_points_give_no_views() -> None:

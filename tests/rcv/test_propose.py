@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import frame_with, some_box
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from scenes import Counting, frame_with, some_box
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
+from annotator.rcv import recursion
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.finish import finish
 from annotator.rcv.propose import propose
@@ -22,20 +25,6 @@ from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReaso
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
 UPRIGHT_BOX = some_box([-0.3, 0.0, 2.5], [0, 0.5, 0], [0.6, 0.8, 0.3])
-
-
-class Counting:
-    """Forwards calls and records the number of images of each."""
-
-    def __init__(self, inner: PerfectDetector) -> None:
-        self.inner, self.calls = inner, []
-
-    labels = property(lambda self: self.inner.labels)
-    fingerprint = property(lambda self: self.inner.fingerprint)
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        self.calls.append(len(images))
-        return self.inner.detect(images)
 
 
 class BlindAfter(Counting):
@@ -75,14 +64,6 @@ def test_every_strategy_gives_a_box_that_contains_the_object(strategy: Strategy)
     assert found.trace[1].strategy == strategy
 
 
-def test_silhouettes_give_a_tight_box() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
-    (found,) = propose([frame], perfect, perfect, RcvConfig(box_kind=BoxKind.SILHOUETTE))[0].proposals
-    assert iou_3d(found.box, FREE_BOX) > 0.6
-    assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.97
-
-
 def test_all_objects_of_all_frames_share_one_batch_per_step() -> None:
     first, truths_a = frame_with([UPRIGHT_BOX, some_box([0.9, 0, 2.2], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP, key="a")
     second, truths_b = frame_with([some_box([0.1, 0, 2.0], [0, -0.4, 0], [0.5, 0.4, 0.3])], up=UP, key="b")
@@ -104,18 +85,8 @@ def test_two_objects_in_one_frustum_become_two_proposals() -> None:
 
     class OneFrustum(Counting):
         def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            both = self.inner.detect(images)[0]
-            return [
-                [
-                    Box2D(
-                        "thing",
-                        min(b.x_min for b in both),
-                        min(b.y_min for b in both),
-                        max(b.x_max for b in both),
-                        max(b.y_max for b in both),
-                    )
-                ]
-            ]
+            corners = np.array([box.xyxy for box in self.inner.detect(images)[0]])
+            return [[Box2D("thing", *corners[:, :2].min(axis=0).tolist(), *corners[:, 2:].max(axis=0).tolist())]]
 
     found = propose([frame], OneFrustum(perfect), perfect, RcvConfig(orientation=Orientation.UPRIGHT))[0].proposals
     assert len(found) == 2
@@ -160,44 +131,14 @@ def test_an_empty_frustum_stops_with_too_few_points() -> None:
     assert result.lost[0].trace[0].stop is StopReason.TOO_FEW_POINTS
 
 
-@pytest.mark.parametrize("limit", [1, 2, 3])
-def test_the_step_limit_holds(limit: int) -> None:
+def test_the_step_limit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recursion, "AXES_TOLERANCE_RAD", 1e-9)
+    monkeypatch.setattr(recursion, "BOX_TOLERANCE", 1e-9)
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths, jitter=0.05)
-    config = RcvConfig(max_steps=limit, axes_tolerance_rad=1e-9, box_tolerance=1e-9)
-    (found,) = propose([frame], perfect, perfect, config)[0].proposals
-    assert len(found.trace) == limit
+    (found,) = propose([frame], perfect, perfect, RcvConfig(max_steps=2))[0].proposals
+    assert len(found.trace) == 2
     assert found.trace[-1].stop is StopReason.STEP_LIMIT
-
-
-def test_the_trace_maps_the_box_back_as_in_equation_1() -> None:
-    """B_o = prod_i T_i^{i+1} B_N with the homogeneous 4 x 4 transforms between the frames of successive steps."""
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths, jitter=0.02)
-    config = RcvConfig(strategy=Strategy.NORMALS)
-    (found,) = propose([frame], perfect, perfect, config)[0].proposals
-    frames = [np.eye(4)]
-    for step in found.trace:
-        pose = np.eye(4)
-        pose[:3, :3] = np.array(step.views[0].axes).T
-        frames.append(pose)
-    last = found.trace[-1]
-    spans = []
-    for axis, view_index, row in ((0, 0, 0), (1, 0, 1), (2, 1, 0)):
-        view = last.views[view_index]
-        box = view.boxes[view.used]
-        low, high = ((box.x_min, box.x_max), (box.y_min, box.y_max))[row]
-        spans.append([view.origin_m[row] + edge * view.metres_per_px for edge in (low, high)])
-        assert axis == len(spans) - 1
-    side = last.views[1]
-    shared = side.boxes[side.used]
-    spans[1] = np.mean([spans[1], [side.origin_m[1] + e * side.metres_per_px for e in (shared.y_min, shared.y_max)]], 0)
-    corners = np.array([[x, y, z, 1.0] for x in spans[0] for y in spans[1] for z in spans[2]]).T
-    for earlier, later in zip(frames[-2::-1], frames[:0:-1], strict=True):
-        corners = np.linalg.inv(earlier) @ later @ corners
-    ours = box_corners(found.box)
-    for corner in corners[:3].T:
-        assert np.linalg.norm(ours - corner, axis=1).min() < 1e-9
 
 
 def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
@@ -254,17 +195,12 @@ def frame() -> Frame:
     return frame_with([OWN, OTHER])[0]
 
 
-def result(frame: Frame, states: Sequence[ObjectState], **settings: object) -> list[OrientedBox]:
-    return [p.box for p in finish(frame, states, RcvConfig(**settings)).proposals]
-
-
 def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame) -> None:
     image_box = seen(frame, OWN)
     both = [ended(frame, image_box, OTHER), ended(frame, image_box, OWN)]
-    assert len(result(frame, both, min_image_agreement=0.0)) == 2
-    (kept,) = result(frame, both, min_image_agreement=0.2)
-    assert kept is OWN
-    assert len(result(frame, both[:1], min_image_agreement=1.0)) == 1, "the only object of its frustum is kept"
+    (kept,) = finish(frame, both, RcvConfig()).proposals
+    assert kept.box is OWN
+    assert len(finish(frame, both[:1], RcvConfig()).proposals) == 1, "the only object of its frustum is kept"
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -272,5 +208,23 @@ def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame
     own, neighbours = seen(frame, OWN), seen(frame, OTHER)
     better = ended(frame, own, OWN)
     worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.pose, OWN.size_m * 0.9))
-    (found,) = finish(frame, [worse, better][::order], RcvConfig(min_image_agreement=0.0)).proposals
+    (found,) = finish(frame, [worse, better][::order], RcvConfig()).proposals
     assert found.image_box == own
+
+
+def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    for name, info in model.model_fields.items():
+        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+            yield from leaves(info.annotation, f"{prefix}{name}.")
+        elif info.annotation in (int, float):
+            yield prefix + name, info
+
+
+@pytest.mark.parametrize(("name", "info"), [pytest.param(*leaf, id=leaf[0]) for leaf in leaves(RcvConfig)])
+def test_each_number_of_the_settings_has_a_description_and_a_bound(name: str, info: FieldInfo) -> None:
+    assert info.description
+    nested: object = -1
+    for part in reversed(name.split(".")):
+        nested = {part: nested}
+    with pytest.raises(ValidationError, match=name.rpartition(".")[2]):
+        RcvConfig.model_validate(nested)

@@ -76,7 +76,7 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
 VIEWS = 3
 
 
-def reference(xyz, rgb, axes, window, largest_splat_px):
+def reference(xyz, rgb, axes, window):
     """The picture of one view, point by point from far to near."""
     right, down, depth = axes @ xyz
     left, top = (window.origin_m - window.metres_per_px / 2).astype(np.float32)
@@ -92,7 +92,7 @@ def reference(xyz, rgb, axes, window, largest_splat_px):
     rank[order] = np.arange(n)[::-1]  # the nearest is 0
     for i in order:
         first[row[i], column[i]] = rank[i]
-    side = splat_px(n, window, largest_splat_px)
+    side = splat_px(n, window)
     first = cv2.erode(first, np.ones((side, side), np.uint8)).astype(int)
     by_rank = np.append(order[::-1], n)[first]
     if rgb is not None:
@@ -114,9 +114,9 @@ def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> Non
         along[:, :2].min(axis=2).astype(np.float64), along[:, :2].max(axis=2).astype(np.float64), config
     )
     depths = np.stack([along[:, 2].min(axis=1), along[:, 2].max(axis=1)], axis=1)
-    pictures = draw_views(xyz, pack_colors(rgb, n), axes, windows, depths, config.max_splat_px)
+    pictures = draw_views(xyz, pack_colors(rgb, n), axes, windows, depths)
     for picture, rows, window in zip(pictures, axes, windows, strict=True):
-        wanted = reference(xyz, rgb, rows, window, config.max_splat_px)
+        wanted = reference(xyz, rgb, rows, window)
         assert picture.shape == wanted.shape
         # another order of summation may move a point across the border of a pixel or depth level
         differ = (picture != wanted).any(axis=2).mean()
@@ -142,7 +142,7 @@ def test_a_deep_frustum_is_drawn_and_detected_at_a_larger_size(depth_m: float, s
     assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
 
 
-@pytest.mark.parametrize("degrees", [-60, -35, 0, 35, 60])
+@pytest.mark.parametrize("degrees", [-60, 35])
 @pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
 def test_depth_is_measured_along_the_frustum(degrees: float, axis: list[float]) -> None:
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)

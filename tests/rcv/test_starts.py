@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scenes import Counting
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
@@ -14,27 +15,12 @@ from annotator.rcv import starts
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, ViewConfig
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.typical_size import Candidates, Evidence, place
-from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, Truth
+from annotator.types import BoxKind, Detector, Frame, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 
 FREE, UPRIGHT = Orientation.FREE, Orientation.UPRIGHT
 # Views of a step: front and side of each hypothesis.
 NEAR, WIDE = {FREE: 6, UPRIGHT: 6}, {FREE: 24, UPRIGHT: 8}
-
-
-class Counting:
-    """A detector that counts the views of each call."""
-
-    labels = tuple(AGNOSTIC_LABELS.values())
-    fingerprint = "counting"
-
-    def __init__(self, detector: Detector) -> None:
-        self._detector = detector
-        self.views: list[int] = []
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        self.views.append(len(images))
-        return self._detector.detect(images)
 
 
 def config_for(orientation: Orientation, sizes: Sequence[TypicalSize], trained: bool, deep: bool = False) -> RcvConfig:
@@ -68,7 +54,7 @@ def found(frame: Frame, detector: Detector, config: RcvConfig) -> tuple[Oriented
     assert image_box is not None
     (result,) = propose_from_boxes([frame], [[image_box]], counting, config)
     (proposal,) = result.proposals
-    return proposal.box, tuple(note for step in proposal.trace for note in step.fallback), counting.views
+    return proposal.box, tuple(note for step in proposal.trace for note in step.fallback), counting.calls
 
 
 @pytest.mark.parametrize("orientation", [FREE, UPRIGHT])

@@ -79,16 +79,6 @@ def test_silhouettes_contain_the_objects_drawn_points() -> None:
             assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own.astype(float))), abs=1e-3)
 
 
-def test_boxes_stay_on_the_picture() -> None:
-    frame, objects = two()
-    for kind in BoxKind:
-        for item in taught(frame, objects, kind, draws=30):
-            height_px, width_px = item.view.rgb.shape[:2]
-            for box in item.boxes:
-                assert -0.5 <= box.x_min < box.x_max <= width_px - 0.5
-                assert -0.5 <= box.y_min < box.y_max <= height_px - 0.5
-
-
 def test_neighbours_in_a_crop_are_labelled_too() -> None:
     # a small object in the corner of the crop of a rotated one
     frame, truths = frame_with([BOXES[0], some_box([0.02, 0.1, 2.2], [0, 0.2, 0], [0.12, 0.3, 0.12])], up=UP)
@@ -130,13 +120,11 @@ def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale:
 @pytest.mark.parametrize(
     ("center", "expected"),
     [
-        ([0.0, 0.0, 5.0], (39.5, 19.5, 59.5, 39.5)),
         ([0.5, 0.0, 5.0], (89.5, 19.5, 99.5, 39.5)),
         ([-0.55, -0.35, 5.0], (-0.5, -0.5, 4.5, 4.5)),
-        ([2.0, 0.0, 5.0], None),
         ([0.0, 0.4, 5.0], None),
     ],
-    ids=["inside", "cut on the right", "cut at the corner", "beside", "touching from below"],
+    ids=["cut on the right", "cut at the corner", "touching from below"],
 )
 def test_a_projected_box_is_clipped_to_the_view(center: list[float], expected: tuple[float, ...] | None) -> None:
     """100 x 60 pixels of 1 cm; the picture's top left corner is at (-0.5, -0.3) m."""

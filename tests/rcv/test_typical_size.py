@@ -12,13 +12,13 @@ from test_warm_start import AnyClass
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import finish
-from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig, TypicalSize, typical_size
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
-from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, place
+from annotator.rcv.typical_size import BY_SCORE, Candidates, Evidence, place
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors
@@ -61,48 +61,6 @@ def evidence_of(
 def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
     parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
     return Candidates.of(parts)
-
-
-def score_in_numpy(evidence: Evidence, box: OrientedBox) -> float:
-    """The geometric score of a box, one ray at a time, with the definitions of `Evidence.score`."""
-    half = box.size_m / 2 + MARGIN * box.size_m.mean()
-    origin = -box.center_m @ box.rotation
-    hits, behind, front = [], [], []
-    for point in evidence.points:
-        along = point @ box.rotation
-        low, high = np.sort(np.stack([(-half - origin) / along, (half - origin) / along]), axis=0)
-        meets = low.max() < high.min() and high.min() > 0
-        hits.append(meets and low.max() <= 1 <= high.min())
-        behind.append(meets and high.min() < 1)
-        front.append(meets and low.max() > 1)
-    hit, middle = np.array(hits), evidence.middle & ~np.array(front)
-    shares = hit.mean(), hit.sum() / max(hit.sum() + sum(behind), 1), hit[middle].sum() / max(middle.sum(), 1)
-    outline = box_on_image(CAMERA, box, "crate")
-    left, right, top, bottom = evidence.window
-    ends = np.array([outline.x_min, outline.x_max, outline.y_min, outline.y_max])
-    ends = (ends - np.repeat([CAMERA.cx, CAMERA.cy], 2)) / CAMERA.fx
-    sides = np.repeat([right - left, bottom - top], 2)
-    is_larger = (ends - evidence.window) * [-1, 1, -1, 1] > 0
-    sigma = np.hypot(2 / CAMERA.fx, np.where(is_larger, 0.1, 0.05) * sides)
-    errors = np.minimum(np.abs(ends - evidence.window) / sigma, 4).mean()
-    sizes, spread = np.log(TYPICAL.size_m), np.array(TYPICAL.spread)
-    away = min(
-        np.minimum(np.abs(np.log(box.size_m) - sizes[list(o)]) / spread[list(o)], 4).mean()
-        for o in ((0, 1, 2), (1, 0, 2))
-    )
-    return float(np.dot([*shares, errors, away], [0.5, 0.6, 0.6, -0.2, -0.12]))
-
-
-def test_the_score_is_that_of_the_definitions() -> None:
-    background = np.random.default_rng(0).uniform((-2, -1, 4), (2, 1, 5), (200, 3)).astype(np.float32)
-    occluder = np.random.default_rng(1).uniform((0, 0, 1.4), (0.1, 0.1, 1.5), (40, 3)).astype(np.float32)
-    evidence = evidence_of(BOX, [background, occluder])
-    boxes = [BOX, *moved(BOX, (0, 0, 0.3), (0.2, 0.05, -0.4), (0, 0, 2.0)).boxes]
-    turned = OrientedBox.from_parts(BOX.center_m, BOX.rotation @ _AXES.T @ BOX.rotation, BOX.size_m[[1, 0, 2]])
-    boxes.append(turned)
-    scores = evidence.score(Candidates.of(boxes))
-    assert scores == pytest.approx([score_in_numpy(evidence, box) for box in boxes], abs=1e-9)
-    assert int(np.argmax(scores)) == 0
 
 
 def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
@@ -180,8 +138,7 @@ def frame_with(*boxes: OrientedBox) -> Frame:
 
 
 def config_for(*sizes: TypicalSize, use: bool = True) -> RcvConfig:
-    look = FirstLookConfig(use_typical_sizes=use)
-    config = RcvConfig(orientation=Orientation.UPRIGHT, typical_sizes=sizes, first_look=look)
+    config = RcvConfig(orientation=Orientation.UPRIGHT, typical_sizes=sizes, use_typical_sizes=use)
     return config.for_detector(BoxKind.BOX, class_agnostic=True)
 
 

@@ -60,7 +60,7 @@ def test_hands_move_smoothly_stay_apart_and_rotate_freely():
     assert (backs[:, 2] < -0.3).any()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_every_room_has_space_for_people(seed: int):
     palette, random = Palette(), np.random.default_rng(seed)
     room = furnished_room(palette, random)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -44,27 +42,6 @@ WALL = box_mesh((0, 0, 3.5), (20, 20, 1), 1)
 
 def stage() -> Stage:
     return Stage(CAMERA, LEVEL, WALL, palette(), LIGHTS)
-
-
-def edge_uses(mesh: Mesh) -> Counter[tuple[int, int]]:
-    """The number of uses of each directed edge; coincident vertices count as one."""
-    _, place = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)
-    triangles = place[mesh.triangles]
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    return Counter((int(a), int(b)) for a, b in edges if a != b)
-
-
-def capsule() -> Mesh:
-    blobs = Blobs()
-    blobs.add(np.zeros(3), np.array([0.3, 0.4, 1.0]), (0.5, 0.3), 0, end_radii=(0.2, 0.3))
-    return blobs.mesh()
-
-
-@pytest.mark.parametrize("mesh", [capsule(), WALL], ids=["blob", "box"])
-def test_surfaces_are_closed(mesh: Mesh):
-    uses = edge_uses(mesh)
-    # each edge has two triangles; their winding does not matter, since both sides are rendered
-    assert all(uses[(a, b)] + uses[(b, a)] == 2 for a, b in uses)
 
 
 def test_the_depth_agrees_with_the_plane_and_the_sphere():

@@ -71,8 +71,8 @@ def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_pat
 
 WRONG = [
     ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
-    ({"xyzzy": 3}, "xyzzy: there is no such setting; the settings are strategy, view, axes,"),
-    ({"fit": {"hubersigmas": 3}}, "fit.hubersigmas: there is no such setting; did you mean 'huber_sigmas'?"),
+    ({"xyzzy": 3}, "xyzzy: there is no such setting; the settings are strategy, view, consensus,"),
+    ({"fit": {"edgenoise": 3}}, "fit.edgenoise: there is no such setting; did you mean 'edge_noise'?"),
     ({"view": {"size_px": 9999}}, "view.size_px: must be less than or equal to 2048, not 9999"),
     ({"max_steps": "7"}, "max_steps: must be a valid integer, not '7'"),
     ({"strategy": "magic"}, "strategy: must be 'camera', 'eigenvectors', 'normals' or 'consensus', not 'magic'"),

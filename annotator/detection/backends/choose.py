@@ -24,11 +24,6 @@ def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> 
     The order is: torch with a CUDA device, OpenVINO on x86 processors, ONNX Runtime, torch. With "fastest", OpenVINO
     computes in half precision if the CPU supports it. With "auto" and "fastest", a backend that cannot run this
     network is skipped, and the reason is logged.
-
-    Raises:
-        ConfigError: the backend cannot use the device.
-        DetectionError: the weights or the device are unusable, or the configured backend cannot run the network.
-        MissingExtraError: the configured backend is not installed.
     """
     choices = _choices(config)
     for backend in choices[:-1]:

@@ -29,7 +29,6 @@ class NetworkFacts(BaseModel):
     """Properties of a network that pre- and post-processing need.
 
     Attributes:
-        labels: class names, in the order of the class numbers.
         stride: height and width of images must be multiples of this, pixels.
         end2end: whether the network predicts each object once, so that no non-maximum suppression is needed.
         edge_spread: whether its last four rows are the spread of each edge (`torch_network.py`), pixels.

@@ -40,11 +40,7 @@ ERRORS_ONLY = 3  # ONNX Runtime's log severity
 
 
 class OnnxNetwork:
-    """A network that ONNX Runtime runs on the CPU.
-
-    Attributes:
-        backend: "onnxruntime".
-    """
+    """A network that ONNX Runtime runs on the CPU."""
 
     backend: Backend = "onnxruntime"
     device = "cpu"
@@ -52,7 +48,6 @@ class OnnxNetwork:
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """
         Args:
-            parts: files of its export: network.onnx.
             threads: CPU threads; None: all cores that the process may use.
         """
         self.facts = facts
@@ -64,11 +59,7 @@ class OnnxNetwork:
         self._session(1)
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`.
-
-        Raises:
-            DetectionError: ONNX Runtime fails.
-        """
+        """As `Network.predict`."""
         images = single(batches)
         many = side_by_side(len(images), self._threads)
         session = self._session(1 if many else self._threads)

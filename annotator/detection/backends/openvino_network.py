@@ -111,7 +111,6 @@ class OpenVinoNetwork:
     ) -> None:
         """
         Args:
-            parts: files of its export: network.xml and network.bin.
             threads: CPU threads; None: all cores that the process may use.
             bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
         """
@@ -129,11 +128,7 @@ class OpenVinoNetwork:
         self._joins: dict[tuple[tuple[int, ...], int], bool] = {}
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`; new canvas sizes are compiled first.
-
-        Raises:
-            DetectionError: OpenVINO fails.
-        """
+        """As `Network.predict`; new canvas sizes are compiled first."""
         count = sum(len(batch) for batch in batches)
         streams = min(self._threads, MAX_STREAMS) if side_by_side(count, self._threads) else 1
         try:

@@ -103,11 +103,7 @@ MAX_BATCH_PX = 32 * 320 * 320
 
 
 class TorchNetwork:
-    """A network that torch runs on the CPU or a GPU, in single precision.
-
-    Attributes:
-        backend: "torch".
-    """
+    """A network that torch runs on the CPU or a GPU, in single precision."""
 
     backend: Backend = "torch"
 
@@ -126,11 +122,7 @@ class TorchNetwork:
         self._lock = threading.Lock()
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass.
-
-        Raises:
-            DetectionError: torch fails, for example because it is out of memory.
-        """
+        """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass."""
         answers = []
         with self._lock, _threads(self._threads):
             for batch in batches:

@@ -12,13 +12,13 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import box_on_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.measure import box_iou
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.starts import WarmStart
+from annotator.rcv.starts import MIN_IMAGE_IOU, WarmStart
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for
@@ -130,7 +130,7 @@ def _same_object(outline: Box2D, region: Region, boxes: Sequence[Box2D], config:
         if box.label == outline.label and box.score >= config.min_image_score
     ]
     best = max(on_image, key=lambda box: box_iou(box, outline), default=None)
-    if best is None or box_iou(best, outline) < config.warm.min_image_iou or _is_cut(region, best):
+    if best is None or box_iou(best, outline) < MIN_IMAGE_IOU or _is_cut(region, best):
         return None
     return best
 

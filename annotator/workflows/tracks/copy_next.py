@@ -18,7 +18,6 @@ from annotator.tracking.link import TrackingConfig, predicted
 from annotator.types import Frame, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.follow_objects import DEFAULTS
 from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events, why_left_out
 from annotator.workflows.workbench.drawing_steps import frame_config
@@ -104,7 +103,7 @@ def copy_next(
 def _registered(project: Project, label: Label, here: Frame, there: Frame, expected: OrientedBox) -> OrientedBox:
     """Returns a label's box where its points are found again, or else the expected one."""
     look, config = Look.of(here.cloud.xyz_m, label.box), frame_config(project, there, None)
-    found = follow_object(there, expected, look, look, label.label, None, config, DEFAULTS).proposal
+    found = follow_object(there, expected, look, look, label.label, None, config).proposal
     return expected if found is None else OrientedBox(found.box.pose, label.box.size_m)
 
 

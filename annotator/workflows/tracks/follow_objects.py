@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, StoredFrame
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.follow_object import FollowConfig, Followed, Look, follow_object
+from annotator.rcv.follow_object import Followed, Look, follow_object
 from annotator.tracking.link import predicted
 from annotator.types import Detector, Frame, Label, OrientedBox, Proposal
 from annotator.types.errors import ConfigError
@@ -19,7 +19,6 @@ from annotator.workflows.tracks.link import times_of
 
 # Number of last boxes from which the motion is estimated.
 MOTION_BOXES = 3
-DEFAULTS = FollowConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,6 @@ class Follower:
         label: str,
         view: Detector | None,
         settings: Callable[[Frame], RcvConfig],
-        limits: FollowConfig = DEFAULTS,
     ) -> None:
         """
         Args:
@@ -50,7 +48,7 @@ class Follower:
             view: view detector that was trained on the class, or None.
             settings: the recursion's settings for a frame and this detector.
         """
-        self._label, self._view, self._settings, self._limits = label, view, settings, limits
+        self._label, self._view, self._settings = label, view, settings
         self._reviewed = self._last = Look.of(first.frame.cloud.xyz_m, start)
         self._boxes, self._times = [start], [first.time]
 
@@ -62,9 +60,7 @@ class Follower:
         """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
         guess = self.expected(moment)
         config = self._settings(moment.frame)
-        followed = follow_object(
-            moment.frame, guess, self._reviewed, self._last, self._label, self._view, config, self._limits
-        )
+        followed = follow_object(moment.frame, guess, self._reviewed, self._last, self._label, self._view, config)
         if followed.proposal is not None:
             self._boxes.append(followed.proposal.box)
             self._times.append(moment.time)

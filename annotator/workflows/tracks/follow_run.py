@@ -14,12 +14,10 @@ from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, Sto
 from annotator.project.log.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.follow_object import FollowConfig
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.follow_objects import (
-    DEFAULTS,
     FollowedObject,
     FollowedTrack,
     Follower,
@@ -76,7 +74,6 @@ class FollowRun:
         author: str,
         *,
         effort: Effort | None = None,
-        limits: FollowConfig = DEFAULTS,
     ) -> None:
         """
         Args:
@@ -85,7 +82,7 @@ class FollowRun:
                 of the kind that it measures.
         """
         self._timeline, self._view, self._author = timeline, view, author
-        self._effort, self._limits = effort, limits
+        self._effort = effort
         self._objects = [FollowedObject.of(stretches, len(timeline.frames)) for stretches in objects]
         self.action = new_action()
         self._total = self._left()
@@ -174,7 +171,7 @@ class FollowRun:
                 reading = walk.key.index
                 start, label = self._timeline.moment(reading), walk.key.label
                 view = self._view if self._view is not None and _measures(self._view, label) else None
-                walk.follower = Follower(start, label.box, label.label, view, self._settings, self._limits)
+                walk.follower = Follower(start, label.box, label.label, view, self._settings)
                 reading = index
             moment = self._timeline.moment(index)
             expected = walk.follower.expected(moment)
@@ -411,7 +408,6 @@ def follow_recording(
     forward: bool = True,
     backward: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    limits: FollowConfig = DEFAULTS,
 ) -> Following:
     """Proposes boxes of tracks from their reviewed boxes on, as one action.
 
@@ -438,7 +434,7 @@ def follow_recording(
     for keys in _reviewed(timeline, tracks):
         ends = [None if backward else keys[0], *keys, None if forward else keys[-1]]
         objects.append([Stretch(before, after) for before, after in pairwise(ends) if before is not after])
-    run = FollowRun(timeline, objects, view, author, limits=limits)
+    run = FollowRun(timeline, objects, view, author)
     return run.run(None if progress is None else lambda state: progress(state.done, state.total))
 
 

@@ -30,7 +30,7 @@ from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.formats.json_file import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
-from annotator.rcv.teach import TaughtObject, teach_agnostic_views
+from annotator.rcv.teach import TaughtObject, teach_views
 from annotator.synthetic.snapshots import Snapshot, snapshot
 from annotator.types import DetectorKind, Frame, OrientedBox
 from annotator.types.errors import ConfigError
@@ -215,7 +215,7 @@ def _of_frame(shot: Snapshot, seed: int, draws: int, size_px: int) -> Iterator[T
             upright = random.random() < 0.5 and _is_upright(item.box, shot.frame)
             orientation = Orientation.UPRIGHT if upright else Orientation.FREE
             up = held_direction(shot.frame.up, config.model_copy(update={"orientation": orientation}))
-            for taught in teach_agnostic_views(shot.frame, objects, [index], 1, config, up, random):
+            for taught in teach_views(shot.frame, objects, None, 1, config, up, random, targets=[index]):
                 yield TrainingSample(taught.view.rgb, taught.boxes, f"snapshot/{seed}", GENERATED)
 
 

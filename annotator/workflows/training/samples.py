@@ -28,7 +28,7 @@ from annotator.project.sources import covered_by
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
-from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_agnostic_views, teach_views
+from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
@@ -402,9 +402,7 @@ def agnostic_samples(
     yield from _drawn(project, material, rcv, start, skip)
     for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip, both_kinds=True):
         labels, objects = known.labels, known.objects
-        for taught in teach_agnostic_views(
-            known.frame, objects, range(len(objects)), known.draws, known.rcv, known.up, known.rng
-        ):
+        for taught in teach_views(known.frame, objects, None, known.draws, known.rcv, known.up, known.rng):
             index = taught.objects[0] if taught.objects else None
             boxes, uids = taught.boxes, tuple[str, ...]()
             if index is not None and index < len(labels):

@@ -33,7 +33,6 @@ MARGIN = 0.35
 DEPTH_MARGIN = 0.5
 # Points outside the box keep this share of their contrast to the background.
 DIMMED = 0.3
-MAX_SPLAT_PX = 9
 # Larger clouds are thinned out to these numbers of points: views cannot show more.
 MAX_INSIDE, MAX_AROUND = 40_000, 25_000
 
@@ -145,7 +144,7 @@ def _view(
         depths = np.array([[xyz[2].min(), xyz[2].max()]])
         window = Window(origin - center[:2], scale, size_px, size_px)
         packed = pack_colors(None if colors is None else np.ascontiguousarray(colors[shown]), int(shown.sum()))
-        (rgb,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], depths, MAX_SPLAT_PX)
+        (rgb,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], depths)
     return PseudoView(rgb, _right_handed(rows), scale, origin, cloud.xyz_m[shown])
 
 

@@ -201,12 +201,12 @@ def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config:
     sigma_m = np.full(ends_m.shape, KNOWN_DOUBT * float(detected.sigma_m.min()))
     parts = [detected, Intervals(directions, ends_m, sigma_m)]
     depth_m = max(float(found.box.center_m[2]), NEAR_M)
-    if config.class_agnostic and config.first_look.plane_noise_px:
+    if config.class_agnostic:
         outline = expected_outline(frame.camera, found.image_box, config)
         planes = image_planes(frame.camera, outline, depth_m)
         parts += [] if planes is None else [planes]
     up = held_direction(frame.up, config)
-    fit = fit_box(Intervals.concatenate(parts), up, found.box.rotation, config.fit)
+    fit = fit_box(Intervals.concatenate(parts), up, found.box.rotation)
     if fit is None:
         return found.box
     return canonical_box(OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m), up)

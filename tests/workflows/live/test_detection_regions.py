@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
+from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.measure import box_iou
 from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
 from annotator.workflows.live.detection import WHOLE_EVERY, RegionDetection, regions_around

@@ -12,7 +12,7 @@ import pytest
 
 from annotator.detection.trained import read_trained
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.teach import TaughtObject, TaughtView, teach_agnostic_views
+from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
@@ -26,9 +26,7 @@ PLAN = BasePlan(frames=3, draws=2)
 def views_of(seed: int, draws: int = 8) -> list[TaughtView]:
     shot = snapshot(seed)
     objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
-    return teach_agnostic_views(
-        shot.frame, objects, range(len(objects)), draws, RcvConfig(), None, np.random.default_rng(0)
-    )
+    return teach_views(shot.frame, objects, None, draws, RcvConfig(), None, np.random.default_rng(0))
 
 
 def test_a_view_has_one_object_with_two_boxes_or_none() -> None:

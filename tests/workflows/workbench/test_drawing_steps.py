@@ -10,13 +10,12 @@ from threading import Lock
 import numpy as np
 import pytest
 
-from annotator.geometry.iou import iou_3d
+from annotator.geometry.iou import box_iou, iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.log.events import Effort
 from annotator.project.progress.action_log import draft_id
 from annotator.rcv.known_objects import Span, draw_object
-from annotator.rcv.measure import box_iou
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source, Suggestion
