@@ -10,14 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_scenes import Box, Frame, columns, samples
 
-from annotator.evaluation.kitti import (
-    OFFICIAL,
-    RELAXED,
-    KittiResult,
-    Metric,
-    evaluate_kitti,
-    score_thresholds,
-)
+from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, Metric, evaluate_kitti, score_thresholds
 
 EASY = 0
 CAR = Box("Car", (100, 100, 200, 150))
@@ -33,8 +26,6 @@ def bbox(found: Frame, truth: Frame, level: int = EASY) -> tuple[int, int, float
     curve = evaluated([found], [truth]).curves["Car"][Metric.BBOX][level]
     return curve.objects, curve.found, float(curve.samples[0])
 
-
-# --- against the reference implementation ----------------------------------------------------------------------------
 
 side = st.integers(0, 3).map(lambda v: 20.0 * v)
 height = st.sampled_from([20.0, 25.0, 30.0, 40.0, 44.0, 50.0])
@@ -72,47 +63,6 @@ def test_the_evaluation_agrees_with_the_reference_implementation(frames: list[tu
             np.testing.assert_allclose(curves[Metric.BBOX][level].samples, precision, atol=1e-12)
             np.testing.assert_allclose(curves[Metric.AOS][level].samples, similarity, atol=1e-12)
 
-
-# --- properties ------------------------------------------------------------------------------------------------------
-
-
-def drive(frames: int, seed: int) -> list[Frame]:
-    """Three separate cars per frame."""
-    rng = np.random.default_rng(seed)
-    return [
-        [
-            CAR.moved(
-                edges=(300.0 * k, 100.0, 300.0 * k + 90.0, 100.0 + rng.uniform(45, 90)),
-                bottom=(10.0 * k, 1.5, rng.uniform(10, 40)),
-                rotation_y=rng.uniform(-3, 3),
-                alpha=rng.uniform(-3, 3),
-                score=rng.random(),
-            )
-            for k in range(3)
-        ]
-        for _ in range(frames)
-    ]
-
-
-def jittered(frames: list[Frame], seed: int) -> list[Frame]:
-    rng = np.random.default_rng(seed)
-    return [
-        [
-            box.moved(
-                edges=tuple(np.array(box.edges) + rng.normal(0, 4, 4)),
-                bottom=tuple(np.array(box.bottom) + rng.normal(0, 0.1, 3)),
-                rotation_y=box.rotation_y + rng.normal(0, 0.1),
-                alpha=box.alpha + rng.normal(0, 0.5),
-                score=rng.random(),
-            )
-            for box in frame
-            if rng.random() < 0.9
-        ]
-        for frame in frames
-    ]
-
-
-# --- by hand ---------------------------------------------------------------------------------------------------------
 
 SMALL = CAR.moved(edges=(100, 100, 200, 139.9))
 BY_HAND = [
@@ -207,13 +157,3 @@ def test_dontcare_areas_affect_only_the_image_metric() -> None:
     found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
     curves = evaluated(found, truth).curves["Car"]
     assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
-
-
-def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth = drive(30, 8)
-    found = columns(jittered(truth, 9))
-    first = evaluate_kitti(found, columns(truth)).curves.values()
-    whole = [curve.samples.tolist() for by in first for each in by.values() for curve in each]
-    monkeypatch.setattr("annotator.evaluation.kitti.BLOCK", 7)
-    again = evaluate_kitti(found, columns(truth)).curves.values()
-    assert [curve.samples.tolist() for by in again for each in by.values() for curve in each] == whole

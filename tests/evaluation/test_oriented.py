@@ -17,8 +17,6 @@ from annotator.evaluation.oriented import (
     FrameResult,
     average_precision,
     evaluate_oriented,
-    evaluate_sunrgbd,
-    matched_ious,
     pose_errors,
 )
 from annotator.geometry.iou import iou_3d
@@ -57,18 +55,10 @@ def test_average_precision_equals_the_value_computed_by_hand(
     assert average_precision([FrameResult(boxes, scores, truth, ignored)], 0.5) == pytest.approx(expected)
 
 
-def test_average_precision_without_true_boxes_is_nan() -> None:
-    assert math.isnan(average_precision([FrameResult([cube(0)], [1.0], [], [cube(0)])], 0.5))
-
-
 def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
     first, second = FrameResult([cube(0)], [0.5], [cube(0)]), FrameResult([cube(0)], [0.9], [cube(5)])
     # the false positive has the higher score: recall 1/2 at precision 1/2
     assert average_precision([first, second], 0.5) == pytest.approx(0.25)
-
-
-def test_ignored_boxes_are_not_matched() -> None:
-    np.testing.assert_allclose(matched_ious(FrameResult([cube(9)], [1.0], [cube(0)], [cube(9)])), [0.0])
 
 
 Row = tuple[int, str, OrientedBox, float]
@@ -137,28 +127,31 @@ def plain_average_precision(found: list[Row], truth: list[Row], threshold: float
 def test_average_precision_agrees_with_plain_loops(seed: int) -> None:
     truth = rooms(60, seed)
     found = [*shaken(truth, seed + 10), *rooms(20, seed + 20), *shaken(truth, seed + 30)]
-    result = evaluate_sunrgbd(BoxTable.of(found), BoxTable.of(truth), (0.1, 0.25, 0.5))
-    for threshold, curves in result.curves.items():
-        assert sorted(curves) == ["bed", "chair", "desk"]
-        for label, curve in curves.items():
-            sides = [[row for row in rows if row[1] == label] for rows in (found, truth)]
+    result = evaluate_oriented(BoxTable.of(found), BoxTable.of(truth), (0.1, 0.25, 0.5))
+    assert sorted(result.classes) == ["bed", "chair", "desk"]
+    for label, one in result.classes.items():
+        sides = [[row for row in rows if row[1] == label] for rows in (found, truth)]
+        for threshold, curve in one.curves.items():
             assert curve.area == pytest.approx(plain_average_precision(*sides, threshold), abs=1e-9)
-    areas = [curve.area for curve in result.curves[0.25].values()]
+    areas = [one.curves[0.25].area for one in result.classes.values()]
     assert result.mean(0.25) == pytest.approx(np.mean(areas))
 
 
 def test_boxes_match_only_within_their_frame_and_class() -> None:
     truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
     found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
-    result = evaluate_sunrgbd(found, truth)
-    assert {label: curve.area for label, curve in result.curves[0.25].items()} == {"a": 0.0, "b": 0.0}
-    assert result.detections == {"a": 2, "b": 1}
+    classes = evaluate_oriented(found, truth).classes
+    assert {label: (one.curves[0.25].area, one.detections) for label, one in classes.items()} == {
+        "a": (0.0, 2),
+        "b": (0.0, 1),
+    }
 
 
 def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
     some, none = BoxTable.of([(0, "a", box(0), 1.0)]), BoxTable.of([])
-    assert evaluate_sunrgbd(none, some).mean(0.25) == 0.0
-    assert math.isnan(evaluate_sunrgbd(some, none).mean(0.25))
+    assert evaluate_oriented(none, some).mean(0.25) == 0.0
+    assert math.isnan(evaluate_oriented(some, none).mean(0.25))
+    assert math.isnan(average_precision([FrameResult([cube(0)], [1.0], [], [cube(0)])], 0.5))
     found = evaluate_oriented(none, some).classes["a"]
     assert (found.mean_iou, found.matched, found.curves[0.5].final_recall) == (0.0, 0, 0.0)
     assert math.isnan(found.rotation_error_rad)
@@ -171,9 +164,6 @@ def test_the_assignment_maximises_the_total_iou() -> None:
     result = evaluate_oriented(found, truth).classes["a"]
     assert result.mean_iou == pytest.approx((1.0 + 0.6 / 1.4) / 3)
     assert (result.objects, result.matched) == (3, 2)
-
-
-# --- poses -----------------------------------------------------------------------------------------------------------
 
 
 def one(x: float, size: tuple[float, float, float], turn: Rotation) -> BoxTable:
@@ -222,9 +212,6 @@ def test_the_labelling_of_the_axes_has_no_effect(seed: int, naming: int) -> None
     before, after = pose_errors(a, b), pose_errors(BoxTable.of([(0, "a", renamed, 1.0)]), b)
     assert after.rotation_rad[0] == pytest.approx(before.rotation_rad[0], abs=1e-7)
     assert 0 <= before.rotation_rad[0] <= 2 * math.pi / 3 + 1e-7, "one of the symmetric rotations is within 120 degrees"
-
-
-# --- pairs -----------------------------------------------------------------------------------------------------------
 
 
 def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
