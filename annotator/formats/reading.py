@@ -32,7 +32,7 @@ def known_kind(value: object) -> BoxKind | None:
     return next((kind for kind in BoxKind if kind.value == value), None)
 
 
-def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
+def finite_number(text: str, path: Path, line: int | None, name: str = "") -> float:
     """Returns a text as a finite number.
 
     Args:

