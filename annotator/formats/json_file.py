@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import codecs
 import json
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, BinaryIO, Never, TypeVar
+from typing import Annotated, Never, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.files import CHUNK_BYTES, open_file, read_file, write_atomic
-from annotator.text import MARK_BYTES, decoded, encoding_of
+from annotator.files import read_file, write_atomic
+from annotator.text import decoded
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 from annotator.types.messages import amount, first_problem
@@ -23,6 +22,14 @@ MAX_BYTES = 2**30
 SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+class FileRecord(BaseModel):
+    """A part of a file; other fields, which other tools may write, are ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
 PairsHook = Callable[[list[tuple[str, object]]], object]
 
 
@@ -58,15 +65,19 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     Args:
         pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
     """
-    try:
-        data = read_file(path, MAX_BYTES)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    data = _read(path)
     with json_faults(path):
         text = decoded(data)
         content: object = json.loads(text, object_pairs_hook=pairs_hook)
     require_encodable(path, text, content)
     return content
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return read_file(path, MAX_BYTES)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
 
 
 @contextmanager
@@ -128,27 +139,19 @@ Bounded3 = tuple[Bounded, Bounded, Bounded]
 Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]
 
 
-# The longest value, such as all boxes of a frame, characters.
-MOST_VALUE = 2**26
 BLANKS = re.compile(r"[ \t\r\n]*+")
-# What may belong to a number, up to the end of what was read.
-CUT_NUMBER = re.compile(r"[-+.\deE]*+\Z")
-# A number or a word at the end of what was read may go on.
-LONGEST_WORD = 32
 
 
 def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, object]]:
-    """Yields the pairs of the object in a file, in its order, each key once.
+    """Yields the pairs of the object in a file, in its order, each key once; they are parsed one by one.
 
     Args:
         inside: the key of the object's pair whose own pairs are wanted, instead of the object's.
     """
-    try:
-        file = open_file(path, MAX_BYTES)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    with file, json_faults(path):
-        text, found = _Text(path, file), False
+    data = _read(path)
+    with json_faults(path):
+        text, found = _Text(path, decoded(data)), False
+        del data
         for key in text.begin_object():
             if inside is None:
                 yield key, text.value()
@@ -165,26 +168,20 @@ def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, obj
 
 
 class _Text:
-    """The part of the file between what was read and what comes next."""
+    """The text of a file, and a place in it."""
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file = path, file
-        head = file.read(MARK_BYTES)
-        file.seek(0)
-        self._bytes = codecs.getincrementaldecoder(encoding_of(head))()
+    def __init__(self, path: Path, text: str) -> None:
+        self._path, self._text, self._at = path, text, 0
         self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
-        self._text, self._at, self._line, self._ended = "", 0, 1, False
 
     def begin_object(self) -> Iterator[str]:
         """Yields the keys of the object that begins here; each key's value must be read before the next one."""
         if self.next_character() != "{":
             self.fail("must be a JSON object with one entry per frame")
         self._at += 1
-        known = set[str]()
-        if self.next_character() == "}":
-            self._at += 1
-            return
-        while True:
+        known, is_first = set[str](), True
+        while not (is_first and self.next_character() == "}"):
+            is_first = False
             if self.next_character() != '"':
                 self.fail("is not valid JSON: a key in double quotes is missing")
             key = str(self.value())
@@ -194,60 +191,30 @@ class _Text:
             self._take(":")
             yield key
             if self.next_character() == "}":
-                self._at += 1
-                return
+                break
             self._take(",")
+        self._at += 1
 
     def value(self) -> object:
         """Reads the value that begins here."""
         self.next_character()
-        while True:
-            try:
-                value, end = self._json.raw_decode(self._text, self._at)
-            except json.JSONDecodeError as error:
-                is_cut = error.msg.startswith("Unterminated") or error.pos >= len(self._text) - LONGEST_WORD
-                if not (is_cut and self._more()):
-                    self._at = error.pos
-                    self.fail(f"is not valid JSON: {error.msg}")
-                continue
-            if CUT_NUMBER.match(self._text, end) and self._more():
-                continue  # a number may go on: of "1.5" and "1e-3", "1" is one, too
-            require_encodable(self._path, self._text[self._at : end], value)
-            self._at = end
-            return value
+        value, end = self._json.raw_decode(self._text, self._at)
+        require_encodable(self._path, self._text[self._at : end], value)
+        self._at = end
+        return value
 
     def next_character(self) -> str:
         """Goes to the next character that is not blank, and returns it; "" at the end of the file."""
-        while True:
-            match = BLANKS.match(self._text, self._at)
-            assert match is not None  # it may be empty
-            self._at = match.end()
-            if self._at < len(self._text):
-                return self._text[self._at]
-            if not self._more():
-                return ""
+        match = BLANKS.match(self._text, self._at)
+        assert match is not None  # it may be empty
+        self._at = match.end()
+        return self._text[self._at : self._at + 1]
 
     def _take(self, character: str) -> None:
         if self.next_character() != character:
             self.fail(f"is not valid JSON: Expecting '{character}'")
         self._at += 1
 
-    def _more(self) -> bool:
-        """Reads on, the more the longer the value is; False at the end of the file."""
-        if self._ended:
-            return False
-        if len(self._text) - self._at > MOST_VALUE:
-            self.fail(f"has an entry of more than {MOST_VALUE >> 20} MiB; divide it")
-        read = self._file.read(max(CHUNK_BYTES, len(self._text) - self._at))
-        self._ended = not read
-        self._line += self._text.count("\n", 0, self._at)
-        try:
-            more = self._bytes.decode(read, final=self._ended)
-        except UnicodeDecodeError:
-            self.fail("is not UTF-8 text; save it as UTF-8")
-        self._text, self._at = self._text[self._at :] + more, 0
-        return True
-
     def fail(self, reason: str) -> Never:
         """Raises FormatError for what is here."""
-        raise FormatError(self._path, reason, self._line + self._text.count("\n", 0, self._at))
+        raise FormatError(self._path, reason, 1 + self._text.count("\n", 0, self._at))

@@ -29,12 +29,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, read_model
+from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, FileRecord, read_model
 from annotator.formats.reading import OnFault, raise_fault, text_rows
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
@@ -48,11 +48,7 @@ CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class Axes(_Record):
+class Axes(FileRecord):
     """One value per axis: metres, or angles."""
 
     x: Bounded
@@ -60,7 +56,7 @@ class Axes(_Record):
     z: Bounded
 
 
-class Dimensions(_Record):
+class Dimensions(FileRecord):
     """Full sizes along the box's own x, y, z; metres."""
 
     length: BoundedPositive
@@ -68,7 +64,7 @@ class Dimensions(_Record):
     height: BoundedPositive
 
 
-class BoxObject(_Record):
+class BoxObject(FileRecord):
     """A labelled box: centre, sizes and angles, or its corners."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -84,7 +80,7 @@ class BoxObject(_Record):
         return self
 
 
-class LabelFile(_Record):
+class LabelFile(FileRecord):
     """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
 
     folder: str = ""
@@ -93,7 +89,7 @@ class LabelFile(_Record):
     objects: tuple[BoxObject, ...]
 
 
-class ClassEntry(_Record):
+class ClassEntry(FileRecord):
     """A class with its number and colour (#rrggbb)."""
 
     name: str
@@ -101,14 +97,14 @@ class ClassEntry(_Record):
     color: str
 
 
-class Creator(_Record):
+class Creator(FileRecord):
     """The program that wrote a file."""
 
     name: str
     version: str
 
 
-class ClassesFile(_Record):
+class ClassesFile(FileRecord):
     """The classes, and the box form of all label files."""
 
     classes: tuple[ClassEntry, ...]

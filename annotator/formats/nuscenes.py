@@ -22,12 +22,19 @@ from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AliasChoices, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack, read_pairs
+from annotator.formats.json_file import (
+    Bounded3,
+    Bounded4,
+    BoundedPositive,
+    BoundedTrack,
+    FileRecord,
+    read_pairs,
+)
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
@@ -349,10 +356,8 @@ def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list
 RESULTS = "results"
 
 
-class ResultBox(BaseModel):
+class ResultBox(FileRecord):
     """A box of a detector or tracker."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     translation: Vector3
     size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]

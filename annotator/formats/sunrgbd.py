@@ -25,12 +25,12 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float32
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
-from annotator.formats.json_file import read_model
+from annotator.formats.json_file import FileRecord, read_model
 from annotator.formats.losses import Lost
 from annotator.formats.reading import finite_number, text_files, text_rows
 from annotator.formats.sunrgbd_table import (
@@ -171,10 +171,8 @@ Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=Fal
 Corners = Annotated[tuple[Metres, ...], Field(min_length=4, max_length=4)]
 
 
-class ScenePolygon(BaseModel):
+class ScenePolygon(FileRecord):
     """The ground polygon and height range of one object, as stored; metres."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     X: Corners
     Z: Corners
@@ -182,19 +180,15 @@ class ScenePolygon(BaseModel):
     Ymax: Metres
 
 
-class SceneObject(BaseModel):
+class SceneObject(FileRecord):
     """One object; deleted objects have no name or no polygon."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     name: str = ""
     polygon: tuple[ScenePolygon, ...] = ()
 
 
-class SceneAnnotation(BaseModel):
+class SceneAnnotation(FileRecord):
     """The part of the file that is read."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     objects: tuple[SceneObject | None, ...] = ()
 

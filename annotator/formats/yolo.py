@@ -38,11 +38,12 @@ from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from annotator.files import why_missing
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import has_frames
+from annotator.formats.json_file import FileRecord
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
@@ -323,10 +324,7 @@ class YoloPicture:
     box_kind: BoxKind | None = None
 
 
-class _DataYaml(BaseModel):
-    # other fields (nc, download, ...) are ignored
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _DataYaml(FileRecord):
     path: str | None = None
     train: str | list[str] | None = None
     val: str | list[str] | None = None

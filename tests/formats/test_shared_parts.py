@@ -16,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.formats import json_file
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.formats.json_file import read_pairs
 from annotator.formats.packed_truths import PackedTruths
@@ -88,39 +87,15 @@ VALUES = st.recursive(
 )
 
 
-@given(
-    content=st.dictionaries(st.text(st.characters(codec="utf-8")), VALUES, max_size=4),
-    indent=st.none() | st.integers(0, 2),
-    is_ascii=st.booleans(),
-    chunk=st.integers(1, 40),
-    bom=st.booleans(),
-)
-def test_pairs_are_those_of_the_whole_file_wherever_its_parts_end(
-    tmp_path_factory: pytest.TempPathFactory,
-    content: dict[str, Any],
-    indent: int | None,
-    is_ascii: bool,
-    chunk: int,
-    bom: bool,
+@given(st.dictionaries(st.text(st.characters(codec="utf-8")), VALUES, max_size=4), st.none() | st.integers(0, 2))
+def test_pairs_are_those_of_the_whole_file(
+    tmp_path_factory: pytest.TempPathFactory, content: dict[str, Any], indent: int | None
 ) -> None:
     path = tmp_path_factory.mktemp("json") / "content.json"
-    text = json.dumps(content, indent=indent, ensure_ascii=is_ascii)
-    path.write_text(f"\n {text}\n", encoding="utf-8-sig" if bom else "utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_file, "CHUNK_BYTES", chunk)
-        assert list(read_pairs(path)) == list(content.items())
-        path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=is_ascii))
-        assert list(read_pairs(path, "in")) == list(content.items())
-
-
-@pytest.mark.parametrize("number", ["-1.5", "12e-3", "0.5E+10", "1e22"])
-@pytest.mark.parametrize("chunk", range(1, 16))
-def test_numbers_are_whole_wherever_a_part_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, chunk: int
-) -> None:
-    (tmp_path / "content.json").write_text(f'{{"a": {number}, "b": [{number}]}}')
-    monkeypatch.setattr(json_file, "CHUNK_BYTES", chunk)
-    assert list(read_pairs(tmp_path / "content.json")) == [("a", float(number)), ("b", [float(number)])]
+    path.write_text(f"\n {json.dumps(content, indent=indent)}\n", encoding="utf-8-sig" if indent else "utf-8")
+    assert list(read_pairs(path)) == list(content.items())
+    path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=False), encoding="utf-8")
+    assert list(read_pairs(path, "in")) == list(content.items())
 
 
 @pytest.mark.parametrize(
@@ -132,7 +107,6 @@ def test_numbers_are_whole_wherever_a_part_ends(
         ('{"a": 1,}', "a key in double quotes is missing"),
         ('{"a": 1} x', "after the end"),
         ('{"a"\n: 1,\n"b": [1,\n]}', "content.json:4: is not valid JSON"),
-        ('{"a": tru', "Expecting value"),
         ('{"a": "b', "Unterminated string"),
         ('{"a": 1, "a": 2}', "'a' occurs twice"),
         ('{"a": {"b": 1, "b": 2}}', "'b' occurs twice"),
@@ -140,17 +114,11 @@ def test_numbers_are_whole_wherever_a_part_ends(
         ('{"a": ' + "1" * 5000 + "}", "cannot be read"),
         ('{"a": ' + "[" * 100_000, "nested too deeply"),
         ('{"a": "\xff"}', "not UTF-8"),
-        ('{"a": [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]}', "more than 0 MiB"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, problem: str
-) -> None:
+def test_what_is_wrong_is_said_with_its_line(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "content.json"
     path.write_bytes(text.encode("latin-1"))
-    if "MiB" in problem:
-        monkeypatch.setattr(json_file, "CHUNK_BYTES", 4)
-        monkeypatch.setattr(json_file, "MOST_VALUE", 20)
     with pytest.raises(FormatError, match=r"content\.json") as raised:
         list(read_pairs(path))
     assert problem in str(raised.value)
@@ -173,46 +141,30 @@ def test_object_numbers_are_read_and_a_single_255_becomes_1(tmp_path: Path, writ
     assert mask.tolist() == [numbers]
 
 
-@pytest.mark.shared
-def test_a_real_mask_has_one_object(shared: Path):
-    mask = read_mask(shared / "data" / "human_turn" / "mask" / "000000.png")
-    assert mask.shape == (480, 640)
-    assert set(np.unique(mask)) == {0, 1}
-
-
-def test_a_truncated_mask_is_an_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+def test_what_is_no_mask_is_an_error(tmp_path: Path) -> None:
     path = write(tmp_path / "m.png", np.random.default_rng(0).integers(0, 3, (50, 50)).astype(np.uint8))
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(FormatError, match=r"m\.png: is not a valid mask: the PNG image is truncated"):
         read_mask(path)
-
-
-@pytest.mark.parametrize("mask", [np.zeros((4, 4), np.uint16), np.zeros((4, 4, 3), np.uint8)])
-def test_another_kind_of_image_is_an_error(tmp_path: Path, mask: np.ndarray):
-    with pytest.raises(FormatError, match="one channel"):
-        read_mask(write(tmp_path / "m.png", mask))
-
-
-def test_a_missing_or_empty_mask_is_an_error(tmp_path: Path):
+    for mask in (np.zeros((4, 4), np.uint16), np.zeros((4, 4, 3), np.uint8)):
+        with pytest.raises(FormatError, match="one channel"):
+            read_mask(write(path, mask))
     with pytest.raises(FormatError, match="cannot be read"):
         read_mask(tmp_path / "none.png")
-    (tmp_path / "empty.png").touch()
-    with pytest.raises(FormatError, match="empty"):
-        read_mask(tmp_path / "empty.png")
 
 
 def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
     numbers = np.random.default_rng(0)
-    boxes = [
-        OrientedBox.from_parts(numbers.normal(size=3), np.linalg.qr(turn)[0] * np.sign(np.linalg.det(turn)), size)
-        for turn, size in zip(numbers.normal(size=(4, 3, 3)), numbers.uniform(1, 2, (4, 3)), strict=True)
-        if np.linalg.det(np.linalg.qr(turn)[0] * np.sign(np.linalg.det(turn))) > 0
-    ]
-    assert boxes
+    turns = Rotation.random(4, rng=numbers).as_matrix()
+    boxes = [OrientedBox.from_parts(numbers.normal(size=3), turn, numbers.uniform(1, 2, 3)) for turn in turns]
+    said = (Said("theirs", "dog", boxes[1], 0.5),)
     frames = {
         "a": [Truth("car", box, 3, 0.25, Box2D("car", 1.0, 2.0, 3.0, 4.0)) for box in boxes],
         "b": [],
-        "c": [Truth("car", boxes[0]), Truth("dog", boxes[0], 1, -3.0, None, BoxKind.SILHOUETTE, {"wet": True})],
+        "c": [
+            Truth("car", boxes[0], said=said),
+            Truth("dog", boxes[0], 1, -3.0, None, BoxKind.SILHOUETTE, {"wet": True}),
+        ],
     }
     packed = PackedTruths(iter(frames.items()))
     assert list(packed) == list(frames) and len(packed) == 3
@@ -221,7 +173,7 @@ def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
         for found, want in zip(packed[name], truths, strict=True):
             np.testing.assert_array_equal(found.box.pose, want.box.pose)
             np.testing.assert_array_equal(found.box.size_m, want.box.size_m)
-            for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes"):
+            for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes", "said"):
                 assert getattr(found, field) == getattr(want, field)
 
 
@@ -233,13 +185,6 @@ def test_equal_values_of_different_kinds_stay_apart(first: AttributeValue, secon
     assert [repr(each.attributes["wet"]) for each in found] == [repr(first), repr(second)]
 
 
-def test_what_sources_said_is_kept() -> None:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    said = (Said("theirs", "dog", box, 0.5),)
-    packed = PackedTruths([("a", [Truth("car", box)]), ("b", [Truth("car", box), Truth("car", box, said=said)])])
-    assert [[each.said for each in packed[name]] for name in packed] == [[()], [(), said]]
-
-
 FILE = Path("a.txt")
 TURN = 2 * math.pi
 
@@ -248,15 +193,11 @@ TURN = 2 * math.pi
     ("values", "said"),
     [
         ([], None),
-        ([0.0, 0.0], None),
-        ([3.14, -3.14, 1.5], None),
         ([TURN, -6.28, 6.29], None),
         # OpenPCDet: rotation_y = -heading - pi/2, heading in pi/4 .. 9/4 pi
         ([-8.64, -2.36, -5.0], None),
-        ([9.43, -9.43], None),
         ([-90.0], r"-90 is no angle in radians.* \(1 of 1 angle other"),
         ([0.0, 2.0, 180.0, -270.0], r"-270 is no angle in radians.* \(2 of 3 angles other"),
-        ([9.45, 1.0], r"9.45 is no angle in radians.* \(1 of 2 angles"),
     ],
 )
 def test_angles_beyond_one_and_a_half_turns_are_no_radians(values: list[float], said: str | None) -> None:
@@ -285,7 +226,6 @@ def test_the_unit_that_the_operator_states_is_not_doubted() -> None:
     [
         ([], None),
         ([(4, 2, 1.6), (0.2, 0.1, 0.1), (90, 3, 3)], None),
-        ([(0.19, 0.08, 0.03)], None),
         ([(4, 2, 1.6), (4000, 2000, 1600), (5, 2, 2)], None),
         ([(4000, 2000, 1600)], r"1 of 1 box is longer than 100 m \(the median is 4000 m\).* millimetres;"),
         ([(0.004, 0.002, 0.0016)] * 2, r"2 of 2 boxes are shorter than 5 mm .* kilometres"),
@@ -322,18 +262,13 @@ TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=T
 @pytest.mark.parametrize(
     ("w_first", "values", "tilted"),
     [
-        (True, yaws(30, w_first=False), 1),
         (True, yaws(0, 3, -90, 180, 5, w_first=False), 2),
         (False, yaws(30, 150, w_first=True), 2),
         # upright as they are
         (True, yaws(0, 30, 90, -90, 180, w_first=True), 0),
-        (False, yaws(0, 30, 90, -90, 180, w_first=False), 0),
-        # a heading of 180 degrees is upright in both orders
-        (True, [[0.0, 0.0, 0.0, 1.0]], 0),
         # tilted in both orders
         (True, TILTED, 0),
         (True, [], 0),
-        (True, [[0.0, 0.0, 0.0, 0.0]], 0),
     ],
 )
 def test_upright_boxes_show_the_order_of_their_quaternions(
@@ -345,8 +280,7 @@ def test_upright_boxes_show_the_order_of_their_quaternions(
     if tilted == 0:
         quaternions.require(FILE)
     else:
-        boxes = "box is" if len(values) == 1 else "boxes are"
-        with pytest.raises(UnitError, match=f"{tilted} of {len(values)} {boxes} tilted, .* 0; write") as caught:
+        with pytest.raises(UnitError, match=f"{tilted} of {len(values)} boxes are tilted, .* 0; write") as caught:
             quaternions.require(FILE)
         assert caught.value.kind is UnitKind.QUATERNION
 
