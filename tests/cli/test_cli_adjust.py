@@ -83,18 +83,6 @@ def test_wrong_directions_and_corrections_are_refused(room: Path, capsys: pytest
     assert "have no times" in capsys.readouterr().err
 
 
-def test_a_recording_that_does_not_tell_is_refused_and_stays(room: Path, capsys: pytest.CaptureFixture[str]):
-    import cv2
-
-    for path in (room / "depth").iterdir():
-        random = np.random.default_rng(0)
-        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        cv2.imwrite(str(path), random.integers(500, 5000, depth.shape).astype(np.uint16))
-    assert main(["up", "p", "room", "--estimate"]) == 2
-    assert "was not changed" in capsys.readouterr().err
-    assert run(capsys, "up", "p", "room")["up"] is None
-
-
 def test_labels_that_are_imported_after_a_correction_are_where_the_cloud_is(
     opened: Project, room: Path, tmp_path: Path
 ):
