@@ -92,12 +92,3 @@ def test_only_the_lines_between_the_markers_are_replaced(cold_start: ModuleType,
     with pytest.raises(ValueError, match=r"page\.md has no line .*results: end"):
         cold_start.replace_table(page, ["new"])
     assert "old" in page.read_text()
-
-
-def test_curves_show_classes_with_enough_objects(cold_start: ModuleType, results: Path, tmp_path: Path) -> None:
-    cold_start.curves(cold_start.read_results(results), tmp_path / "one.svg")
-    drawn = (tmp_path / "one.svg").read_text()
-    assert all(word in drawn for word in ("drive", "hands", "van", "hand", "20–100"))
-    assert "lamp" not in drawn
-    cold_start.curves(cold_start.read_results(results), tmp_path / "two.svg")
-    assert (tmp_path / "two.svg").read_text() == drawn

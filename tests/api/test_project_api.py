@@ -12,7 +12,7 @@ import pytest
 import annotator
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import ArgumentError, DetectionError, NotFoundError, ProjectError
+from annotator.types.errors import ArgumentError, NotFoundError, ProjectError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.importing import Note
 
@@ -67,14 +67,6 @@ def test_detection_takes_the_projects_detectors_and_settings(
     assert len(people.detect(frames[0]).proposals) == 3 and len(trained) == 2
 
 
-def test_the_projects_image_detector_is_known_to_find_silhouettes(
-    people: annotator.Project, trained: list[Path], knowing: Knowing
-) -> None:
-    people.annotate(view_detector=knowing("people").view, box_kind="box", limit=1)
-    (run,) = people.stored.jobs.all()
-    assert json.loads(run.config)["image_box_kind"] == "silhouette"
-
-
 class Seeing:
     """An image detector whose boxes enclose what is seen."""
 
@@ -109,7 +101,8 @@ def test_the_kind_of_given_image_boxes_reaches_the_recursion(
     for given in (None, "silhouette"):
         people.detect(frame, image_boxes=[], image_kind=given)
     people.detect(frame, image_detector=lambda _: [], image_kind="silhouette")
-    next(people.watch([frame]))
+    (seen,) = people.watch([frame])
+    assert len(seen.found.proposals) == 3
     assert kinds == ["silhouette", "box", "silhouette", "silhouette", "silhouette"]
     with pytest.raises(annotator.ArgumentError, match="image_kind must be one of box, silhouette, not 'outline'"):
         people.detect(frame, image_boxes=[], image_kind="outline")
@@ -127,16 +120,6 @@ def test_given_2d_boxes_need_no_image_detector(
     found = people.detect(frame, image_detector=lambda _: boxes[:2])
     assert {each.image_box for each in found.proposals} == set(boxes[:2])
     assert [path.parent.name for path in trained] == ["view"]
-
-
-def test_watch_detects_on_each_frame(people: annotator.Project, trained: list[Path]) -> None:
-    frames = (people.read(frame) for frame in people.frames()[:2])
-    assert [len(detected.found.proposals) for detected in people.watch(frames)] == [3, 3]
-
-
-def test_without_detectors_the_error_names_the_training_command(people: annotator.Project) -> None:
-    with pytest.raises(DetectionError, match="annotator train people"):
-        people.detect(people.read(people.frames()[0]))
 
 
 def test_stored_proposals_can_be_exported_evaluated_and_imported(

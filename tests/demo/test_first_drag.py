@@ -82,22 +82,6 @@ def _labels(project: Project, *states: ReviewState) -> list:  # type: ignore[typ
     return [stored.label for stored in project.labels.select(states=states)]
 
 
-@pytest.mark.usefixtures("clusters")
-def test_the_workbench_is_shown_with_the_first_frame_that_has_an_object(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[str] = []
-    missing, draw = SimulatedOperator.missing, SimulatedOperator.draw
-    monkeypatch.setattr(SimulatedOperator, "missing", lambda self, at: [] if at.key == "000000" else missing(self, at))
-    monkeypatch.setattr(
-        SimulatedOperator, "draw", lambda self, at, *rest: (drawn.append(at.key), draw(self, at, *rest))
-    )
-    shown: list[str] = []
-    plan = FirstDragPlan(preset="hands", frames=2)
-    run_first_drag(tmp_path, plan, lambda *_: None, lambda: shown.append(drawn[-1]))
-    assert shown == ["000001"]
-
-
 def test_what_a_viewer_changes_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     generate(tmp_path, "hands", 2, 0, lambda *_: None)
     with new_project(tmp_path, "hands") as project:

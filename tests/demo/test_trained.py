@@ -12,7 +12,6 @@ from annotator.demo import TrainedPlan, run_trained
 from annotator.formats.rcv import read_rcv
 from annotator.project import BoxRotation, open_project
 from annotator.recordings import open_recording
-from annotator.synthetic import writer
 from annotator.types import DetectorKind, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.training.train import TrainPlan
@@ -74,24 +73,6 @@ def test_the_demo_runs_all_stages(
         assert project.config.settings.rotation is rotation
         assert project.statistics().labels.total == dataset.manifest.counts.objects
         assert project.problems() == []
-
-
-def test_trainings_have_the_given_lengths() -> None:
-    plan = demo._training(TrainedPlan(image_pictures=11, view_pictures=22))
-    assert (plan.image.pictures_seen, plan.view.pictures_seen) == (11, 22)
-
-
-@pytest.mark.parametrize("there", ["recording", "demo", "3D_PERSON"])
-def test_existing_folders_are_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
-    (tmp_path / there).mkdir()
-    (tmp_path / there / "precious").write_text("mine")
-    monkeypatch.setattr(
-        writer, "_write", lambda *_: pytest.fail("the recording was generated before the folders were checked")
-    )
-    with pytest.raises(ConfigError, match="exists already; choose another folder"):
-        run_trained(tmp_path, TrainedPlan(frames=4), lambda *_: None)
-    assert (tmp_path / there / "precious").read_text() == "mine"
-    assert [path.name for path in tmp_path.iterdir()] == [there]
 
 
 def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
