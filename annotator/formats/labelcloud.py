@@ -21,11 +21,12 @@ readme.txt). P2 may shift rectified camera 0 to the colour camera: P2 = K [I | t
 from __future__ import annotations
 
 import colorsys
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
@@ -89,29 +90,10 @@ class LabelFile(FileRecord):
     objects: tuple[BoxObject, ...]
 
 
-class ClassEntry(FileRecord):
-    """A class with its number and colour (#rrggbb)."""
-
-    name: str
-    id: int
-    color: str
-
-
-class Creator(FileRecord):
-    """The program that wrote a file."""
-
-    name: str
-    version: str
-
-
 class ClassesFile(FileRecord):
-    """The classes, and the box form of all label files."""
+    """The box form of all label files; the classes of a file are not read."""
 
-    classes: tuple[ClassEntry, ...]
-    default: int = 0
-    type: Literal["object_detection", "semantic_segmentation"] = "object_detection"
     format: str = CENTROID_REL
-    created_with: Creator | None = None
 
 
 DECIMALS = 8
@@ -331,9 +313,14 @@ def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
 
 def _classes(names: Sequence[str], form: str, version: str) -> str:
     """Returns the text of `_classes.json`; labelCloud needs at least one class."""
-    entries = tuple(ClassEntry(name=name, id=number, color=_color(number)) for number, name in enumerate(names))
-    content = ClassesFile(classes=entries, format=form, created_with=Creator(name="annotator", version=version))
-    return content.model_dump_json(indent=1) + "\n"
+    content = {
+        "classes": [{"name": name, "id": number, "color": _color(number)} for number, name in enumerate(names)],
+        "default": 0,
+        "type": "object_detection",
+        "format": form,
+        "created_with": {"name": "annotator", "version": version},
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _color(number: int) -> str:
