@@ -26,22 +26,10 @@ import numpy as np
 from pydantic import SerializeAsAny, TypeAdapter
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats import nuscenes
 from annotator.formats.attributes import VISIBILITY as VISIBLE
 from annotator.formats.attributes import dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
-from annotator.formats.nuscenes import (
-    Attribute,
-    Category,
-    Instance,
-    Log,
-    Map,
-    SampleAnnotation,
-    Visibility,
-    quaternion,
-    scan,
-    vector,
-    width_length_height,
-)
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import straightened
@@ -82,7 +70,7 @@ class NuScenesWriter(DatasetWriter):
         self._data: dict[tuple[Key, str], list[SampleData]] = {}
         self._poses: list[EgoPose] = []
         self._calibrations: dict[str, CalibratedSensor] = {}
-        self._annotations: dict[str, list[SampleAnnotation]] = {}
+        self._annotations: dict[str, list[nuscenes.SampleAnnotation]] = {}
         self._instances: dict[str, tuple[str, int | None]] = {}
         self._order: list[str] = []
         self._attributes: set[str] = set()
@@ -100,7 +88,7 @@ class NuScenesWriter(DatasetWriter):
         T_level_camera = level_pose(item.frame.up)
         camera, rgb = straightened(item.frame.camera, item.frame.rgb)
         (self.folder / files[CAMERA]).write_bytes(encoded_image(rgb, self.info.image_format))
-        (self.folder / files[LIDAR]).write_bytes(scan(item.frame.cloud, T_level_camera).tobytes())
+        (self.folder / files[LIDAR]).write_bytes(nuscenes.scan(item.frame.cloud, T_level_camera).tobytes())
         self._add(item, camera, T_level_camera, files)
         self.counts.update(label.label for label in item.labels)
 
@@ -138,8 +126,8 @@ class NuScenesWriter(DatasetWriter):
                 EgoPose(
                     token=data,
                     timestamp=time_us,
-                    rotation=quaternion(ego.rotation),
-                    translation=vector(ego.translation),
+                    rotation=nuscenes.quaternion(ego.rotation),
+                    translation=nuscenes.vector(ego.translation),
                 )
             )
             size = (camera.width_px, camera.height_px) if channel == CAMERA else (0, 0)
@@ -164,9 +152,11 @@ class NuScenesWriter(DatasetWriter):
         logs = {key: token("log", *key) for key in names}
         annotations = {row.token: row for rows in self._annotations.values() for row in linked(rows)}
         return {
-            "category": [Category(token=token("category", name), name=name) for name in self.info.classes],
-            "attribute": [Attribute(token=token("attribute", name), name=name) for name in sorted(self._attributes)],
-            "visibility": [Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
+            "category": [nuscenes.Category(token=token("category", name), name=name) for name in self.info.classes],
+            "attribute": [
+                nuscenes.Attribute(token=token("attribute", name), name=name) for name in sorted(self._attributes)
+            ],
+            "visibility": [nuscenes.Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
             "instance": [self._instance(each) for each in self._instances],
             "sensor": [
                 Sensor(token=token("sensor", CAMERA), channel=CAMERA, modality="camera"),
@@ -179,7 +169,7 @@ class NuScenesWriter(DatasetWriter):
             "sample": [row for rows in self._samples.values() for row in linked(rows)],
             "sample_data": [row for rows in self._data.values() for row in linked(rows)],
             "sample_annotation": [annotations[each] for each in self._order],
-            "map": [Map(token=token("map"), log_tokens=tuple(logs.values()), filename=MAP_FILE)],
+            "map": [nuscenes.Map(token=token("map"), log_tokens=tuple(logs.values()), filename=MAP_FILE)],
         }
 
     def _scene_names(self) -> dict[Key, str]:
@@ -208,8 +198,8 @@ class NuScenesWriter(DatasetWriter):
         row = CalibratedSensor(
             token=token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), rows),
             sensor_token=token("sensor", channel),
-            translation=vector(T_ego_sensor.translation),
-            rotation=quaternion(T_ego_sensor.rotation),
+            translation=nuscenes.vector(T_ego_sensor.translation),
+            rotation=nuscenes.quaternion(T_ego_sensor.rotation),
             camera_intrinsic=tuple((x, y, z) for x, y, z in rows),
         )
         self._calibrations[row.token] = row
@@ -231,23 +221,23 @@ class NuScenesWriter(DatasetWriter):
             # with a given level, too, so that an import can tell it from a measured one
             names = dotted(label.attributes)
             self._attributes |= set(names)
-            row = SampleAnnotation(
+            row = nuscenes.SampleAnnotation(
                 token=token("annotation", sample.token, instance),
                 sample_token=sample.token,
                 instance_token=instance,
                 visibility_token=visibility,
                 attribute_tokens=tuple(token("attribute", name) for name in names),
-                translation=vector(box.center_m),
-                size=width_length_height(box),
-                rotation=quaternion(box.T_camera_box.rotation),
+                translation=nuscenes.vector(box.center_m),
+                size=nuscenes.width_length_height(box),
+                rotation=nuscenes.quaternion(box.T_camera_box.rotation),
                 num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
             )
             self._annotations.setdefault(instance, []).append(row)
             self._order.append(row.token)
 
-    def _instance(self, instance: str) -> Instance:
+    def _instance(self, instance: str) -> nuscenes.Instance:
         (label, track_id), rows = self._instances[instance], self._annotations[instance]
-        return Instance(
+        return nuscenes.Instance(
             token=instance,
             category_token=token("category", label),
             nbr_annotations=len(rows),
@@ -268,10 +258,10 @@ class NuScenesWriter(DatasetWriter):
             description=f"recording {key[0]}",
         )
 
-    def _log(self, key: Key, log: str) -> Log:
+    def _log(self, key: Key, log: str) -> nuscenes.Log:
         """Returns the row of a drive; its date is 1970-01-01 if the recording has no times."""
         day = datetime.fromtimestamp(self._samples[key][0].timestamp / 1e6, UTC).date().isoformat()
-        return Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
+        return nuscenes.Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
 
 
 def linked(rows: Sequence[Row]) -> list[Row]:
