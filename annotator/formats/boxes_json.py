@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from annotator.formats.json_file import BoundedTrack, FileRecord, read_pairs, write_text
+from annotator.formats.reading import BoundedTrack, FileRecord, read_pairs, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M

@@ -30,8 +30,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.json_file import FileRecord, read_model, write_text
-from annotator.formats.reading import OnFault, known_kind, raise_fault
+from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount

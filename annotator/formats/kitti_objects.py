@@ -29,9 +29,8 @@ from annotator.formats import kitti_rows
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
-from annotator.formats.json_file import MOST
 from annotator.formats.losses import Lost
-from annotator.formats.reading import read_text, text_files, text_rows
+from annotator.formats.reading import MOST, read_text, text_files, text_rows
 from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import straightened

@@ -35,8 +35,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, FileRecord, read_model
-from annotator.formats.reading import OnFault, raise_fault, text_rows
+from annotator.formats.reading import (
+    MOST,
+    Bounded,
+    Bounded3,
+    BoundedPositive,
+    FileRecord,
+    OnFault,
+    raise_fault,
+    read_model,
+    text_rows,
+)
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose

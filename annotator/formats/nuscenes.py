@@ -27,15 +27,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import (
+from annotator.formats.reading import (
     Bounded3,
     Bounded4,
     BoundedPositive,
     BoundedTrack,
     FileRecord,
+    OnFault,
+    raise_fault,
     read_pairs,
 )
-from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import Quaternions

@@ -26,7 +26,7 @@ from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
 from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
-from annotator.formats.json_file import read_model, unique_keys
+from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of

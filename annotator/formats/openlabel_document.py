@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.json_file import Bounded, Bounded3, Bounded4, BoundedTrack, Exact, FileRecord
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact, FileRecord
 from annotator.formats.units import rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
 from annotator.types.label import AttributeValue, Said

@@ -17,9 +17,8 @@ from annotator.formats import kitti_objects, kitti_tracking
 from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.boxes_json import NAME
-from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE
-from annotator.formats.reading import text_rows
+from annotator.formats.reading import read_json, text_rows
 from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, named_format
 from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE

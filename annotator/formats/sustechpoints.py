@@ -36,7 +36,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import Bounded, BoundedPositive, FileRecord, read_model
+from annotator.formats.reading import Bounded, BoundedPositive, FileRecord, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose

@@ -43,8 +43,7 @@ from pydantic import ValidationError
 from annotator.files import why_missing
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import has_frames
-from annotator.formats.json_file import FileRecord
-from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
+from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind

@@ -224,7 +224,7 @@ def test_boxes_out_of_range_after_the_transform_to_the_camera_are_errors(tmp_pat
 
 
 def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("annotator.formats.reading.MAX_BYTES", 1 << 20)
     with (tmp_path / "boxes.json").open("wb") as file:
         file.truncate(4 << 30)  # sparse
     with pytest.raises(FormatError, match="larger than 1 MiB"):

@@ -14,8 +14,7 @@ import pytest
 from dataset_samples import make_box, make_label, write
 
 from annotator.formats.dataset_writing import DatasetItem, Detector
-from annotator.formats.rcv import COMMON, read_rcv
-from annotator.formats.rcv_files import RcvDetector, RcvManifest
+from annotator.formats.rcv import COMMON, RcvDetector, RcvManifest, read_rcv
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
 from annotator.types.errors import FormatError

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.json_file import read_pairs
 from annotator.formats.packed_truths import PackedTruths
-from annotator.formats.reading import read_mask
+from annotator.formats.reading import read_mask, read_pairs
 from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
 from annotator.geometry.transforms import Quaternions
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth

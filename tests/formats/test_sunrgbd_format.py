@@ -13,15 +13,19 @@ from dataset_samples import write
 from scipy.io import loadmat, savemat
 from scipy.spatial.transform import Rotation
 
-from annotator.formats import sunrgbd_table as sunrgbd_meta
+from annotator.formats import sunrgbd as sunrgbd_meta
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.sunrgbd import (
+    META,
     calibration_text,
     dump_label_row,
+    dump_meta,
+    meta_frame,
     read_extracted_folder,
+    read_meta,
+    upright_frame,
 )
-from annotator.formats.sunrgbd_table import META, dump_meta, meta_frame, read_meta, upright_frame
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError
@@ -191,7 +195,7 @@ def test_errors_of_broken_tables_name_the_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: object, problem: str
 ) -> None:
     path = tmp_path / META
-    monkeypatch.setattr(sunrgbd_meta, "MAX_BYTES", 2**22)
+    monkeypatch.setattr(sunrgbd_meta, "MOST_TABLE_BYTES", 2**22)
     content = content() if callable(content) else content
     if isinstance(content, bytes):
         path.write_bytes(content)
