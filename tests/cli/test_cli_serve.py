@@ -153,17 +153,6 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
     assert events[3:] == (["train", "open a", "wait", "close"] if training else ["open a", "follow", "wait", "close"])
 
 
-def test_the_demo_does_not_wait_for_a_workbench_that_was_never_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(demo_command, "has_base", lambda: True)
-    monkeypatch.setattr(demo_command, "_is_interactive", lambda: True)
-    monkeypatch.setattr(demo_command, "run_first_drag", lambda *_: None)
-    monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
-    monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: pytest.fail("nothing was opened"))
-    assert main(["demo", str(tmp_path / "a")]) == 0
-
-
 def test_the_demo_opens_its_project_by_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command line of a browser is visible to all users; so it gets a file that leads to the link."""
     opened: list[str] = []
