@@ -1,14 +1,9 @@
-"""The documentation: its pictures are shown and small, its links lead somewhere, its tables follow from files."""
+"""The documentation: its pictures are shown and small, its links lead somewhere."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import re
 from pathlib import Path
-from types import ModuleType
-
-import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -16,12 +11,6 @@ PAGES = (ROOT / "README.md", *sorted(DOCS.glob("**/*.md")))
 SUFFIXES = (".jpg", ".png", ".svg", ".webp")
 SHOWN = re.compile(r"!\[[^\]]+\]\(([^)]+)\)")
 MOST_BYTES = {".jpg": 260_000, ".svg": 260_000, ".webp": 1_500_000}
-
-
-@pytest.fixture
-def cold_start(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(DOCS / "pictures")
-    return importlib.import_module("cold_start")
 
 
 def test_every_picture_is_shown_and_exists_and_is_small() -> None:
@@ -59,36 +48,3 @@ def test_the_pages_stay_short() -> None:
     assert sum(page.stat().st_size for page in DOCS.glob("**/*.md")) <= 160_000
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert len(changes.splitlines()) < 120 and len(changes.encode()) <= 10_000
-
-
-def row(label: str, taught: int, iou: float, objects: int = 9) -> dict[str, object]:
-    return {"label": label, "taught": taught, "objects": objects, "mean_iou": iou, "recall_50": iou / 2}
-
-
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """Results of two recordings, with a class of a single object."""
-    first = [row("van", 0, 0.6), row("van", 5, 0.7), row("van (clusters)", 0, 0.5), row("lamp", 0, 0.25, objects=1)]
-    for name, rows in (("drive", first), ("hands", [row("hand", 0, 0.4), row("hand", 20, 0.8)])):
-        (tmp_path / f"{name}.json").write_text(json.dumps({"results": rows}))
-    return tmp_path
-
-
-def test_tables_have_a_row_for_each_class(cold_start: ModuleType, results: Path) -> None:
-    assert cold_start.taught_table(cold_start.read_results(results))[2:] == [
-        "| drive | van | 9 | 0.50 (0.25) | 0.60 (0.30) | – | 0.70 (0.35) | – |",
-        "| drive | lamp | 1 | – | 0.25 (0.12) | – | – | – |",
-        "| hands | hand | 9 | – | 0.40 (0.20) | – | – | 0.80 (0.40) |",
-    ]
-
-
-def test_only_the_lines_between_the_markers_are_replaced(cold_start: ModuleType, tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("a\n<!-- results: begin -->\nold\n<!-- results: end -->\nb\n")
-    for _ in range(2):
-        cold_start.replace_table(page, ["new"])
-        assert page.read_text() == "a\n<!-- results: begin -->\nnew\n<!-- results: end -->\nb\n"
-    page.write_text("a\n<!-- results: begin -->\nold\nb\n")
-    with pytest.raises(ValueError, match=r"page\.md has no line .*results: end"):
-        cold_start.replace_table(page, ["new"])
-    assert "old" in page.read_text()

@@ -151,17 +151,6 @@ def test_a_missing_browser_is_installed_for_the_tests(clone: Path, tmp_path: Pat
     assert not log.exists()
 
 
-def test_without_root_permission_the_error_names_the_package(clone: Path, tmp_path: Path) -> None:
-    fake_environment(clone)
-    path = programs(tmp_path / "bin", *NEEDED, id="echo 1000", apt_get="exit 1")
-    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
-    assert result.returncode == 1
-    assert result.stderr.splitlines() == [
-        "setup: the tests need a browser, and none of chromium chromium-browser google-chrome is installed; install it "
-        "as root and run this again (Debian, Ubuntu: apt-get install chromium)"
-    ]
-
-
 PROPERTY = """
 from hypothesis import given, strategies as st
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -124,67 +124,35 @@ def test_an_invalid_command_line_gives_exit_code_2() -> None:
     assert end.value.code == 2
 
 
-def fake(monkeypatch: pytest.MonkeyPatch, run: Callable[..., int | None]) -> None:
-    """Adds a command `fake` to the table."""
+ENDINGS = [
+    (None, 0, ""),
+    (1, 1, ""),
+    # not wrapped, and not interpreted as markup
+    (FormatError(Path("a/[b].json"), ("word " * 60).strip(), 3), 2, f"error: a/[b].json:3: {('word ' * 60).strip()}\n"),
+    (ZeroDivisionError("by zero"), 1, "error: ZeroDivisionError: by zero\nthis is a bug in annotator; --debug shows"),
+    (KeyboardInterrupt(), 130, "interrupted\n"),
+]
+
+
+@pytest.mark.parametrize(("end", "code", "says"), ENDINGS)
+def test_how_a_command_ends(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], end: Any, code: int, says: str
+) -> None:
+    def run() -> int | None:
+        """Ends."""
+        if isinstance(end, BaseException):
+            raise end
+        return end  # type: ignore[no-any-return]
+
     monkeypatch.setattr(cli, "_fake", run, raising=False)
     monkeypatch.setitem(COMMANDS, "fake", Command("annotator.cli.main:_fake", "for this test"))
-
-
-def test_the_exit_code_is_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run(*, code: int = 0) -> int:
-        """Returns the code."""
-        return code
-
-    fake(monkeypatch, run)
-    assert main(["fake"]) == 0
-    assert main(["fake", "--code", "1"]) == 1
-
-
-def test_an_expected_error_prints_one_message(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    long = "word " * 60
-
-    def run() -> None:
-        """Raises an expected error."""
-        raise FormatError(Path("a/[b].json"), long.strip(), 3)
-
-    fake(monkeypatch, run)
-    assert main(["fake"]) == 2
+    assert main(["fake"]) == code
     captured = capsys.readouterr()
-    # not wrapped, and not interpreted as markup
-    assert captured.err == f"error: a/[b].json:3: {long.strip()}\n"
-    assert captured.out == ""
-    for words in (["--debug", "fake"], ["fake", "--debug"]):
-        with pytest.raises(FormatError):
-            main(words)
-
-
-def test_an_unexpected_error_is_reported_as_a_bug(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run() -> None:
-        """Raises an unexpected error."""
-        raise ZeroDivisionError("by zero")
-
-    fake(monkeypatch, run)
-    assert main(["fake"]) == 1
-    said = capsys.readouterr().err
-    assert "ZeroDivisionError: by zero" in said
-    assert "--debug" in said
-    assert "Traceback" not in said
-    with pytest.raises(ZeroDivisionError):
-        main(["fake", "--debug"])
-
-
-def test_ctrl_c_gives_exit_code_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def run() -> None:
-        """Is interrupted with Ctrl-C."""
-        raise KeyboardInterrupt
-
-    fake(monkeypatch, run)
-    assert main(["fake"]) == 130
-    assert capsys.readouterr().err == "interrupted\n"
+    assert captured.err.startswith(says) and "Traceback" not in captured.err and captured.out == ""
+    if isinstance(end, BaseException):
+        for words in (["--debug", "fake"], ["fake", "--debug"]):
+            with pytest.raises(type(end)):
+                main(words)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="other systems handle closed pipes differently")

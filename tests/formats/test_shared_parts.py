@@ -36,7 +36,7 @@ def test_written_frames_read_back(origins: list[FrameOrigin]) -> None:
 
 
 # Texts that spreadsheets run as formulas, and those that look like escaped ones.
-FORMULAS = ["=1+1", "+a", "-a", "@a", "\t=a", "\ra", "\na", "'=a", "''@", "-1-1", "+1e", "'-5", '="x",y']
+FORMULAS = ["=1+1", "+a", "-a", "@a", "\t=a", "\ra", "'=a", "'-5", '="x",y']
 
 
 @pytest.mark.parametrize("name", FORMULAS)

@@ -289,8 +289,8 @@ PLACES = [(0.5, 0.5), (0.4, 0.6), (0.45, 0.35)]
         *(
             pytest.param(turned(PLACES[:count], w, h, turn, corners), False, id=f"{count}-{w}-{turn}-{corners}")
             for count in (1, 3)
-            for w, h in ((0.05, 0.05), (0.1, 0.02), (0.5, 0.4))
-            for turn in (0.0, 0.4, 2.0, 4.0)
+            for w, h in ((0.05, 0.05), (0.5, 0.4))
+            for turn in (0.0, 0.4)
             for corners in (3, 4, 12)
         ),
         # one polygon by chance, the other not
