@@ -103,34 +103,6 @@ def test_the_projects_option_overrides_the_environment_variable(
     assert (tmp_path / "projects/c/project.json").is_file()
 
 
-REFUSED = [
-    (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
-    (["add", "there"], "no recording given"),
-    (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
-    (["add", "there", "broken"], "none of its first frames can be read (1 tried)"),
-    (["inspect", "broken"], "none of its first frames can be read (1 tried)"),
-]
-
-
-def test_bad_input_is_an_error_and_changes_nothing(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_recording(tmp_path / "good", 1)
-    write_recording(tmp_path / "good2", 1)
-    broken = write_recording(tmp_path / "broken", 1)
-    (broken / "depth/000000.png").write_bytes(b"")
-    assert main(["new", "there", "--classes", "x"]) == 0
-    capsys.readouterr()
-    for words, says in REFUSED:
-        assert main(words) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert says in said
-        assert "Traceback" not in said
-    assert stats(capsys, "there")["recordings"] == 0
-    assert [path.name for path in root.iterdir()] == ["there"]
-
-
 def test_inspect_describes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_recording(tmp_path / "wall")
     (recording / "color/000000.png").unlink()

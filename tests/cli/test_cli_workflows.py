@@ -215,33 +215,6 @@ def test_demo_passes_its_options_on_and_checks_them(
     assert len({folder for folder, _ in plans}) == 3 and plans[2][0].parent == Path("out"), "a new folder each time"
 
 
-REFUSED = [
-    ("views room out", "no object with boxes on camera images yet"),
-    ("import room dogs.json --pictures p --recording x", "--recording is for boxes on camera images"),
-    ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
-    ("import room dogs.json --fraction 0.5", "--fraction and --seed need --as 2d"),
-    ("import room dogs.json --as 2d", "is coco, which contains no 3D boxes; leave out --as"),
-    ("import room --as 2d --pictures p", "leave out --pictures"),
-    ("import room dogs.json --min-score 0.5", "--source and --min-score need --as proposals"),
-    ("train room", "no boxes on camera images or pseudo-views to learn from"),
-    ("annotate room", "has no image detector yet; run `annotator train room`"),
-    ("export room out", "has no labels in state proposed, accepted, edited to export"),
-    ("generate file.txt", "already exists"),
-]
-
-
-def test_bad_input_is_an_error_and_changes_nothing(project: str, tmp_path: Path, capsys: Capture) -> None:
-    (tmp_path / "file.txt").write_text("no JSON")
-    write_coco(tmp_path / "dogs.json", [CocoImage("000000.jpg", 320, 240, (Box2D("dog", 1.5, 1.5, 9.5, 9.5),))])
-    before, content = stats(capsys), sorted(path.name for path in tmp_path.iterdir())
-    for command, says in REFUSED:
-        said = run(capsys, *command.split(), code=2)
-        assert "error: " in said
-        assert says in said
-        assert sorted(path.name for path in tmp_path.iterdir()) == content
-    assert stats(capsys) == before
-
-
 def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: Capture) -> None:
     shutil.copytree(made_rooms / "labelled", root)
     with open_project(root / "room") as project:

@@ -20,6 +20,7 @@ REFUSALS = [
     # names of projects, recordings and classes
     ("stats Room", "has no project 'Room' (did you mean 'room'?)"),
     ("project restore recordings", "is a folder; `annotator project copy` takes in a project's folder"),
+    ("new Room --classes x", "is not a valid project name"),
     ("stats ../room", "--projects names the folder of projects"),
     ("project remove room People", "no recording 'People'; did you mean 'people'?"),
     ("classes remove room Person", "has no class 'Person'; did you mean 'person'?"),
@@ -40,6 +41,17 @@ REFUSALS = [
     ("evaluate boxes.csv boxes.csv --protocol sunrgbd", "boxes.csv:1: has no column score"),
     ("evaluate sun sun --protocol sunrgbd", "is no CSV file of boxes, one for all images"),
     ("evaluate recordings recordings --protocol oriented", "is no dataset in the format rcv, which has a dataset.json"),
+    # options
+    ("add room", "no recording given"),
+    ("add room recordings/people recordings/people --name x", "cannot all be called 'x'"),
+    ("annotate room", "has no image detector yet; run `annotator train room`"),
+    ("views room out", "no object with boxes on camera images yet"),
+    ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
+    ("import room flat.json --pictures p --recording x", "--recording is for boxes on camera images"),
+    ("import room flat.json --fraction 0.5", "--fraction and --seed need --as 2d"),
+    ("import room flat.json --min-score 0.5", "--source and --min-score need --as proposals"),
+    ("import room flat.json --as 2d", "is coco, which contains no 3D boxes; leave out --as"),
+    ("import room --as 2d --pictures p", "leave out --pictures"),
     # import
     ("import room sun", "has images and no folder label/, so there are no labels to import"),
     ("import room labels --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),

@@ -146,8 +146,6 @@ FLAT = {"name": "a", "vertices": [[x, y, 0] for _ in (0, 1) for x, y in ((0, 0),
 @pytest.mark.parametrize(
     ("entries", "problem"),
     [
-        ([entry(0, 0, 0.5)], "labels: the angles may be radians or degrees"),
-        ([entry(0, 0, -0.5), entry(0, 0, 200)], "labels: angles from -0.5 to 200.0 are neither"),
         ([SKEW], r"000000\.json: objects\.0: the vertices lie up to .* off the corners of a box"),
         ([MIRRORED], r"objects\.0: the vertices are not in labelCloud's order"),
         ([FLAT], r"objects\.0: the vertices lie in one plane"),

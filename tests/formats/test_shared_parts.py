@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.reading import read_mask, read_pairs
-from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
-from annotator.geometry.transforms import Quaternions
+from annotator.formats.units import Angles, Lengths
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.label import AttributeValue, Said
@@ -204,36 +203,6 @@ def test_angles_beyond_one_and_a_half_turns_are_no_radians(values: list[float], 
         assert "--angles degrees" in str(caught.value) and "--angles radians" in str(caught.value)
 
 
-def test_the_unit_that_the_operator_states_is_not_doubted() -> None:
-    degrees, radians = Angles(AngleUnit.DEGREES), Angles(AngleUnit.RADIANS)
-    assert degrees.radians(-90.0, FILE) == pytest.approx(-math.pi / 2)
-    assert radians.radians(-90.0, FILE) == -90
-    degrees.require()
-    radians.require()
-
-
-@pytest.mark.parametrize(
-    ("sizes", "said"),
-    [
-        ([], None),
-        ([(4, 2, 1.6), (0.2, 0.1, 0.1), (90, 3, 3)], None),
-        ([(4, 2, 1.6), (4000, 2000, 1600), (5, 2, 2)], None),
-        ([(4000, 2000, 1600)], r"1 of 1 box is longer than 100 m \(the median is 4000 m\).* millimetres;"),
-        ([(0.004, 0.002, 0.0016)] * 2, r"2 of 2 boxes are shorter than 5 mm .* kilometres"),
-    ],
-)
-def test_sizes_of_most_boxes_that_no_scene_has_are_no_metres(
-    sizes: list[tuple[float, float, float]], said: str | None
-) -> None:
-    lengths = Lengths(np.array(size, float) for size in sizes)
-    if said is None:
-        lengths.require(FILE)
-    else:
-        with pytest.raises(UnitError, match=said) as caught:
-            lengths.require(FILE)
-        assert caught.value.kind is UnitKind.LENGTH
-
-
 def test_sizes_of_ships_are_doubted_and_read() -> None:
     lengths = Lengths(np.array(size, float) for size in [(400, 200, 160), (420, 180, 150), (4, 2, 2)])
     lengths.require(FILE)
@@ -242,43 +211,4 @@ def test_sizes_of_ships_are_doubted_and_read() -> None:
     )
 
 
-def yaws(*degrees: float, w_first: bool) -> list[list[float]]:
-    rotations = [Rotation.from_rotvec([0, 0, each], degrees=True) for each in degrees]
-    return [each.as_quat(scalar_first=w_first).tolist() for each in rotations]
-
-
 TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=True).tolist()
-
-
-@pytest.mark.parametrize(
-    ("w_first", "values", "tilted"),
-    [
-        (True, yaws(0, 3, -90, 180, 5, w_first=False), 2),
-        (False, yaws(30, 150, w_first=True), 2),
-        # upright as they are
-        (True, yaws(0, 30, 90, -90, 180, w_first=True), 0),
-        # tilted in both orders
-        (True, TILTED, 0),
-        (True, [], 0),
-    ],
-)
-def test_upright_boxes_show_the_order_of_their_quaternions(
-    w_first: bool, values: list[list[float]], tilted: int
-) -> None:
-    quaternions = Quaternions(w_first=w_first)
-    for each in values:
-        quaternions.add(each)
-    if tilted == 0:
-        quaternions.require(FILE)
-    else:
-        with pytest.raises(UnitError, match=f"{tilted} of {len(values)} boxes are tilted, .* 0; write") as caught:
-            quaternions.require(FILE)
-        assert caught.value.kind is UnitKind.QUATERNION
-
-
-def test_a_mirrored_matrix_is_called_left_handed() -> None:
-    turn = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
-    assert rotation_problem(turn, 1e-3) is None
-    assert "left-handed" in (rotation_problem(turn * [1, -1, 1], 1e-3) or "")
-    for wrong in (2 * turn, np.full((3, 3), np.nan)):
-        assert "is not a rotation" in (rotation_problem(wrong, 1e-3) or "")
