@@ -106,17 +106,17 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
         np.array([0.0, 0, 2]), np.eye(3) @ Rotation.from_euler("x", -100, degrees=True).as_matrix(), np.ones(3)
     )
     labels = [
-        label(lying, "night stand", score=0.5, track_id=3),
-        label(leaning, state=ReviewState.EDITED),
+        label(lying, "night stand"),
+        label(leaning),
         label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3))),
     ]
     items = [
-        DatasetItem("room", frame("x", up, timestamp_ns=1), labels, "train"),
+        DatasetItem("room", frame("x", up), labels, "train"),
         DatasetItem("room", frame("y"), [], "val"),
     ]
     losses, classes, out = Losses(), ("bed", "night stand"), tmp_path / "out"
     assert write("sunrgbd", out, items, losses, classes=classes).counts == {"night stand": 1, "bed": 1}
-    once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.OUTSIDE, Lost.NAME, Lost.TIME, Lost.LEVEL)
+    once = (Lost.TILT, Lost.OUTSIDE, Lost.NAME, Lost.LEVEL)
     assert {loss.kind: loss.count for loss in losses.report()} == {**dict.fromkeys(once, 1), Lost.REFLECTANCE: 2}
     assert (out / "train_data_idx.txt").read_text() == "1\n"
     assert (out / "val_data_idx.txt").read_text() == "2\n"

@@ -12,11 +12,9 @@ import pytest
 import yaml
 
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.table import FlatFormat
 from annotator.formats.yolo import YoloBox, YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing.pictures import read_pictures
 
 NAMES = {0: "person", 1: "hand"}
 NUMBERS = {"person": 0, "hand": 1}
@@ -225,18 +223,11 @@ def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> 
         assert [picture.box_kind for picture in read_yolo(tmp_path)] == found
 
 
-def test_polygons_are_counted_and_keypoints_refused(tmp_path: Path) -> None:
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "labels/a.txt").write_text("0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5\n0 0.5 0.5 0.2 0.2\n")
-    (tmp_path / "images").mkdir()
-    yaml = "train: images\nnames: [person]\n"
-    (tmp_path / "data.yaml").write_text(yaml)
-    (picture,) = read_pictures(FlatFormat.YOLO, tmp_path).pictures
-    assert picture.around == 1
-    assert picture.boxes_on(100, 50)[0].xyxy == pytest.approx((9.5, 4.5, 89.5, 44.5))
-    (tmp_path / "data.yaml").write_text(f"{yaml}kpt_shape: [2, 2]\n")
+def test_keypoints_that_data_yaml_names_are_refused(tmp_path: Path) -> None:
+    row = "0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5\n"
+    yaml = "train: images\nnames: [person]\nkpt_shape: [2, 2]\n"
     with pytest.raises(FormatError, match="has keypoints"):
-        read_yolo(tmp_path)
+        read_yolo(put(tmp_path, **{"labels/a.txt": row, "images/a.png": "", "data.yaml": yaml}))
 
 
 @pytest.mark.parametrize(
