@@ -68,7 +68,8 @@ def run(
     shared = {"model": model, "pretrained": start, "seed": seed}
     with _errors_by_flag():
         samples = SampleConfig(views=views, seed=seed)
-    _check_minutes(minutes)
+    if minutes is not None and not 0 < minutes <= MOST_MINUTES:
+        raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
     plan = TrainPlan(
         image=_with(image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared),
         view=_with(VIEW_DEFAULTS, of_image=False, epochs=epochs, image_size_px=size, **shared),
@@ -92,11 +93,6 @@ def run(
     print_line(f"next: annotator annotate {project}")
 
 
-def _check_minutes(minutes: float | None) -> None:
-    if minutes is not None and not 0 < minutes <= MOST_MINUTES:
-        raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
-
-
 def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
     """A checked copy with the settings that are not None."""
     settings = {name: value for name, value in changes.items() if value is not None}
@@ -112,13 +108,10 @@ def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
     except ValidationError as error:
         problem = error.errors()[0]
         allowed = problem["msg"].replace("Input should be", "must be")
-        flag = _flag(str(problem["loc"][0]), of_image)
+        setting = str(problem["loc"][0])
+        name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
+        flag = f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
         raise ConfigError(f"{flag} {allowed}, not {problem['input']}") from error
-
-
-def _flag(setting: str, of_image: bool) -> str:
-    name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
-    return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
 
 
 def _decision_lines(decision: Decision) -> list[str]:

@@ -37,7 +37,7 @@ from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encode
 from annotator.formats.frame_names import read_frames
 from annotator.formats.reading import (
     MOST,
-    Bounded,
+    Axes,
     Bounded3,
     BoundedPositive,
     FileRecord,
@@ -56,14 +56,6 @@ from annotator.types.messages import amount
 
 CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
-
-
-class Axes(FileRecord):
-    """One value per axis: metres, or angles."""
-
-    x: Bounded
-    y: Bounded
-    z: Bounded
 
 
 class Dimensions(FileRecord):

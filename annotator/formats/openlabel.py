@@ -428,15 +428,10 @@ def _cuboids(
             for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
                 yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
     for uid, each in objects.items():
-        if each.object_data is None or not _is_present(each, number):
-            continue
-        for place, cuboid in enumerate(each.object_data.cuboid or ()):
+        spans = each.frame_intervals
+        is_present = not spans or any(span.frame_start <= number <= span.frame_end for span in spans)
+        for place, cuboid in enumerate((is_present and each.object_data and each.object_data.cuboid) or ()):
             yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
-
-
-def _is_present(each: doc.Object, number: int) -> bool:
-    intervals = each.frame_intervals
-    return not intervals or any(i.frame_start <= number <= i.frame_end for i in intervals)
 
 
 def _box(

@@ -330,6 +330,16 @@ BoundedPositive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False)]
 # Track ids; `Exact` is for formats that store every number as a float.
 BoundedTrack = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 Exact = Annotated[float, Field(ge=-MOST_TRACK, le=MOST_TRACK, allow_inf_nan=False)]
+
+
+class Axes(FileRecord):
+    """One value per axis: metres, or angles."""
+
+    x: Bounded
+    y: Bounded
+    z: Bounded
+
+
 Bounded3 = tuple[Bounded, Bounded, Bounded]
 Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]
 

@@ -36,7 +36,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
 from annotator.formats.frame_names import read_frames
-from annotator.formats.reading import Bounded, BoundedPositive, FileRecord, read_model
+from annotator.formats.reading import Axes, Bounded, BoundedPositive, FileRecord, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
@@ -53,12 +53,6 @@ EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler(
 MOST_OFF_ROTATION = 1e-2
 
 
-class _Axes(FileRecord):
-    x: Bounded
-    y: Bounded
-    z: Bounded
-
-
 class _Scale(FileRecord):
     x: BoundedPositive
     y: BoundedPositive
@@ -66,9 +60,9 @@ class _Scale(FileRecord):
 
 
 class _Psr(FileRecord):
-    position: _Axes
+    position: Axes
     scale: _Scale
-    rotation: _Axes
+    rotation: Axes
 
 
 class _Object(FileRecord):
@@ -87,7 +81,7 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
-class _EgoPose(_Axes):
+class _EgoPose(Axes):
     azimuth: Bounded
     pitch: Bounded
     roll: Bounded

@@ -461,7 +461,8 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_without_image(_inside(label_file, root), place, names, on_fault)
+            boxes = _boxes(_inside(label_file, root), names, on_fault)
+            yield YoloPicture(label_file.name, place, None, label_file, boxes)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -499,10 +500,6 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
         on_fault(fault)
         return ()
     return parse_boxes(label_file, text, names, on_fault)
-
-
-def _labels_without_image(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
-    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
 
 
 def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:

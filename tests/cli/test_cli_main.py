@@ -145,7 +145,7 @@ def test_how_a_command_ends(
         return end  # type: ignore[no-any-return]
 
     monkeypatch.setattr(cli, "_fake", run, raising=False)
-    monkeypatch.setitem(COMMANDS, "fake", Command("annotator.cli.main:_fake", "for this test"))
+    monkeypatch.setitem(COMMANDS, "fake", Command("main:_fake", "for this test"))
     assert main(["fake"]) == code
     captured = capsys.readouterr()
     assert captured.err.startswith(says) and "Traceback" not in captured.err and captured.out == ""
