@@ -15,8 +15,6 @@ import pytest
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
-from annotator.recordings.frame_writer import FrameWriter
-from annotator.types.errors import RecordingError
 from annotator.web import live as live_run
 from annotator.web.serve import Running
 from annotator.workflows.live.pipeline import Pipeline
@@ -129,54 +127,6 @@ def test_the_path_of_a_recording_in_the_project_is_refused(
     assert live("--limit", 1, "--record", out) == 2
     assert "the project has a recording there already, seen" in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
-
-
-def test_write_errors_at_the_end_are_reported(
-    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The disk gets full after the last frame is queued, while frames wait to be written."""
-    add, finish = FrameWriter.add, Recorder.finish
-    over = threading.Event()
-
-    def full(writer: FrameWriter, *frame: Any) -> str:
-        if writer.frames:
-            assert over.wait(60)
-            raise RecordingError("no room for more")
-        return add(writer, *frame)
-
-    def finishing(recorder: Recorder) -> int:
-        over.set()
-        return finish(recorder)
-
-    monkeypatch.setattr(FrameWriter, "add", full)
-    monkeypatch.setattr(Recorder, "finish", finishing)
-    assert live("--limit", 3, "--rate", 2, "--record", tmp_path / "seen") == 2
-    assert "no room for more" in capsys.readouterr().err
-    with open_project(tmp_path / "projects" / "room") as project:
-        (frame,) = project.frames.of([project.recordings.find("seen").id])
-        assert len(project.labels.of_frame(frame.id)) == 2
-
-
-def test_source_errors_are_reported_and_recorded_frames_kept(
-    live: Callable[..., int],
-    tmp_path: Path,
-    own_copy: Callable[[str], Path],
-    capsys: Capture,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(live_run, "MOST_LOGGED", 2)
-    folder = own_copy("hands")
-    for path in sorted((folder / "depth").iterdir())[1:]:
-        path.write_bytes(b"no picture")
-    assert live("--record", tmp_path / "seen", "--rate", 20, source=folder) == 0
-    said = capsys.readouterr()
-    assert said.err.count("000001.png") == 1
-    assert said.err.splitlines()[2:] == [
-        "further unreadable frames are only counted",
-        f"storing the detections of 1 frame in {tmp_path / 'seen'}",
-    ]
-    assert "4 unreadable" in said.out
-    assert "1 frame, 2 proposals" in said.out
 
 
 def test_unusable_arguments_are_errors(

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.project import Effort, NewLabel, WriteContext, open_project
-from annotator.types import BoxKind, OrientedBox
 
 WIDTH, HEIGHT = 8, 6
 
@@ -69,24 +67,6 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
 
     assert main(["stats", "hands"]) == 0
     assert "recordings" in capsys.readouterr().out
-
-
-def test_stats_name_people_and_no_commands_and_short_times_in_minutes(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["new", "hands", "--classes", "hand"]) == 0
-    assert main(["add", "hands", str(write_recording(tmp_path / "take"))]) == 0
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.full(3, 0.2))
-    with open_project(root / "hands") as project:
-        frame, other = project.frames.of()[:2]
-        ann = WriteContext(frame.revision, "ann", effort=Effort(9, 720.0))
-        project.labels.create(frame.id, [NewLabel("hand", box)], ann)
-        project.boxes.set_on_image(other.id, [], BoxKind.BOX, WriteContext(other.revision, "simulated operator"))
-    capsys.readouterr()
-    assert main(["stats", "hands"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "labelled by ann 1 box in 12 minutes on 1 day" in printed
-    assert "simulated operator" not in printed
 
 
 def test_the_projects_option_overrides_the_environment_variable(

@@ -112,15 +112,10 @@ def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) ->
     assert calls == ["http://h/", True, "ended"]
 
 
-@pytest.mark.parametrize("training", [[], ["--train"]])
 def test_the_demo_opens_the_workbench_only_at_a_terminal(
-    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch, training: list[str]
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     events: list[str] = []
-
-    class Terminal:
-        def isatty(self) -> bool:
-            return True
 
     @contextmanager
     def workbench(root: Path) -> Iterator[None]:
@@ -134,23 +129,20 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
 
     monkeypatch.setattr(demo_command, "has_base", lambda: True)
     monkeypatch.setattr(demo_command, "run_first_drag", first_drag)
-    monkeypatch.setattr(demo_command, "run_trained", lambda *_: events.append("train"))
     monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
-    monkeypatch.setattr(demo_command, "_summary_with_training", lambda *_: [])
     monkeypatch.setattr(demo_command, "_workbench", workbench)
     monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: events.append("wait"))
-    work = "train" if training else "follow"
     monkeypatch.delenv("CI", raising=False)
-    assert main(["demo", str(tmp_path / "a"), *training]) == 0
-    monkeypatch.setattr(sys, "stdin", Terminal())
-    assert main(["demo", str(tmp_path / "a"), "--no-serve", *training]) == 0
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    assert main(["demo", str(tmp_path / "a"), "--no-serve"]) == 0
     monkeypatch.setenv("CI", "true")
-    assert main(["demo", str(tmp_path / "a"), *training]) == 0
-    assert events == [work] * 3
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    assert events == ["follow"] * 3
     monkeypatch.delenv("CI")
-    assert main(["demo", str(tmp_path / "a"), *training]) == 0
-    # without training, the first boxes are on the page while the rest is followed
-    assert events[3:] == (["train", "open a", "wait", "close"] if training else ["open a", "follow", "wait", "close"])
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    # the first boxes are on the page while the rest is followed
+    assert events[3:] == ["open a", "follow", "wait", "close"]
 
 
 def test_the_demo_opens_its_project_by_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,12 +31,6 @@ def test_rows_are_read(tmp_path: Path) -> None:
     assert read_box_csv(file_of(tmp_path, HEAD), scored=True) == []
 
 
-def test_columns_may_have_any_order(tmp_path: Path) -> None:
-    pairs = list(zip(HEAD.split(","), ROW.split(","), strict=True))[::-1]
-    path = file_of(tmp_path, ",".join(name for name, _ in pairs), ",".join(value for _, value in pairs))
-    assert read_box_csv(path, scored=True)[0].center_m == (-0.5, 3.25, -0.75)
-
-
 BROKEN = [
     pytest.param([], 1, "image is missing", id="empty"),
     pytest.param([HEAD.removesuffix(",score"), ROW], 1, "has no column score", id="no-score"),

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import unicodedata
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.kitti_objects import (
     KittiRows,
@@ -20,15 +18,10 @@ from annotator.formats.kitti_objects import (
 )
 from annotator.formats.kitti_rows import parse_label_line, read_object_labels, read_tracking_areas, read_tracking_labels
 from annotator.formats.kitti_tracking import read_kitti_tracks
-from annotator.geometry.oriented_box import box_corners
 from annotator.types.errors import FormatError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
 DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
-
-
-def as_point_set(points: np.ndarray) -> np.ndarray:
-    return points[np.lexsort(np.round(points, 4).T)]
 
 
 def test_every_field_of_a_row_is_read():
@@ -37,26 +30,6 @@ def test_every_field_of_a_row_is_read():
     assert row.image_box.xyxy == (548.00, 171.33, 572.40, 194.42)
     assert (row.height, row.width, row.length) == (1.48, 1.56, 3.62)
     assert (row.x, row.y, row.z, row.rotation_y, row.score) == (-2.72, 0.82, 48.22, -1.62, None)
-
-
-@pytest.mark.shared
-def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
-    labels = json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]
-    assert len(labels) == 15
-    for i, golden in enumerate(labels):
-        P2 = np.array(golden["P2"]).reshape(3, 4)
-        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-        path = tmp_path / f"{i:06}.txt"
-        path.write_text(golden["label"] + "\n")
-        (truth,) = read_object_labels(path, RigidTransform.from_translation(shift))
-        expected = np.array(golden["expected"]["corners_rect"])
-        got = box_corners(truth.box) - shift
-        np.testing.assert_allclose(as_point_set(got), as_point_set(expected), atol=1e-6)
-        # the devkit's corners 0 to 3 are at the bottom, 0 and 1 at the front
-        bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
-        center = truth.box.center_m - shift
-        np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
-        np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
 
 
 @pytest.mark.parametrize(("word", "sizes"), [("DontCare", "-1 -1 -1"), ("dontcare", "1.5 1.6 3.9")])
