@@ -1,4 +1,4 @@
-"""The documentation: its pictures are shown and small, its links lead somewhere."""
+"""The documentation: its pictures are shown and small, its links lead somewhere, its promises name their tests."""
 
 from __future__ import annotations
 
@@ -48,3 +48,21 @@ def test_the_pages_stay_short() -> None:
     assert sum(page.stat().st_size for page in DOCS.glob("**/*.md")) <= 160_000
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert len(changes.splitlines()) < 120 and len(changes.encode()) <= 10_000
+
+
+def test_every_test_that_is_named_exists() -> None:
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    paths = set(re.findall(r"`((?:tests|scripts|benchmarks)/[\w./]+)", text))
+    assert paths, "promises are kept by tests"
+    assert [path for path in sorted(paths) if not (ROOT / path).exists()] == []
+    files = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    assert set(re.findall(r"\btest_\w+\.py", text)) <= files.keys()
+    known = set(re.findall(r"^def (test_\w+)", "\n".join(files.values()), re.MULTILINE))
+    assert set(re.findall(r"(?<=::)test_\w+|(?<=`)test_\w+(?=`)", text)) <= known
+
+
+def test_every_promise_names_a_test() -> None:
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8").partition("## Limits")[0]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| promised")]
+    assert len(rows) > 20
+    assert [row for row in rows if not re.search(r"\| `[^|]*(test|fuzz)[^|]* \|$", row)] == []

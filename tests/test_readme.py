@@ -42,7 +42,7 @@ INSTEAD: dict[str, Instead] = {
     ),
     "annotator live hands recordings/hands --loop --record recordings/seen": Instead(
         "annotator live hands recordings/hands --limit 2 --record recordings/seen --port 0",
-        "it goes on until it is stopped; tests/cli/test_cli_live.py stops it",
+        "it goes on until it is stopped; tests/cli/test_cli_serve.py stops it",
     ),
     "annotator generate recordings/hands --preset hands --frames 24": Instead(
         "annotator generate recordings/hands --preset hands --frames 8", "seconds a frame, there and in what follows"

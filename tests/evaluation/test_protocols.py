@@ -1,8 +1,9 @@
-"""The SUN RGB-D and oriented protocols: properties and cases by hand; test_golden.py has VoteNet's numbers."""
+"""The protocols: properties and cases by hand; tests/benchmarks/test_golden.py has the official numbers."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,13 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation import boxes as boxes_module
 from annotator.evaluation.boxes import BoxTable, overlapping
-from annotator.evaluation.oriented import (
-    LABELLINGS,
-    FrameResult,
-    average_precision,
-    evaluate_oriented,
-    pose_errors,
-)
+from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
+from annotator.evaluation.oriented import LABELLINGS, FrameResult, average_precision, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
 
@@ -169,3 +165,145 @@ def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(whole.iou) > 20
     for name in ("detection", "truth", "iou"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
+
+
+@dataclass(frozen=True)
+class Box:
+    """A row; the 3D box is that of a car by default."""
+
+    label: str
+    edges: tuple[float, float, float, float]
+    score: float = 1.0
+    truncated: float = 0.0
+    occluded: int = 0
+    alpha: float = 0.0
+    size: tuple[float, float, float] = (1.5, 1.6, 4.0)
+    bottom: tuple[float, float, float] = (0.0, 1.5, 20.0)
+    rotation_y: float = 0.0
+
+    def moved(self, **changes: object) -> Box:
+        return replace(self, **changes)
+
+
+Frame = list[Box]
+
+
+def columns(frames: list[Frame]) -> KittiRows:
+    """The boxes as the evaluation's input."""
+    rows = [(number, box) for number, frame in enumerate(frames) for box in frame]
+    numbers = [[b.truncated, b.occluded, b.alpha, *b.edges, *b.size, *b.bottom, b.rotation_y, b.score] for _, b in rows]
+    return KittiRows.from_table(
+        np.array([number for number, _ in rows], np.int64),
+        np.array([box.label for _, box in rows], np.str_),
+        np.array(numbers, np.float64).reshape(-1, 15),
+    )
+
+
+EASY = 0
+CAR = Box("Car", (100, 100, 200, 150))
+FAR = (600.0, 100.0, 700.0, 150.0)
+
+
+def evaluated(found: list[Frame], truth: list[Frame]) -> KittiResult:
+    return evaluate_kitti(columns(found), columns(truth))
+
+
+def bbox(found: Frame, truth: Frame, level: int = EASY) -> tuple[int, int, float]:
+    """For one frame with cars: the number that count, the number found, and the best precision."""
+    curve = evaluated([found], [truth]).curves["Car"][Metric.BBOX][level]
+    return curve.objects, curve.found, float(curve.samples[0])
+
+
+SMALL = CAR.moved(edges=(100, 100, 200, 139.9))
+BY_HAND = [
+    pytest.param([CAR], [CAR], (1, 1, 1.0), id="found"),
+    pytest.param([CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="missed"),
+    pytest.param([CAR.moved(label="CAR")], [CAR], (1, 1, 1.0), id="case-is-ignored"),
+    pytest.param([CAR, CAR], [CAR], (1, 1, 0.5), id="found-twice"),
+    pytest.param([CAR, CAR.moved(score=0.5)], [CAR], (1, 1, 1.0), id="found-twice-the-second-with-a-lower-score"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR], (1, 1, 0.5), id="one-of-two-is-false"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Van", edges=FAR)], (1, 1, 1.0), id="on-a-van"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Truck", edges=FAR)], (1, 1, 0.5), id="on-a-truck"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(edges=FAR, occluded=1)], (1, 1, 1.0), id="on-a-hard-one"),
+    pytest.param(
+        [CAR, CAR.moved(edges=FAR)],
+        [CAR, Box("DontCare", (500, 0, 900, 300), truncated=-1, occluded=-1)],
+        (1, 1, 1.0),
+        id="in-a-dontcare-area-much-larger",
+    ),
+    pytest.param(
+        [CAR, CAR.moved(edges=FAR)],
+        [CAR, Box("DontCare", (500, 0, 669, 300), truncated=-1, occluded=-1)],
+        (1, 1, 0.5),
+        id="too-little-overlap-with-a-dontcare-area",
+    ),
+    pytest.param([CAR, SMALL.moved(edges=(600, 100, 700, 139))], [CAR], (1, 1, 1.0), id="too-small-to-be-false"),
+    pytest.param([SMALL, CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="matched-by-a-small-one"),
+    pytest.param(
+        [CAR.moved(score=0.5), SMALL.moved(label="Pedestrian")], [CAR], (1, 0, 0.0), id="a-small-one-of-another-class"
+    ),
+    pytest.param([CAR], [CAR.moved(edges=(100, 100, 200, 140))], (0, 0, 0.0), id="truth-at-the-height-limit"),
+    pytest.param(
+        [CAR.moved(edges=(100, 100, 200, 140))],
+        [CAR.moved(edges=(100, 100, 200, 141))],
+        (1, 1, 1.0),
+        id="detection-at-the-height-limit",
+    ),
+]
+
+
+@pytest.mark.parametrize(("found", "truth", "expected"), BY_HAND)
+def test_matches_and_precision_equal_those_computed_by_hand(
+    found: Frame, truth: Frame, expected: tuple[int, int, float]
+) -> None:
+    assert bbox(found, truth) == pytest.approx(expected)
+
+
+def test_thresholds_are_those_nearest_to_the_recalls() -> None:
+    assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
+    assert score_thresholds(np.zeros(0), 3).tolist() == []
+    scores = np.arange(400, 0, -1.0)
+    chosen = score_thresholds(scores, 400)
+    assert len(chosen) == 41
+    np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)
+    assert (chosen[0], chosen[-1]) == (400.0, 1.0)
+    assert len(score_thresholds(scores[:200], 400)) == 21, "up to a recall of one half"
+
+
+def test_metrics_without_values_are_missing() -> None:
+    unknown = {"size": (-1.0, -1.0, -1.0), "bottom": (-1000.0, -1000.0, -1000.0)}
+    curves = evaluated([[CAR.moved(**unknown)]], [[CAR]]).curves
+    assert list(curves) == ["Car"]
+    assert set(curves["Car"]) == {Metric.BBOX, Metric.AOS}
+    no_angle = evaluated([[CAR], [Box("DontCare", FAR, alpha=-10.0)]], [[CAR], []]).curves["Car"]
+    assert set(no_angle) == {Metric.BBOX, Metric.BEV, Metric.BOX_3D}
+    no_image = evaluated([[CAR.moved(edges=(-1, -1, -1, -1))]], [[CAR]]).curves["Car"]
+    assert set(no_image) == {Metric.BEV, Metric.BOX_3D}
+    assert no_image[Metric.BOX_3D][EASY].found == 0, "a box without a height is ignored in all metrics"
+    assert evaluated([[]], [[CAR]]).curves == {}
+    assert evaluated([], []).curves == {}
+
+
+def test_bev_and_3d_use_their_own_overlaps() -> None:
+    """A car of 4 x 1.6 m that is shifted by 1 m along its length has a BEV IoU of 3/5."""
+    ahead = CAR.moved(bottom=(1.0, 1.5, 20.0))
+    turned = CAR.moved(rotation_y=math.pi / 2)
+    pairs = {"ahead": (ahead, CAR), "turned": (ahead.moved(rotation_y=math.pi), CAR), "crossed": (turned, CAR)}
+    found = {
+        name: {
+            m: c[EASY].found for m, c in evaluate_kitti(columns([[a]]), columns([[b]]), RELAXED).curves["Car"].items()
+        }
+        for name, (a, b) in pairs.items()
+    }
+    assert found["ahead"] == found["turned"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 1, Metric.BOX_3D: 1}
+    assert found["crossed"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 0, Metric.BOX_3D: 0}
+    lower = CAR.moved(bottom=(0.0, 2.1, 20.0))
+    result = evaluate_kitti(columns([[lower]]), columns([[CAR]]), RELAXED).curves["Car"]
+    assert (result[Metric.BEV][EASY].found, result[Metric.BOX_3D][EASY].found) == (1, 0), "0.9 of 2.1 m is below a half"
+
+
+def test_dontcare_areas_affect_only_the_image_metric() -> None:
+    truth = [[CAR, Box("DontCare", (500, 0, 900, 300), size=(-1, -1, -1), bottom=(-1000, -1000, -1000))]]
+    found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
+    curves = evaluated(found, truth).curves["Car"]
+    assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
