@@ -162,13 +162,11 @@ class Losses:
     def _line(self, kind: Lost) -> Loss:
         count = self._counts[kind]
         several, rest = _WORDS[kind][1:].split("} ", 1)
-        message = f"{amount(count, *several.split('|'))} {rest}"
+        message, most = f"{amount(count, *several.split('|'))} {rest}", None
         if kind is Lost.ROUNDED:
-            most = f" (corners move by up to {self._rounding_m * 1000:.2g} mm)"
-            return Loss(kind=kind, count=count, message=message + most, most=self._rounding_m)
-        if kind is Lost.ATTRIBUTE:
+            message, most = f"{message} (corners move by up to {self._rounding_m * 1000:.2g} mm)", self._rounding_m
+        elif kind is Lost.TILT:
+            message, most = f"{message} (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)", self._tilt_rad
+        elif kind is Lost.ATTRIBUTE:
             message += f" ({', '.join(f'{number} {name}' for name, number in sorted(self._values.items()))})"
-        if kind is not Lost.TILT:
-            return Loss(kind=kind, count=count, message=message)
-        most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
-        return Loss(kind=kind, count=count, message=message + most, most=self._tilt_rad)
+        return Loss(kind=kind, count=count, message=message, most=most)
