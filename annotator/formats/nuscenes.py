@@ -25,18 +25,9 @@ from jaxtyping import Float32
 from pydantic import AliasChoices, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats import reading
 from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frame_names import read_frames
-from annotator.formats.reading import (
-    Bounded3,
-    Bounded4,
-    BoundedPositive,
-    BoundedTrack,
-    FileRecord,
-    OnFault,
-    raise_fault,
-    read_pairs,
-)
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import Quaternions
@@ -59,8 +50,8 @@ from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import first_problem
 
-Vector3 = Bounded3
-Quaternion = Bounded4
+Vector3 = reading.Bounded3
+Quaternion = reading.Bounded4
 
 
 class Category(Record):
@@ -91,7 +82,7 @@ class Instance(Record):
     nbr_annotations: int
     first_annotation_token: str
     last_annotation_token: str
-    track_id: BoundedTrack | None = None
+    track_id: reading.BoundedTrack | None = None
 
 
 class Log(Record):
@@ -111,7 +102,7 @@ class SampleAnnotation(Linked):
     visibility_token: str = ""
     attribute_tokens: tuple[str, ...] = ()
     translation: Vector3
-    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
     num_lidar_pts: int = 0
     num_radar_pts: int = 0
@@ -169,7 +160,7 @@ NEAREST_M = 0.1
 Row = TypeVar("Row", bound=Record)
 
 
-def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[Truth, ...]]:
+def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -> dict[str, tuple[Truth, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
     With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the dataset has a
@@ -252,11 +243,11 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth,
     """
     annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
     Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
-    boxes = _boxes(tables, annotations, raise_fault)
+    boxes = _boxes(tables, annotations, reading.raise_fault)
     return {sample: tuple(boxes.get(sample, ())) for sample in samples}
 
 
-def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: OnFault) -> dict[str, list[Truth]]:
+def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: reading.OnFault) -> dict[str, list[Truth]]:
     """Returns the boxes in the global frame, by the token of their sample."""
     instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Category)
     # a track is the row's number
@@ -357,11 +348,11 @@ def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list
 RESULTS = "results"
 
 
-class ResultBox(FileRecord):
+class ResultBox(reading.FileRecord):
     """A box of a detector or tracker."""
 
     translation: Vector3
-    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
     label: Annotated[str, Field(min_length=1, validation_alias=AliasChoices("detection_name", "tracking_name"))]
     score: Annotated[
@@ -375,7 +366,7 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
     """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
     tracks: dict[str | int, int] = {}
     quaternions = Quaternions()
-    for sample, boxes in read_pairs(path, RESULTS):
+    for sample, boxes in reading.read_pairs(path, RESULTS):
         if not isinstance(boxes, list):
             raise FormatError(path, f"results.{sample}: must be a list of boxes")
         yield (
