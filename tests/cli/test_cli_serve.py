@@ -23,7 +23,7 @@ from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
-from annotator.types.errors import MissingExtraError
+from annotator.types.errors import ConfigError, MissingExtraError
 from annotator.web import live as live_run
 from annotator.web import serve
 from annotator.web.serve import Running
@@ -150,6 +150,14 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
     assert main(["demo", str(tmp_path / "a")]) == 0
     # the first boxes are on the page while the rest is followed
     assert events[3:] == ["open a", "follow", "wait", "close"]
+
+
+def test_a_server_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Running, "serve_until_stopped", lambda self: self.socket.close())
+    monkeypatch.setattr(webbrowser, "open", lambda _: pytest.fail("there is nothing to open"))
+    create_project(tmp_path, "demo", ("person",)).close()
+    with pytest.raises(ConfigError, match="the workbench did not start"), demo_command._workbench(tmp_path):
+        pass
 
 
 def test_the_demo_opens_its_project_by_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
