@@ -100,13 +100,6 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     counts = stats(capsys)
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
 
-    said = run(capsys, "export", project, "yolo", "--format", "yolo", "--boxes-on", "both")
-    assert said.startswith("yolo: 3 images, 3 person\n")
-    assert said.endswith("; split the dataset with --split train=0.8,val=0.2\n")
-    assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
-        "imported as 2D boxes: 3 person on 1 camera image and 2 pseudo-views\n"
-    )
-
 
 def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
     said = run(capsys, "import", project, "--as", "2d", "--fraction", "0.2", "--seed", "1")
@@ -168,10 +161,6 @@ def test_annotate_with_a_bad_frame_returns_1(
     assert "  failed 000002: " in said
     assert "depth/000002.png" in said
     assert stats(capsys)["frames_failed"] == 1
-    # the frame is retried, and fails again
-    assert "0 frames done, 0 proposals (0 frames without), 4 skipped, 1 failed" in run(
-        capsys, "annotate", "room", "--axes", "camera", code=1
-    )
 
 
 def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, capsys: Capture) -> None:
