@@ -13,6 +13,7 @@ from annotator.cli import annotate as annotate_command
 from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.demo import FirstDragPlan, TrainedPlan
+from annotator.detection import pretrained
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
@@ -140,6 +141,16 @@ def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
     )
     assert said.startswith("1 frame done")
     assert stats(capsys)["runs"] == 3
+
+
+def test_annotate_names_the_base_detector_where_it_stands_in(
+    trained: str, capsys: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert pretrained.NAME not in run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
+    (tmp_path / "detector.safetensors").write_bytes(b"weights")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
+    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
+    assert said.startswith(f"view detector: {pretrained.TITLE}\n")
 
 
 def test_annotate_with_a_bad_frame_returns_1(
