@@ -15,29 +15,17 @@ from typing import TypeVar
 
 import numpy as np
 
+from annotator import project as store
 from annotator.detection.pretrained import has_base
-from annotator.detection.training import TrainingProgress
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
-from annotator.project import (
-    REVIEWED,
-    BoxRotation,
-    FramePart,
-    NewLabel,
-    Origin,
-    Project,
-    ProjectSettings,
-    StoredFrame,
-    WriteContext,
-    create_project,
-)
 from annotator.project.log.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
 from annotator.project.log.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
-from annotator.types import Box2D, BoxKind, DetectorKind, Label, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Label, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
@@ -57,7 +45,7 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetector, requir
 RECORDING, PROJECT = "recording", "demo"
 LABELS = {"people": "person", "hands": "hand", "objects": "object"}
 # People and objects stand upright; hands may be turned in any way.
-ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE, "objects": BoxRotation.UPRIGHT}
+ROTATIONS = {"people": store.BoxRotation.UPRIGHT, "hands": store.BoxRotation.FREE, "objects": store.BoxRotation.UPRIGHT}
 
 Progress = Callable[[str, float, float], None]
 """Called with (stage, amount done, total amount)."""
@@ -97,11 +85,13 @@ def generate(root: Path, preset: str, frames: int, seed: int, progress: Progress
     write_generated(root / RECORDING, preset, frames, seed, report=counted(progress, "ray-cast the recording"))
 
 
-def new_project(root: Path, preset: str) -> AbstractContextManager[Project]:
-    return create_project(root, PROJECT, (LABELS[preset],), settings=ProjectSettings(rotation=ROTATIONS[preset]))
+def new_project(root: Path, preset: str) -> AbstractContextManager[store.Project]:
+    return store.create_project(
+        root, PROJECT, (LABELS[preset],), settings=store.ProjectSettings(rotation=ROTATIONS[preset])
+    )
 
 
-def add_recording(project: Project, root: Path) -> int:
+def add_recording(project: store.Project, root: Path) -> int:
     """Adds the recording to the project, without its labels; returns its id."""
     return register_recording(project, open_recording(root / RECORDING)).id
 
@@ -149,7 +139,11 @@ def run_trained(root: Path, plan: TrainedPlan, progress: Progress) -> TrainedRes
         report = counted(progress, "draw 2D boxes")
         drawn = simulate_recording(project, recording, BoxKind.BOX, config, plan.every, report)
         watch.end("label")
-        trained = train(project, _training(plan), progress=lambda role, step: progress(*_training_progress(role, step)))
+        trained = train(
+            project,
+            _training(plan),
+            progress=lambda role, step: progress(f"train the {role} detector", step.epochs_done, step.epochs),
+        )
         watch.end("train")
         annotated = annotate(project, active_detectors(project), config, progress=counted(progress, "propose 3D boxes"))
         watch.end("propose")
@@ -168,10 +162,6 @@ def _training(plan: TrainedPlan) -> TrainPlan:
         view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": plan.view_pictures}),
         samples=SampleConfig(views=320),
     )
-
-
-def _training_progress(role: DetectorKind, step: TrainingProgress) -> tuple[str, float, float]:
-    return f"train the {role} detector", float(step.epochs_done), float(step.epochs)
 
 
 # The operator accepts a proposal with at least this IoU, and adjusts a worse one.
@@ -213,18 +203,18 @@ class Reviewed:
 class SimulatedOperator:
     """Labels one recording of a project."""
 
-    def __init__(self, project: Project, recording_id: int) -> None:
+    def __init__(self, project: store.Project, recording_id: int) -> None:
         self.done = Reviewed()
         self._project, self._recording_id = project, recording_id
         self._source = FrameSource(project)
         self._recording = self._source.recording(recording_id)
         self._truths: dict[int, list[TaughtObject]] = {}
 
-    def draw(self, stored: StoredFrame, view: ReadyDetector, config: RcvConfig) -> None:
+    def draw(self, stored: store.StoredFrame, view: ReadyDetector, config: RcvConfig) -> None:
         """Draws a 2D box around each object without a 3D box; 3D boxes of these objects are proposed."""
         camera = self._source.read(stored).camera
 
-        def draw(context: WriteContext) -> tuple[Box2D, ...]:
+        def draw(context: store.WriteContext) -> tuple[Box2D, ...]:
             outlines = [box_on_image(camera, item.box, item.label) for item in self.missing(stored)]
             boxes = tuple(box for box in outlines if box is not None)
             known = next((drawn.boxes for drawn in self._project.boxes.on_images() if drawn.frame_id == stored.id), ())
@@ -235,17 +225,17 @@ class SimulatedOperator:
         self.done.drawn += len(boxes)
         lift(self._project, GivenBoxes("boxes drawn on the images", {stored.id: boxes}, {}), view, config)
 
-    def missing(self, stored: StoredFrame) -> list[TaughtObject]:
+    def missing(self, stored: store.StoredFrame) -> list[TaughtObject]:
         """The visible objects of a frame without a reviewed 3D box."""
-        truths, labels = self._objects(stored), self._labels(stored, REVIEWED)
+        truths, labels = self._objects(stored), self._labels(stored, store.REVIEWED)
         ious = _ious(labels, truths)
         return [truth for truth, iou in zip(truths, ious.max(axis=0, initial=0.0), strict=True) if iou < SAME_IOU]
 
-    def review(self, stored: StoredFrame) -> list[int]:
+    def review(self, stored: store.StoredFrame) -> list[int]:
         """Accepts, adjusts or rejects all proposals of a frame; returns the tracks of the adjusted ones."""
         return self._changed(stored, lambda context: self._review(stored, context))
 
-    def _review(self, stored: StoredFrame, context: WriteContext) -> list[int]:
+    def _review(self, stored: store.StoredFrame, context: store.WriteContext) -> list[int]:
         labels, truths = self._labels(stored, (ReviewState.PROPOSED,)), self._objects(stored)
         ious = _ious(labels, truths)
         payloads: list[Payload] = []
@@ -277,42 +267,42 @@ class SimulatedOperator:
         done.rejected, done.ious = done.rejected + rejected, done.ious + kept
         return tracks
 
-    def place(self, stored: StoredFrame) -> None:
+    def place(self, stored: store.StoredFrame) -> None:
         """Places the 3D boxes of objects for which nothing was proposed."""
 
-        def place(context: WriteContext) -> int:
-            new = [NewLabel(item.label, item.box, origin=Origin.PLACED) for item in self.missing(stored)]
+        def place(context: store.WriteContext) -> int:
+            new = [store.NewLabel(item.label, item.box, origin=store.Origin.PLACED) for item in self.missing(stored)]
             if new:
                 self._project.labels.create(stored.id, new, context)
             return len(new)
 
         self.done.placed += self._changed(stored, place)
 
-    def track(self, stored: StoredFrame) -> list[int]:
+    def track(self, stored: store.StoredFrame) -> list[int]:
         """Gives the reviewed boxes without a track new ones; returns these."""
 
-        def track(context: WriteContext) -> list[int]:
-            untracked = [label for label in self._labels(stored, REVIEWED) if label.track_id is None]
+        def track(context: store.WriteContext) -> list[int]:
+            untracked = [label for label in self._labels(stored, store.REVIEWED) if label.track_id is None]
             first = next_track_id(self._project, self._recording_id)
             tracks = list(range(first, first + len(untracked)))
             payloads = [LabelTracked(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
             if payloads:
-                self._project.log.append_to_frames([FramePart(stored.id, payloads, context)], new_tracks=tracks)
+                self._project.log.append_to_frames([store.FramePart(stored.id, payloads, context)], new_tracks=tracks)
             return tracks
 
         return self._changed(stored, track)
 
     def reviewed_of(self, tracks: Sequence[int]) -> list[int]:
         """Returns the tracks that have a reviewed box; a viewer may have deleted those of the others."""
-        chosen = self._project.labels.select(states=REVIEWED, recordings=[self._recording_id], tracks=tracks)
+        chosen = self._project.labels.select(states=store.REVIEWED, recordings=[self._recording_id], tracks=tracks)
         present = {stored.label.track_id for stored in chosen}
         return [track for track in tracks if track in present]
 
-    def _changed(self, stored: StoredFrame, change: Callable[[WriteContext], Changed]) -> Changed:
+    def _changed(self, stored: store.StoredFrame, change: Callable[[store.WriteContext], Changed]) -> Changed:
         """Changes a frame as it is now. If a viewer of the workbench is faster, the frame is read and changed again."""
         for attempt in range(TRIES):
             # the revision is read before the labels, so that a change in between is noticed
-            context = WriteContext(self._project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
+            context = store.WriteContext(self._project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
             try:
                 return change(context)
             except (StaleRevisionError, TrackTakenError):
@@ -320,10 +310,10 @@ class SimulatedOperator:
                     raise
         raise AssertionError
 
-    def _labels(self, stored: StoredFrame, states: Sequence[ReviewState]) -> list[Label]:
+    def _labels(self, stored: store.StoredFrame, states: Sequence[ReviewState]) -> list[Label]:
         return [label for label in self._project.labels.of_frame(stored.id) if label.state in states]
 
-    def _objects(self, stored: StoredFrame) -> list[TaughtObject]:
+    def _objects(self, stored: store.StoredFrame) -> list[TaughtObject]:
         if stored.id not in self._truths:
             index = self._recording.keys.index(stored.key)
             found = visible_objects(self._recording, index, self._source.read(stored), self._project.config.classes)
@@ -421,7 +411,7 @@ def run_first_drag(
 
 def _label(
     operator: SimulatedOperator,
-    stored: StoredFrame,
+    stored: store.StoredFrame,
     view: ReadyDetector,
     config: RcvConfig,
     on_proposals: Callable[[], None],

@@ -32,7 +32,7 @@ from annotator.evaluation.kitti import (
     MinOverlap,
     evaluate_kitti,
 )
-from annotator.evaluation.oriented import evaluate_sunrgbd
+from annotator.evaluation.oriented import evaluate_oriented
 from annotator.formats.box_csv import read_box_csv
 from annotator.formats.kitti_objects import read_kitti_folder
 from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_label_line
@@ -232,14 +232,14 @@ def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
         box_rows(read_box_csv(folder / file, scored=scored), numbers)
         for file, scored in ((SUNRGBD_FOUND, True), (SUNRGBD_TRUTH, False))
     )
-    result = evaluate_sunrgbd(detections, truth, thresholds)
+    result = evaluate_oriented(detections, truth, thresholds)
     for row in rows:
         threshold, label = float(row["iou"]), row["class"]
         if label.startswith("ALL"):
             ours = result.mean(threshold)
         else:
-            curve = result.curves[threshold].get(label)
-            ours = float("nan") if curve is None else curve.area
+            one = result.classes.get(label)
+            ours = float("nan") if one is None else one.curves[threshold].area
         yield Difference(f"{row['class']} at {row['iou']}", abs(ours - float(row["AP"])))
 
 

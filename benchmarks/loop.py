@@ -24,7 +24,8 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend
-from annotator.evaluation.oriented import FrameResult, average_precision, mask_agreement, matched_ious
+from annotator.evaluation.oriented import FrameResult, average_precision, matched_ious
+from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.finish import FrameProposals
@@ -83,9 +84,12 @@ class Scores:
         self.ious.extend(float(iou) for result in results for iou in matched_ious(result))
         if mask is not None and frame.cloud.pixel_index is not None:
             of_object = mask.ravel()[frame.cloud.pixel_index] > 0
-            agreement = mask_agreement([p.box for p in proposed.proposals], frame.cloud, of_object)
-            self.recalls.append(agreement.recall)
-            self.precisions.append(agreement.precision)
+            inside = np.zeros(len(frame.cloud), bool)
+            for each in proposed.proposals:
+                inside |= contains(each.box, frame.cloud.xyz_m)
+            both = int((inside & of_object).sum())
+            self.recalls.append(both / max(int(of_object.sum()), 1))
+            self.precisions.append(both / max(int(inside.sum()), 1))
 
     def summary(self) -> dict[str, object]:
         """The mean scores, by name; NaN without measurements."""

@@ -13,9 +13,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from annotator.files import new_folder
-from annotator.formats.json_file import write_text
 from annotator.formats.kitti_objects import read_kitti_file
 from annotator.formats.kitti_rows import read_tracking_labels
+from annotator.formats.reading import write_text
 from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording

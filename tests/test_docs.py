@@ -1,14 +1,9 @@
-"""The documentation: its pictures are shown and small, its links lead somewhere, its tables follow from files."""
+"""The documentation: its pictures are shown and small, its links lead somewhere, its promises name their tests."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import re
 from pathlib import Path
-from types import ModuleType
-
-import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -16,12 +11,6 @@ PAGES = (ROOT / "README.md", *sorted(DOCS.glob("**/*.md")))
 SUFFIXES = (".jpg", ".png", ".svg", ".webp")
 SHOWN = re.compile(r"!\[[^\]]+\]\(([^)]+)\)")
 MOST_BYTES = {".jpg": 260_000, ".svg": 260_000, ".webp": 1_500_000}
-
-
-@pytest.fixture
-def cold_start(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(DOCS / "pictures")
-    return importlib.import_module("cold_start")
 
 
 def test_every_picture_is_shown_and_exists_and_is_small() -> None:
@@ -61,43 +50,19 @@ def test_the_pages_stay_short() -> None:
     assert len(changes.splitlines()) < 120 and len(changes.encode()) <= 10_000
 
 
-def row(label: str, taught: int, iou: float, objects: int = 9) -> dict[str, object]:
-    return {"label": label, "taught": taught, "objects": objects, "mean_iou": iou, "recall_50": iou / 2}
+def test_every_test_that_is_named_exists() -> None:
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    paths = set(re.findall(r"`((?:tests|scripts|benchmarks)/[\w./]+)", text))
+    assert paths, "promises are kept by tests"
+    assert [path for path in sorted(paths) if not (ROOT / path).exists()] == []
+    files = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    assert set(re.findall(r"\btest_\w+\.py", text)) <= files.keys()
+    known = set(re.findall(r"^def (test_\w+)", "\n".join(files.values()), re.MULTILINE))
+    assert set(re.findall(r"(?<=::)test_\w+|(?<=`)test_\w+(?=`)", text)) <= known
 
 
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """Results of two recordings, with a class of a single object."""
-    first = [row("van", 0, 0.6), row("van", 5, 0.7), row("van (clusters)", 0, 0.5), row("lamp", 0, 0.25, objects=1)]
-    for name, rows in (("drive", first), ("hands", [row("hand", 0, 0.4), row("hand", 20, 0.8)])):
-        (tmp_path / f"{name}.json").write_text(json.dumps({"results": rows}))
-    return tmp_path
-
-
-def test_tables_have_a_row_for_each_class(cold_start: ModuleType, results: Path) -> None:
-    assert cold_start.taught_table(cold_start.read_results(results))[2:] == [
-        "| drive | van | 9 | 0.50 (0.25) | 0.60 (0.30) | – | 0.70 (0.35) | – |",
-        "| drive | lamp | 1 | – | 0.25 (0.12) | – | – | – |",
-        "| hands | hand | 9 | – | 0.40 (0.20) | – | – | 0.80 (0.40) |",
-    ]
-
-
-def test_only_the_lines_between_the_markers_are_replaced(cold_start: ModuleType, tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("a\n<!-- results: begin -->\nold\n<!-- results: end -->\nb\n")
-    for _ in range(2):
-        cold_start.replace_table(page, ["new"])
-        assert page.read_text() == "a\n<!-- results: begin -->\nnew\n<!-- results: end -->\nb\n"
-    page.write_text("a\n<!-- results: begin -->\nold\nb\n")
-    with pytest.raises(ValueError, match=r"page\.md has no line .*results: end"):
-        cold_start.replace_table(page, ["new"])
-    assert "old" in page.read_text()
-
-
-def test_curves_show_classes_with_enough_objects(cold_start: ModuleType, results: Path, tmp_path: Path) -> None:
-    cold_start.curves(cold_start.read_results(results), tmp_path / "one.svg")
-    drawn = (tmp_path / "one.svg").read_text()
-    assert all(word in drawn for word in ("drive", "hands", "van", "hand", "20–100"))
-    assert "lamp" not in drawn
-    cold_start.curves(cold_start.read_results(results), tmp_path / "two.svg")
-    assert (tmp_path / "two.svg").read_text() == drawn
+def test_every_promise_names_a_test() -> None:
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8").partition("## Limits")[0]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| promised")]
+    assert len(rows) > 20
+    assert [row for row in rows if not re.search(r"\| `[^|]*(test|fuzz)[^|]* \|$", row)] == []

@@ -42,7 +42,7 @@ INSTEAD: dict[str, Instead] = {
     ),
     "annotator live hands recordings/hands --loop --record recordings/seen": Instead(
         "annotator live hands recordings/hands --limit 2 --record recordings/seen --port 0",
-        "it goes on until it is stopped; tests/cli/test_cli_live.py stops it",
+        "it goes on until it is stopped; tests/cli/test_cli_serve.py stops it",
     ),
     "annotator generate recordings/hands --preset hands --frames 24": Instead(
         "annotator generate recordings/hands --preset hands --frames 8", "seconds a frame, there and in what follows"
@@ -97,41 +97,6 @@ def page_commands(page: Path) -> list[str]:
     return commands(page.read_text(encoding="utf-8"))
 
 
-TEXT = """
-```sh
-annotator new hands --classes hand   # a comment
-# only a comment
-annotator add hands \\
-    "../shared/data/a b"
-```
-- in a list:
-  ```console
-  $ annotator stats hands
-  frames  24
-  $ annotator export hands --format rcv out/3D_HAND
-  ```
-```python
-print("not a command")
-```
-"""
-
-
-def test_commands_are_found_in_shell_and_console_blocks() -> None:
-    assert commands(TEXT) == [
-        "annotator new hands --classes hand",
-        'annotator add hands "../shared/data/a b"',
-        "annotator stats hands",
-        "annotator export hands --format rcv out/3D_HAND",
-    ]
-
-
-def test_shared_paths_and_replacements_are_applied() -> None:
-    assert as_run('annotator add x "../shared/data/a b"', Path("/s")) == ["annotator", "add", "x", "/s/data/a b"]
-    assert as_run("scripts/test", Path("/s")) is None
-    with pytest.raises(AssertionError, match="teach tests/test_readme"):
-        as_run("curl example.org", Path("/s"))
-
-
 @PAGES
 def test_commands_exist(page: Path) -> None:
     found = page_commands(page)
@@ -165,10 +130,6 @@ def test_the_readme_mentions_every_command() -> None:
 def python_blocks(text: str) -> list[str]:
     """The Python blocks, in order."""
     return [body for indent, language, body in BLOCK.findall(text) if language == "python" and not indent]
-
-
-def test_python_blocks_are_found() -> None:
-    assert python_blocks(TEXT) == ['print("not a command")\n']
 
 
 @pytest.mark.slow

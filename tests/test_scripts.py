@@ -69,6 +69,11 @@ def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_pat
     assert len(log.read_text().splitlines()) == 1
     assert setup(clone, "kinect", cwd=tmp_path).returncode == 0
     assert log.read_text().endswith("install -q -e .[kinect,test]\n")
+    with (clone / "pyproject.toml").open("a") as file:
+        file.write("# a new dependency\n")
+    for _ in range(2):
+        setup(clone)
+    assert len(log.read_text().splitlines()) == 3
 
 
 def test_third_party_readers_have_their_own_environment(clone: Path) -> None:
@@ -85,16 +90,6 @@ def test_third_party_readers_have_their_own_environment(clone: Path) -> None:
     wanted.write_text("one==2\n")
     assert setup(clone, "interop").returncode == 0
     assert len(log.read_text().splitlines()) == 3
-
-
-def test_changed_metadata_is_installed_again(clone: Path) -> None:
-    log = fake_environment(clone)
-    setup(clone)
-    with (clone / "pyproject.toml").open("a") as file:
-        file.write("# a new dependency\n")
-    setup(clone)
-    setup(clone)
-    assert len(log.read_text().splitlines()) == 2
 
 
 def test_a_failed_installation_is_repeated(clone: Path) -> None:
@@ -156,29 +151,6 @@ def test_a_missing_browser_is_installed_for_the_tests(clone: Path, tmp_path: Pat
     assert not log.exists()
 
 
-def test_without_root_permission_the_error_names_the_package(clone: Path, tmp_path: Path) -> None:
-    fake_environment(clone)
-    path = programs(tmp_path / "bin", *NEEDED, id="echo 1000", apt_get="exit 1")
-    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
-    assert result.returncode == 1
-    assert result.stderr.splitlines() == [
-        "setup: the tests need a browser, and none of chromium chromium-browser google-chrome is installed; install it "
-        "as root and run this again (Debian, Ubuntu: apt-get install chromium)"
-    ]
-
-
-def test_sudo_without_a_password_is_used(clone: Path, tmp_path: Path) -> None:
-    fake_environment(clone)
-    log = tmp_path / "apt.log"
-    sudo = f'[[ "$1" == -n ]] || exit 1; shift; echo "sudo $*" >>"{log}"; exec "$@"'
-    apt = f'echo "$*" >>"{log}"'
-    path = programs(tmp_path / "bin", *NEEDED, "true", id="echo 1000", sudo=sudo, apt_get=apt, **NODE)
-    assert setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="").returncode == 0
-    said = log.read_text()
-    assert "sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y" in said
-    assert said.splitlines()[-1].endswith("chromium")
-
-
 PROPERTY = """
 from hypothesis import given, strategies as st
 
@@ -212,11 +184,10 @@ def test_fuzzing_prints_the_command_that_reproduces_a_failure(clone: Path) -> No
     assert (over.returncode, over.stdout.strip()) == (0, "fuzz: 0 rounds from seed 7 found nothing")
 
 
-@pytest.mark.parametrize("words", [("--seed",), ("--minutes", "soon"), ("--examples", "-1")])
-def test_fuzzing_needs_whole_numbers(clone: Path, words: tuple[str, ...]) -> None:
-    result = fuzz(clone, *words)
+def test_fuzzing_needs_whole_numbers(clone: Path) -> None:
+    result = fuzz(clone, "--minutes", "soon")
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.startswith(f"fuzz: {words[0]} needs a whole number")
+    assert result.stderr.startswith("fuzz: --minutes needs a whole number")
 
 
 def test_the_javascript_checks_are_installed_once_for_each_lock_file(clone: Path) -> None:
@@ -231,27 +202,6 @@ def test_the_javascript_checks_are_installed_once_for_each_lock_file(clone: Path
     lock.write_text(lock.read_text() + "\n")
     assert setup(clone, "test").returncode == 0
     assert len(log.read_text().splitlines()) == 2
-
-
-def test_missing_node_and_npm_are_installed(clone: Path, tmp_path: Path) -> None:
-    fake_environment(clone)
-    log, folder = tmp_path / "apt.log", tmp_path / "bin"
-    # the fake apt-get installs node on the PATH
-    apt = f'echo "$*" >>"{log}"; ln -sf /bin/true "{folder}/node"'
-    made = 'mkdir -p "$PWD/node_modules"'
-    path = programs(folder, *NEEDED, "ln", "true", id="echo 0", chromium="exit 0", apt_get=apt, npm=made)
-    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
-    assert result.returncode == 0, result.stderr
-    assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends nodejs"
-
-
-def test_a_failed_npm_is_repeated(clone: Path) -> None:
-    fake_environment(clone)
-    (clone.parent / "node/npm").write_text("#!/bin/bash\necho 'no such host' >&2; exit 1\n")
-    for _ in range(2):
-        result = setup(clone, "test")
-        assert result.returncode == 1
-        assert "no such host" in result.stderr and "npm could not install" in result.stderr
 
 
 def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:

@@ -1,4 +1,6 @@
-"""The public Python API, exported as `annotator.NAME` and built on the workflows; docs/python.md describes it."""
+"""The public Python API, which `annotator` exports and lists in its `__all__`; docs/python.md describes it."""
+
+# ruff: noqa: F401
 
 from annotator.api.frames import frame_from_points, frame_from_rgbd
 from annotator.api.labels import (
@@ -34,42 +36,3 @@ from annotator.types import (
     Truth,
 )
 from annotator.types.errors import AnnotatorError, ArgumentError
-
-__all__ = [
-    "AnnotatorError",
-    "ArgumentError",
-    "Box2D",
-    "BoxKind",
-    "Camera",
-    "Detector",
-    "Frame",
-    "FrameProposals",
-    "Image",
-    "Label",
-    "NearestCluster",
-    "OrientedBox",
-    "PointCloud",
-    "Project",
-    "Proposal",
-    "PseudoView",
-    "Recording",
-    "ReviewState",
-    "Truth",
-    "create_project",
-    "draw_boxes",
-    "evaluate",
-    "evaluate_files",
-    "frame_from_points",
-    "frame_from_rgbd",
-    "generate_recording",
-    "iou_3d",
-    "nms_3d",
-    "open_project",
-    "open_recording",
-    "perfect_detector",
-    "propose",
-    "read_labels",
-    "read_truth",
-    "watch",
-    "write_labels",
-]

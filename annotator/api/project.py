@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from types import TracebackType
 from typing import Any, overload
 
 from annotator import project as store
@@ -21,7 +20,6 @@ from annotator.api.proposing import (
 )
 from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
@@ -205,7 +203,7 @@ class Project:
             image_kind = own.box_kind if image_kind is None else image_kind
         boxes = image_boxes_of(frames, image_boxes, image_detector)
         pair = self._pair(image_detector, image_kind_of(image_detector, image_kind))
-        config, rotation = pair.settings(self._config()), self.stored.config.settings.rotation
+        config, rotation = pair.settings(rcv_config(self.stored)), self.stored.config.settings.rotation
         proposals = propose_image_boxes(several, boxes, pair.view, config, rotation) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
 
@@ -217,7 +215,7 @@ class Project:
         """
         image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
         pair = self._pair(self._detector(DetectorKind.IMAGE), image_kind)
-        return watch_with(frames, pair, self._config(), self.stored.config.settings.rotation)
+        return watch_with(frames, pair, rcv_config(self.stored), self.stored.config.settings.rotation)
 
     def annotate(
         self,
@@ -257,7 +255,7 @@ class Project:
         frames = present if limit is None else min(present, limit)
         made = make_engine(chosen, source, frames=frames, workers=workers, address=address)
         with closing(made):
-            return annotate_with(self.stored, made, self._config(), limit=limit)
+            return annotate_with(self.stored, made, rcv_config(self.stored), limit=limit)
 
     def import_labels(self, path: str | Path, format: str) -> ImportReport:
         """Imports 3D labels for frames that have none; formats as for `read_labels`.
@@ -316,13 +314,8 @@ class Project:
     def __enter__(self) -> Project:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _config(self) -> RcvConfig:
-        return rcv_config(self.stored)
 
     def _pair(self, image: ImageDetector | None, image_kind: BoxKind) -> Detectors:
         view = self._detector(DetectorKind.VIEW)

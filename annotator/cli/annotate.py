@@ -29,16 +29,9 @@ from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
 from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
+from annotator.workflows.proposing import lift as lifting
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit
 from annotator.workflows.proposing.engines import EngineName, make_engine
-from annotator.workflows.proposing.lift import (
-    GivenBoxes,
-    RenamedDetector,
-    boxes_of_file,
-    drawn_boxes,
-    lift,
-    require_known,
-)
 from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere
 from annotator.workflows.settings import editable, rcv_config
 from annotator.workflows.simulate import simulate_recording
@@ -197,18 +190,18 @@ def run_lift(
         if detector is not None:
             loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
             kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
-            require_known(view, loaded.labels)
+            lifting.require_known(view, loaded.labels)
             chosen = None if recording is None else [opened.recordings.find(recording).id]
             pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
             with counted("lift") as progress:
                 done = annotate(opened, pair, config, recordings=chosen, progress=progress)
         else:
             if boxes is None:
-                given = drawn_boxes(opened)
+                given = lifting.drawn_boxes(opened)
             else:
-                given = boxes_of_file(opened, boxes, format, recording, names, box_kind)
+                given = lifting.boxes_of_file(opened, boxes, format, recording, names, box_kind)
             with counted("lift") as progress:
-                done = lift(opened, given, view, config, progress)
+                done = lifting.lift(opened, given, view, config, progress)
             origin = given.origin
             for line in _left_out(given).sentences():
                 print_line(line)
@@ -218,7 +211,7 @@ def run_lift(
     return 1 if done.failures else 0
 
 
-def _left_out(given: GivenBoxes) -> ImportReport:
+def _left_out(given: lifting.GivenBoxes) -> ImportReport:
     report = ImportReport(Become.FLAT)
     if given.renamed is not None:
         report.add(Note.RENAMED, of=str(given.renamed))
@@ -241,14 +234,14 @@ def _names(pairs: tuple[str, ...]) -> dict[str, str]:
 
 def _image_detector(
     project: Project, detector: str, names: dict[str, str], size_px: int, backend: Backend
-) -> tuple[RenamedDetector, str]:
+) -> tuple[lifting.RenamedDetector, str]:
     """The 2D detector under the project's class names, and its description."""
     if detector == OWN:
         loaded = load_detector(active_model(project, DetectorKind.IMAGE).path, backend)
         origin = "the project's image detector"
     else:
         loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
-    return RenamedDetector(loaded, project.config.classes, names), origin
+    return lifting.RenamedDetector(loaded, project.config.classes, names), origin
 
 
 def run_simulate(

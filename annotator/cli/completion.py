@@ -37,16 +37,12 @@ def run(shell: Shell, /) -> None:
 
 def script(shell: Shell) -> str:
     """The completion script of a shell. Building it imports the module of every command, which takes two seconds."""
-    text = _from_tyro(shell)
-    # tyro's bash function offers no file names for positional arguments; with -o default, bash adds them
-    return text.replace("complete -F ", "complete -o default -F ") if shell is Shell.BASH else text
-
-
-def _from_tyro(shell: Shell) -> str:
     printed = io.StringIO()
     with redirect_stdout(printed), suppress(SystemExit):
         _app().cli(prog="annotator", args=["--tyro-print-completion", shell.value], config=style())
-    return printed.getvalue()
+    text = printed.getvalue()
+    # tyro's bash function offers no file names for positional arguments; with -o default, bash adds them
+    return text.replace("complete -F ", "complete -o default -F ") if shell is Shell.BASH else text
 
 
 def _app() -> SubcommandApp:

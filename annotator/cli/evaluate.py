@@ -9,16 +9,7 @@ from annotator.cli.output import print_json, print_line
 from annotator.evaluation.report import Report
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
-from annotator.workflows.evaluate import (
-    Against,
-    Choice,
-    Measured,
-    Options,
-    Protocol,
-    evaluate_files,
-    evaluate_project,
-    read_frame_names,
-)
+from annotator.workflows import evaluate
 
 # Width of tables where the output is not a terminal, so that nothing is cut.
 WIDTH = 160
@@ -29,10 +20,10 @@ def run(
     truth: Path | None = None,
     /,
     *,
-    protocol: Protocol,
+    protocol: evaluate.Protocol,
     project: str | None = None,
-    measured: Measured = Measured.LABELS,
-    against: Against = Against.TRUTH,
+    measured: evaluate.Measured = evaluate.Measured.LABELS,
+    against: evaluate.Against = evaluate.Against.TRUTH,
     recordings: RecordingNames = (),
     frame_list: Path | None = None,
     relaxed: bool = False,
@@ -57,21 +48,21 @@ def run(
         relaxed: with kitti: the looser overlap thresholds that are often reported beside the official ones.
         curves: folder for the precision-recall curves, as PNG files.
     """
-    if relaxed and protocol is not Protocol.KITTI:
+    if relaxed and protocol is not evaluate.Protocol.KITTI:
         raise ConfigError("--relaxed is for the kitti protocol; the other protocols always report several thresholds")
-    options = Options(None if frame_list is None else read_frame_names(frame_list), relaxed)
+    options = evaluate.Options(None if frame_list is None else evaluate.read_frame_names(frame_list), relaxed)
     if project is None:
-        if measured is not Measured.LABELS or against is not Against.TRUTH or recordings:
+        if measured is not evaluate.Measured.LABELS or against is not evaluate.Against.TRUTH or recordings:
             raise ConfigError("--measured, --against and --recordings need --project")
         if detections is None or truth is None:
             raise ConfigError("give DETECTIONS and TRUTH, or --project; see annotator help evaluate")
-        report = evaluate_files(detections, truth, protocol, options)
+        report = evaluate.evaluate_files(detections, truth, protocol, options)
     else:
         if detections is not None:
             raise ConfigError("give either files or --project, not both")
         with open_named(project, projects) as opened:
             ids = tuple(opened.recordings.find(name).id for name in recordings) or None
-            report = evaluate_project(opened, protocol, Choice(measured, against, ids), options)
+            report = evaluate.evaluate_project(opened, protocol, evaluate.Choice(measured, against, ids), options)
     # print first: the numbers may have taken minutes, and writing the curves may fail
     _show(report, as_json)
     if curves is not None:

@@ -10,17 +10,7 @@ from annotator.cli.output import counted, print_json, print_line
 from annotator.formats.table import with_option
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
-from annotator.workflows.exporting import (
-    WRITERS,
-    ExportFilter,
-    ExportFormat,
-    ExportOptions,
-    ExportReport,
-    Split,
-    SplitBy,
-    export_project,
-    parse_shares,
-)
+from annotator.workflows import exporting
 
 
 class ImageFormat(StrEnum):
@@ -43,14 +33,14 @@ def run(
     out: Path,
     /,
     *,
-    format: ExportFormat = ExportFormat.RCV,
+    format: exporting.ExportFormat = exporting.ExportFormat.RCV,
     states: tuple[ReviewState, ...] = (),
     classes: tuple[str, ...] = (),
     recordings: RecordingNames = (),
     empty_frames: bool = False,
     skip_unreadable: bool = False,
     split: str | None = None,
-    split_by: SplitBy = SplitBy.FRAMES,
+    split_by: exporting.SplitBy = exporting.SplitBy.FRAMES,
     seed: Seed = 0,
     images: ImageFormat = ImageFormat.PNG,
     boxes_on: Pictures = Pictures.IMAGES,
@@ -76,20 +66,20 @@ def run(
         vertices: with {vertices}: write the 8 corners of each box instead of centre, size and angles.
         overwrite: replace an existing dataset at OUT.
     """
-    parts = None if split is None else Split(parse_shares(split), split_by, seed)
-    if parts is None and split_by is not SplitBy.FRAMES:
+    parts = None if split is None else exporting.Split(exporting.parse_shares(split), split_by, seed)
+    if parts is None and split_by is not exporting.SplitBy.FRAMES:
         raise ConfigError("--split-by needs --split")
     with open_named(project, projects) as opened, counted(f"export {format}") as progress:
         ids = tuple(opened.recordings.find(name).id for name in recordings) or None
-        report = export_project(
+        report = exporting.export_project(
             opened,
             out,
             format,
-            choose=ExportFilter(
+            choose=exporting.ExportFilter(
                 states or None, names_in(classes, opened.config.classes) or None, ids, empty_frames, skip_unreadable
             ),
             split=parts,
-            options=ExportOptions(images.value, boxes_on.value, vertices),
+            options=exporting.ExportOptions(images.value, boxes_on.value, vertices),
             overwrite=overwrite,
             progress=progress,
         )
@@ -99,9 +89,9 @@ def run(
         _print_report(report)
 
 
-def _print_report(report: ExportReport) -> None:
+def _print_report(report: exporting.ExportReport) -> None:
     counts = ", ".join(f"{number} {name}" for name, number in report.objects_by_class.items())
-    what = "images" if WRITERS[ExportFormat(report.format)].flat else "frames"
+    what = "images" if exporting.WRITERS[exporting.ExportFormat(report.format)].flat else "frames"
     print_line(f"{report.out}: {report.frames} {what}, {counts}")
     if report.splits:
         print_line("split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
@@ -113,7 +103,7 @@ def _print_report(report: ExportReport) -> None:
         print_line(note)
 
 
-_SUMMARIES = "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in WRITERS.items())
+_SUMMARIES = "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in exporting.WRITERS.items())
 run.__doc__ = (run.__doc__ or "").replace("{formats}", _SUMMARIES)
 for _option in ("boxes-on", "vertices"):
     run.__doc__ = run.__doc__.replace(f"{{{_option}}}", with_option(_option))

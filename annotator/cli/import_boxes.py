@@ -16,36 +16,22 @@ from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.importing import (
-    Become,
-    BoxFormat,
-    FlatFormat,
-    ImportReport,
-    LabelSet,
-    Note,
-    format_of,
-    import_image_boxes,
-    import_labels,
-    import_proposals,
-    import_view_boxes,
-    read_labels,
-    without_effect,
-)
+from annotator.workflows import importing
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.placing import class_names
 from annotator.workflows.importing.values import FoundValues, add_attributes, values_of_labels, values_of_pictures
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
 from annotator.workflows.recorded.own_labels import RecordedLabels
 
-FLAT = tuple(FlatFormat)
+FLAT = tuple(importing.FlatFormat)
 ADVICE = (
     "`annotator classes attribute` gives a project attributes; `annotator import PROJECT PATH --add-attributes` gives "
     "it those of a file, and its labels their values"
 )
 # One enumeration of all formats, so that tyro lists them in the help.
-Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
+Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *importing.BoxFormat)})  # type: ignore[misc]
 As_ = Annotated[
-    Become,
+    importing.Become,
     arg(
         name="as",
         help="what 3D boxes become: labels, on frames without labels and proposals; proposals, to be reviewed, on all "
@@ -60,7 +46,7 @@ def run(
     path: Path | None = None,
     /,
     *,
-    as_: As_ = Become.LABELS,
+    as_: As_ = importing.Become.LABELS,
     format: Format | None = None,
     source: str | None = None,
     min_score: float | None = None,
@@ -97,26 +83,26 @@ def run(
     """
     if pictures is not None and recording is not None:
         raise ConfigError("--recording is for boxes on camera images; the boxes on --pictures are on pseudo-views")
-    if as_ is not Become.FLAT and (fraction, seed) != (1.0, 0):
+    if as_ is not importing.Become.FLAT and (fraction, seed) != (1.0, 0):
         raise ConfigError("--fraction and --seed need --as 2d")
-    if as_ is not Become.PROPOSALS and (source, min_score) != (None, None):
+    if as_ is not importing.Become.PROPOSALS and (source, min_score) != (None, None):
         raise ConfigError("--source and --min-score need --as proposals")
-    if as_ is Become.FLAT and pictures is not None:
+    if as_ is importing.Become.FLAT and pictures is not None:
         raise ConfigError("--as 2d renders its pictures from 3D boxes; leave out --pictures")
-    if as_ is Become.FLAT and add_attributes:
+    if as_ is importing.Become.FLAT and add_attributes:
         raise ConfigError("--add-attributes is for labels and proposals; 2D boxes of the project have no attributes")
     if angles is not None and path is None:
         raise ConfigError("--angles is for a file or folder of 3D boxes; give its path")
-    if path is None and as_ is not Become.FLAT:
+    if path is None and as_ is not importing.Become.FLAT:
         raise ConfigError(
             f"no labels given; write annotator import {project} PATH, or --as 2d for the recordings' own labels"
         )
     with open_named(project, projects) as opened:
         names = {} if classes is None else class_names(classes, opened)
-        found = None if path is None else format_of(path) if format is None else named_format(format)
-        if isinstance(found, FlatFormat):
+        found = None if path is None else importing.format_of(path) if format is None else named_format(format)
+        if isinstance(found, importing.FlatFormat):
             assert path is not None
-            if as_ is not Become.LABELS:
+            if as_ is not importing.Become.LABELS:
                 raise ConfigError(f"{path} is {found}, which contains no 3D boxes; leave out --as")
             if angles is not None:
                 raise ConfigError(f"--angles is for 3D boxes; {path} is {found}, which contains none")
@@ -125,42 +111,42 @@ def run(
             if add_attributes:
                 _add(opened, values_of_pictures(found, path))
             if pictures is None:
-                report = import_image_boxes(opened, path, box_kind, recording, found, names)
+                report = importing.import_image_boxes(opened, path, box_kind, recording, found, names)
             else:
-                report = import_view_boxes(opened, path, pictures, box_kind, found, names)
+                report = importing.import_view_boxes(opened, path, pictures, box_kind, found, names)
             print_report(report)
             return
         if pictures is not None:
             raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
-        labels: LabelSet
+        labels: importing.LabelSet
         if path is None or found is None:
             chosen = None if recording is None else [opened.recordings.find(recording).id]
             labels = RecordedLabels(opened, chosen, with_files=True)
         else:
-            labels = read_labels(found, path, angles).in_project(opened)
+            labels = importing.read_labels(found, path, angles).in_project(opened)
             _check_names(names, {label for name in labels.frames for label in labels.classes(name)})
         if add_attributes:
             _add(opened, values_of_labels(labels))
-        with counted("2D boxes" if as_ is Become.FLAT else f"import {found}") as progress:
-            if as_ is Become.FLAT:
+        with counted("2D boxes" if as_ is importing.Become.FLAT else f"import {found}") as progress:
+            if as_ is importing.Become.FLAT:
                 report = boxes_from_3d(
                     opened, labels, recording=recording, names=names, fraction=fraction, seed=seed, progress=progress
                 )
-            elif as_ is Become.PROPOSALS:
-                report = import_proposals(
+            elif as_ is importing.Become.PROPOSALS:
+                report = importing.import_proposals(
                     opened, labels, source, recording=recording, min_score=min_score, names=names, progress=progress
                 )
             else:
-                report = import_labels(opened, labels, recording, progress, names, fill=add_attributes)
+                report = importing.import_labels(opened, labels, recording, progress, names, fill=add_attributes)
         print_report(report)
-        if as_ is Become.FLAT:
+        if as_ is importing.Become.FLAT:
             print_line(f"next: annotator train {project}")
-        elif as_ is Become.PROPOSALS and report.boxes:
+        elif as_ is importing.Become.PROPOSALS and report.boxes:
             print_line(f"next: annotator serve, to review {opened.config.name}")
 
 
 def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
-    for line in without_effect(names, present):
+    for line in importing.without_effect(names, present):
         print_line(line)
 
 
@@ -169,7 +155,7 @@ def _add(project: Project, found: FoundValues) -> None:
         print_line(f"added: attribute {each.name} of a {each.of}: {each.values_text()}")
 
 
-def print_report(report: ImportReport, indent: str = "") -> None:
+def print_report(report: importing.ImportReport, indent: str = "") -> None:
     """Prints what an import tells."""
-    for line in (report.headline(), *report.sentences(), *([ADVICE] if report[Note.VALUE] else [])):
+    for line in (report.headline(), *report.sentences(), *([ADVICE] if report[importing.Note.VALUE] else [])):
         print_line(indent + line)

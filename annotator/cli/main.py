@@ -18,7 +18,7 @@ from annotator import __version__
 
 
 class Command(NamedTuple):
-    """A plain function, "module:function", that returns None or an exit code; its line in `annotator --help`.
+    """A plain function of `annotator.cli`, "module:function", that returns None or an exit code; its line in the help.
 
     tyro builds the command line from its signature and docstring.
     """
@@ -29,57 +29,49 @@ class Command(NamedTuple):
 
 # A name of two words is a command of a group.
 COMMANDS: dict[str, Command] = {
-    "new": Command("annotator.cli.project:run_new", "create a project"),
-    "add": Command("annotator.cli.add:run", "add recordings to a project"),
-    "inspect": Command("annotator.cli.inspect:run", "show what a recording contains"),
-    "import": Command("annotator.cli.import_boxes:run", "import 2D or 3D boxes from files"),
-    "simulate": Command(
-        "annotator.cli.annotate:run_simulate", "draw 2D boxes from ground truth with a simulated operator"
-    ),
-    "views": Command(
-        "annotator.cli.annotate:run_views", "write pseudo-views as images, to be labelled in another tool"
-    ),
-    "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
-    "annotate": Command("annotator.cli.annotate:run_annotate", "propose oriented 3D boxes"),
-    "lift": Command("annotator.cli.annotate:run_lift", "propose oriented 3D boxes from 2D boxes, without training"),
-    "track": Command("annotator.cli.tracks:run_track", "link the boxes of each object into tracks"),
-    "follow": Command("annotator.cli.tracks:run_follow", "follow reviewed boxes through a recording"),
-    "interpolate": Command("annotator.cli.tracks:run_interpolate", "fill the frames between a track's reviewed boxes"),
-    "export": Command("annotator.cli.export:run", "write the labels as a dataset"),
-    "evaluate": Command("annotator.cli.evaluate:run", "score boxes against ground truth, by a benchmark's protocol"),
-    "stats": Command("annotator.cli.stats:run", "show a project's progress"),
-    "serve": Command("annotator.cli.serve:serve", "start the workbench, a web page to draw and review boxes"),
-    "live": Command("annotator.cli.serve:live", "detect on a camera or on a recording as it plays, and show the boxes"),
-    "check": Command("annotator.cli.check:run", "find errors in a dataset, or suspicious labels in a project"),
-    "up": Command("annotator.cli.adjust:run_up", "show or set which way is up in a recording"),
-    "calibrate": Command("annotator.cli.adjust:run_calibrate", "show or correct where clouds lie relative to images"),
-    "project move": Command("annotator.cli.project:run_move", "set the new path of a moved recording"),
-    "project remove": Command("annotator.cli.project:run_remove", "remove a recording, or a whole project"),
-    "project rename": Command("annotator.cli.project:run_rename", "rename a project"),
-    "project backup": Command("annotator.cli.project:run_backup", "write a backup, also while a server runs"),
-    "project restore": Command("annotator.cli.project:run_restore", "make a project of a backup"),
-    "project verify": Command("annotator.cli.project:run_verify", "check whether a project is sound"),
-    "project repair": Command("annotator.cli.project:run_repair", "repair a project, or save what is readable"),
-    "project copy": Command(
-        "annotator.cli.project:run_copy", "copy a project, or take in one that somebody else has sent"
-    ),
-    "classes list": Command("annotator.cli.classes:show", "list classes, numbers of their boxes, and attributes"),
-    "classes add": Command("annotator.cli.classes:add", "add a class"),
-    "classes rename": Command("annotator.cli.classes:rename", "rename a class; its boxes follow"),
-    "classes merge": Command("annotator.cli.classes:merge", "give the boxes of classes to another class"),
-    "classes remove": Command("annotator.cli.classes:remove", "remove a class"),
-    "classes order": Command("annotator.cli.classes:order", "set the order of the classes"),
-    "classes style": Command("annotator.cli.classes:style", "set the colour and the key of a class"),
-    "classes attribute": Command("annotator.cli.classes:attribute", "add or change an attribute"),
-    "classes rename-attribute": Command("annotator.cli.classes:rename_attribute", "rename an attribute or a choice"),
-    "classes order-attributes": Command("annotator.cli.classes:order_attributes", "set the order of the attributes"),
-    "classes remove-attribute": Command("annotator.cli.classes:remove_attribute", "remove an attribute"),
-    "generate": Command("annotator.cli.demo:generate", "generate a synthetic recording with ground truth"),
-    "doctor": Command(
-        "annotator.cli.doctor:run", "report packages, devices and detector backends, and run a self-test"
-    ),
-    "demo": Command("annotator.cli.demo:demo", "run the whole loop on a generated recording"),
-    "completion": Command("annotator.cli.completion:run", "print a shell's completion script"),
+    "new": Command("project:run_new", "create a project"),
+    "add": Command("add:run", "add recordings to a project"),
+    "inspect": Command("inspect:run", "show what a recording contains"),
+    "import": Command("import_boxes:run", "import 2D or 3D boxes from files"),
+    "simulate": Command("annotate:run_simulate", "draw 2D boxes from ground truth with a simulated operator"),
+    "views": Command("annotate:run_views", "write pseudo-views as images, to be labelled in another tool"),
+    "train": Command("train:run", "train the two 2D detectors"),
+    "annotate": Command("annotate:run_annotate", "propose oriented 3D boxes"),
+    "lift": Command("annotate:run_lift", "propose oriented 3D boxes from 2D boxes, without training"),
+    "track": Command("tracks:run_track", "link the boxes of each object into tracks"),
+    "follow": Command("tracks:run_follow", "follow reviewed boxes through a recording"),
+    "interpolate": Command("tracks:run_interpolate", "fill the frames between a track's reviewed boxes"),
+    "export": Command("export:run", "write the labels as a dataset"),
+    "evaluate": Command("evaluate:run", "score boxes against ground truth, by a benchmark's protocol"),
+    "stats": Command("stats:run", "show a project's progress"),
+    "serve": Command("serve:serve", "start the workbench, a web page to draw and review boxes"),
+    "live": Command("serve:live", "detect on a camera or on a recording as it plays, and show the boxes"),
+    "check": Command("check:run", "find errors in a dataset, or suspicious labels in a project"),
+    "up": Command("adjust:run_up", "show or set which way is up in a recording"),
+    "calibrate": Command("adjust:run_calibrate", "show or correct where clouds lie relative to images"),
+    "project move": Command("project:run_move", "set the new path of a moved recording"),
+    "project remove": Command("project:run_remove", "remove a recording, or a whole project"),
+    "project rename": Command("project:run_rename", "rename a project"),
+    "project backup": Command("project:run_backup", "write a backup, also while a server runs"),
+    "project restore": Command("project:run_restore", "make a project of a backup"),
+    "project verify": Command("project:run_verify", "check whether a project is sound"),
+    "project repair": Command("project:run_repair", "repair a project, or save what is readable"),
+    "project copy": Command("project:run_copy", "copy a project, or take in one that somebody else has sent"),
+    "classes list": Command("classes:show", "list classes, numbers of their boxes, and attributes"),
+    "classes add": Command("classes:add", "add a class"),
+    "classes rename": Command("classes:rename", "rename a class; its boxes follow"),
+    "classes merge": Command("classes:merge", "give the boxes of classes to another class"),
+    "classes remove": Command("classes:remove", "remove a class"),
+    "classes order": Command("classes:order", "set the order of the classes"),
+    "classes style": Command("classes:style", "set the colour and the key of a class"),
+    "classes attribute": Command("classes:attribute", "add or change an attribute"),
+    "classes rename-attribute": Command("classes:rename_attribute", "rename an attribute or a choice"),
+    "classes order-attributes": Command("classes:order_attributes", "set the order of the attributes"),
+    "classes remove-attribute": Command("classes:remove_attribute", "remove an attribute"),
+    "generate": Command("demo:generate", "generate a synthetic recording with ground truth"),
+    "doctor": Command("doctor:run", "report packages, devices and detector backends, and run a self-test"),
+    "demo": Command("demo:demo", "run the whole loop on a generated recording"),
+    "completion": Command("completion:run", "print a shell's completion script"),
 }
 
 GROUPS: dict[str, str] = {
@@ -244,7 +236,7 @@ def _run(name: str, command: Command, words: list[str]) -> int:
 
 def load(command: Command) -> Callable[..., int | None]:
     module, _, function = command.target.partition(":")
-    target: Callable[..., int | None] = getattr(import_module(module), function)
+    target: Callable[..., int | None] = getattr(import_module(f"annotator.cli.{module}"), function)
     return target
 
 

@@ -6,20 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from annotator.cli.options import (
-    AsJson,
-    ModelsOption,
-    ProjectName,
-    Projects,
-    RecordingName,
-    Rotation,
-    Yes,
-    named_folder,
-    names_in,
-    no_project,
-    open_named,
-    projects_root,
-)
+from annotator.cli import options
 from annotator.cli.output import counted, print_json, print_line, require_yes
 from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
 from annotator.project.backup.archive import ModelChoice
@@ -38,8 +25,8 @@ def run_new(
     /,
     *,
     classes: tuple[str, ...],
-    rotation: Rotation[BoxRotation] = BoxRotation.AUTO,
-    projects: Projects = None,
+    rotation: options.Rotation[BoxRotation] = BoxRotation.AUTO,
+    projects: options.Projects = None,
 ) -> None:
     """Create a project.
 
@@ -48,7 +35,7 @@ def run_new(
         classes: classes to annotate, such as `hand`; several with spaces or commas between them.
     """
     settings = ProjectSettings(rotation=rotation)
-    with create_project(projects_root(projects), name, names_in(classes), settings=settings) as project:
+    with create_project(options.projects_root(projects), name, options.names_in(classes), settings=settings) as project:
         print_line(f"created {project.path} for {', '.join(project.config.classes)}")
         print_line(f"next: annotator add {name} PATH")
 
@@ -56,7 +43,9 @@ def run_new(
 MOVE_AUTHOR = "annotator project move"
 
 
-def run_move(project: ProjectName, recording: RecordingName, path: Path, /, *, projects: Projects = None) -> None:
+def run_move(
+    project: options.ProjectName, recording: options.RecordingName, path: Path, /, *, projects: options.Projects = None
+) -> None:
     """Set the new path of a moved recording. All its frames must be at the new path; labels and boxes are kept.
 
     A recording that was removed comes back with its labels.
@@ -64,7 +53,7 @@ def run_move(project: ProjectName, recording: RecordingName, path: Path, /, *, p
     Args:
         path: new path of the recording.
     """
-    with open_named(project, projects) as opened:
+    with options.open_named(project, projects) as opened:
         before = opened.recordings.find(recording, removed=True)
         now = move_recording(opened, before.id, path, MOVE_AUTHOR)
     new = now.frames - before.frames if before.removed_by is None else 0
@@ -76,7 +65,12 @@ REMOVE_AUTHOR = "annotator project remove"
 
 
 def run_remove(
-    project: ProjectName, recording: str | None = None, /, *, yes: Yes = False, projects: Projects = None
+    project: options.ProjectName,
+    recording: str | None = None,
+    /,
+    *,
+    yes: options.Yes = False,
+    projects: options.Projects = None,
 ) -> None:
     """Remove a recording from a project, or a whole project. Nothing is deleted.
 
@@ -89,7 +83,7 @@ def run_remove(
     if recording is None:
         _whole(project, yes, projects)
         return
-    with open_named(project, projects) as opened:
+    with options.open_named(project, projects) as opened:
         stored = opened.recordings.find(recording)
         labels = amount(opened.recordings.label_counts().get(stored.id, 0), "label")
         require_yes(f"Remove {recording} from {project}, with {labels}? Adding it again brings back its labels.", yes)
@@ -99,8 +93,8 @@ def run_remove(
     print_line(f"bring it back with: {words}" + (", and the options it was added with" if stored.options else ""))
 
 
-def _whole(name: str, yes: bool, projects: Projects) -> None:
-    folder = named_folder(name, projects)
+def _whole(name: str, yes: bool, projects: options.Projects) -> None:
+    folder = options.named_folder(name, projects)
     require_yes(f"Remove the project {name}{_content(folder)}? It is moved to {folder.parent / '.removed'}.", yes)
     aside = set_aside(folder)
     print_line(f"moved {folder} to {aside}; delete that folder to free its space")
@@ -117,13 +111,13 @@ def _content(folder: Path) -> str:
     return f" (recordings: {counts.recordings}, labels: {counts.labels.total})"
 
 
-def run_rename(project: ProjectName, new_name: str, /, *, projects: Projects = None) -> None:
+def run_rename(project: options.ProjectName, new_name: str, /, *, projects: options.Projects = None) -> None:
     """Rename a project and its folder. Its automatic backups go with it.
 
     Args:
         new_name: the new name.
     """
-    print_line(f"renamed {project} to {rename_project(named_folder(project, projects), new_name)}")
+    print_line(f"renamed {project} to {rename_project(options.named_folder(project, projects), new_name)}")
 
 
 # Files that a message lists.
@@ -131,12 +125,12 @@ MOST_NAMED = 5
 
 
 def run_backup(
-    project: ProjectName,
+    project: options.ProjectName,
     file: Path | None = None,
     /,
     *,
-    models: ModelsOption[ModelChoice] = ModelChoice.ALL,
-    projects: Projects = None,
+    models: options.ModelsOption[ModelChoice] = ModelChoice.ALL,
+    projects: options.Projects = None,
 ) -> None:
     """Write a backup of a project, as of one moment, while a server or a job may go on writing.
 
@@ -149,7 +143,7 @@ def run_backup(
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     out = Path(f"{project}-{moment}.zip") if file is None else file
     with counted("copying files") as progress:
-        backup = back_up(named_folder(project, projects), out, models, progress=progress)
+        backup = back_up(options.named_folder(project, projects), out, models, progress=progress)
     manifest = backup.manifest
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
     print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
@@ -164,7 +158,7 @@ def print_missing(names: Sequence[str]) -> None:
         print_line(f"the project lacks {amount(len(names), 'file')} of its pseudo-views or detectors: {files}")
 
 
-def run_restore(file: Path, name: str | None = None, /, *, projects: Projects = None) -> None:
+def run_restore(file: Path, name: str | None = None, /, *, projects: options.Projects = None) -> None:
     """Make a project of a backup. All of it is checked first; an existing project is never replaced.
 
     Args:
@@ -172,7 +166,7 @@ def run_restore(file: Path, name: str | None = None, /, *, projects: Projects = 
         name: name of the new project; default: that of the backup.
     """
     with counted("unpacking files") as progress:
-        path, manifest = restore(file, projects_root(projects), name, progress)
+        path, manifest = restore(file, options.projects_root(projects), name, progress)
     moment = datetime.fromtimestamp(manifest.created_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
     print_line(f"restored {path}: {labels}, {events}, as of {moment}")
@@ -182,7 +176,12 @@ FAULTY = 1
 
 
 def run_verify(
-    project: ProjectName, /, *, deep: bool = False, as_json: AsJson = False, projects: Projects = None
+    project: options.ProjectName,
+    /,
+    *,
+    deep: bool = False,
+    as_json: options.AsJson = False,
+    projects: options.Projects = None,
 ) -> int:
     """Check whether a project is sound: its database, and that its tables are exactly those of its version.
 
@@ -191,7 +190,7 @@ def run_verify(
     Args:
         deep: also replay all events and compare, and check the hashes of all images and detectors.
     """
-    folder = named_folder(project, projects)
+    folder = options.named_folder(project, projects)
     result = verify(folder, deep=deep)
     if result.problems or as_json:
         report_problems(result, folder, as_json)
@@ -213,7 +212,9 @@ def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
     print_line(f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can")
 
 
-def run_repair(project: ProjectName, new_name: str | None = None, /, *, projects: Projects = None) -> None:
+def run_repair(
+    project: options.ProjectName, new_name: str | None = None, /, *, projects: options.Projects = None
+) -> None:
     """Repair a project: make its present state anew from its events, after a backup.
 
     If the database is damaged, all that can be read goes into a new project, and the damaged one stays as it is.
@@ -221,7 +222,7 @@ def run_repair(project: ProjectName, new_name: str | None = None, /, *, projects
     Args:
         new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
     """
-    done = repair(named_folder(project, projects), new_name)
+    done = repair(options.named_folder(project, projects), new_name)
     events = amount(done.events, "event")
     if not done.is_new:
         print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
@@ -242,8 +243,8 @@ def run_copy(
     /,
     *,
     without_labels: bool = False,
-    models: ModelsOption[ModelChoice] = ModelChoice.ALL,
-    projects: Projects = None,
+    models: options.ModelsOption[ModelChoice] = ModelChoice.ALL,
+    projects: options.Projects = None,
 ) -> None:
     """Copy a project, or take in one that somebody else has sent, without trusting it.
 
@@ -254,7 +255,7 @@ def run_copy(
         name: name of the new project.
         without_labels: copy the recordings and the detectors only, no labels and boxes.
     """
-    root = projects_root(projects)
+    root = options.projects_root(projects)
     folder, is_sent = _folder(source, root)
     with counted("copying files") as progress:
         path = copy_project(folder, root, name, models, progress, labels=not without_labels, sent=is_sent)
@@ -274,5 +275,5 @@ def _folder(source: str, root: Path) -> tuple[Path, bool]:
     if len(places) == 2 and not places[0].samefile(places[1]):
         raise ConfigError(f"{source} is both a folder and a project; write ./{source} or {named}")
     if not places and not path.exists() and (named is None or not named.exists()):
-        raise ConfigError(f"{source}: no such folder, and {no_project(source, root)}")
+        raise ConfigError(f"{source}: no such folder, and {options.no_project(source, root)}")
     return (places[0], named not in places) if places else (path, True)

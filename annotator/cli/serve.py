@@ -5,18 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from annotator.cli.options import (
-    BackendOption,
-    Host,
-    Limit,
-    NoToken,
-    Port,
-    ProjectName,
-    Projects,
-    TokenFile,
-    open_named,
-    projects_root,
-)
+from annotator.cli import options
 from annotator.cli.output import print_line
 from annotator.detection.config import Backend
 from annotator.types.errors import ConfigError
@@ -28,13 +17,13 @@ def serve(
     /,
     *,
     folder: tuple[Path, ...] = (),
-    host: Host = "127.0.0.1",
-    port: Port = 8080,
-    token_file: TokenFile = None,
-    no_token: NoToken = False,
+    host: options.Host = "127.0.0.1",
+    port: options.Port = 8080,
+    token_file: options.TokenFile = None,
+    no_token: options.NoToken = False,
     open: bool = False,
     window: bool = False,
-    projects: Projects = None,
+    projects: options.Projects = None,
 ) -> None:
     """Start the workbench, a web page to draw, review and export boxes.
 
@@ -48,7 +37,7 @@ def serve(
     from annotator.web.security import ServerSettings, is_loopback, with_token
     from annotator.web.serve import serve
 
-    root = projects_root(projects)
+    root = options.projects_root(projects)
     missing = [str(path) for path in folder if not path.is_dir()]
     if missing:
         raise ConfigError(f"--folder {' '.join(missing)}: no such folder")
@@ -61,26 +50,26 @@ def serve(
 
 def first_page(name: str, root: Path) -> str:
     """The page to open first: review if the project has proposals, else label."""
-    with open_named(name, root) as project:
+    with options.open_named(name, root) as project:
         return f"{name}/review" if project.statistics().frames_with_proposals else f"{name}/label"
 
 
 def live(
-    project: ProjectName,
+    project: options.ProjectName,
     source: str,
     /,
     *,
-    backend: BackendOption[Backend] = "fastest",
+    backend: options.BackendOption[Backend] = "fastest",
     no_warm_start: bool = False,
     record: Path | None = None,
-    host: Host = "127.0.0.1",
-    port: Port = 8081,
-    token_file: TokenFile = None,
-    no_token: NoToken = False,
-    limit: Limit = None,
+    host: options.Host = "127.0.0.1",
+    port: options.Port = 8081,
+    token_file: options.TokenFile = None,
+    no_token: options.NoToken = False,
+    limit: options.Limit = None,
     loop: bool = False,
     rate: float | None = None,
-    projects: Projects = None,
+    projects: options.Projects = None,
 ) -> None:
     """Detect on live frames and show them: point cloud with 3D boxes, camera image, frame rate, latency.
 
@@ -99,11 +88,11 @@ def live(
     from annotator.web.security import ServerSettings, with_token
     from annotator.workflows.live.pipeline import summary_line
 
-    options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
-    settings = ServerSettings(projects_root(projects).resolve(), (), host, port)
+    chosen = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
+    settings = ServerSettings(options.projects_root(projects).resolve(), (), host, port)
     settings = with_token(settings, token_file, no_token=no_token)
-    with open_named(project, projects) as opened:
-        result = run_live(opened, options, settings, report=_to_stderr)
+    with options.open_named(project, projects) as opened:
+        result = run_live(opened, chosen, settings, report=_to_stderr)
     print_line(summary_line(result.figures))
     if record is not None:
         stored = result.stored

@@ -8,11 +8,10 @@ from tyro.conf import arg
 
 from annotator.cli.options import ProjectName, Projects, RecordingName, RecordingNames, open_named
 from annotator.cli.output import counted, print_line
-from annotator.project import Project
 from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_run import follow_recording
-from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate
+from annotator.workflows.tracks.interpolate import box_fitter, interpolate
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
@@ -120,14 +119,11 @@ def run_interpolate(
     """
     with open_named(project, projects) as opened:
         chosen = opened.recordings.find(recording).id
-        fit = _box_fitter(opened) if refit else None
+        source, fit = FrameSource(opened), None
+        if refit:
+            fit = box_fitter(opened, lambda frame: OpenFrame(source.read(frame)), ready_view(opened))
         done = interpolate(opened, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
     print_line(f"track {done.track_id}: {amount(len(done.filled), 'frame')} filled with proposals")
     if done.finalised or done.covered:
         finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")
         print_line(f"unchanged: {finalised}, {covered} where the object is already labelled")
-
-
-def _box_fitter(project: Project) -> FitBox:
-    source = FrameSource(project)
-    return box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))

@@ -17,16 +17,9 @@ from annotator.detection.training import TrainingProgress
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
+from annotator.workflows.training import train as training
 from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
-from annotator.workflows.training.train import (
-    IMAGE_DEFAULTS,
-    VIEW_DEFAULTS,
-    Trained,
-    TrainPlan,
-    image_defaults,
-    train,
-)
 
 
 def run(
@@ -37,9 +30,11 @@ def run(
     minutes: float | None = None,
     epochs: int | None = None,
     image_epochs: int | None = None,
-    size: Annotated[int | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.image_size_px})")] = None,
-    image_size: Annotated[int | None, arg(help_behavior_hint=f"(default: {IMAGE_DEFAULTS.image_size_px})")] = None,
-    model: Annotated[str | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.model})")] = None,
+    size: Annotated[int | None, arg(help_behavior_hint=f"(default: {training.VIEW_DEFAULTS.image_size_px})")] = None,
+    image_size: Annotated[
+        int | None, arg(help_behavior_hint=f"(default: {training.IMAGE_DEFAULTS.image_size_px})")
+    ] = None,
+    model: Annotated[str | None, arg(help_behavior_hint=f"(default: {training.VIEW_DEFAULTS.model})")] = None,
     weights: str = "auto",
     views: int = SampleConfig().views,
     seed: Seed = 0,
@@ -68,10 +63,13 @@ def run(
     shared = {"model": model, "pretrained": start, "seed": seed}
     with _errors_by_flag():
         samples = SampleConfig(views=views, seed=seed)
-    _check_minutes(minutes)
-    plan = TrainPlan(
-        image=_with(image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared),
-        view=_with(VIEW_DEFAULTS, of_image=False, epochs=epochs, image_size_px=size, **shared),
+    if minutes is not None and not 0 < minutes <= MOST_MINUTES:
+        raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
+    plan = training.TrainPlan(
+        image=_with(
+            training.image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared
+        ),
+        view=_with(training.VIEW_DEFAULTS, of_image=False, epochs=epochs, image_size_px=size, **shared),
         samples=samples,
         minutes=minutes,
     )
@@ -84,17 +82,12 @@ def run(
             done, total = (round(100 * step.share_done), 100) if step.is_timed else (step.epochs_done, step.epochs)
             bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
-        trained = train(opened, plan, roles=roles, progress=progress)
+        trained = training.train(opened, plan, roles=roles, progress=progress)
     for line in trained[0].learned:
         print_line(line)
     for result in trained:
         print_line(_summary(result))
     print_line(f"next: annotator annotate {project}")
-
-
-def _check_minutes(minutes: float | None) -> None:
-    if minutes is not None and not 0 < minutes <= MOST_MINUTES:
-        raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
 
 
 def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
@@ -112,13 +105,10 @@ def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
     except ValidationError as error:
         problem = error.errors()[0]
         allowed = problem["msg"].replace("Input should be", "must be")
-        flag = _flag(str(problem["loc"][0]), of_image)
+        setting = str(problem["loc"][0])
+        name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
+        flag = f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
         raise ConfigError(f"{flag} {allowed}, not {problem['input']}") from error
-
-
-def _flag(setting: str, of_image: bool) -> str:
-    name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
-    return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
 
 
 def _decision_lines(decision: Decision) -> list[str]:
@@ -133,7 +123,7 @@ def _note(step: TrainingProgress) -> str:
     return "" if step.map50_95 is None else f"mAP50-95 {step.map50_95:.2f}"
 
 
-def _summary(result: Trained) -> str:
+def _summary(result: training.Trained) -> str:
     figures = ", ".join(f"{name} {value:.3f}" for name, value in result.model.metrics.items())
     measured = f"on {result.result.metrics.measured_on} images"
     return "\n".join(

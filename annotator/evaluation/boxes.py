@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -31,16 +31,25 @@ def pairs_within(
     return rows, order[np.repeat(begin, count) + place_within(rows)]
 
 
+# Detections per pass, so that memory does not grow with the dataset.
+BLOCK = 20_000
+
+
+def blocks_within(
+    groups_a: Int[np.ndarray, "n"], groups_b: Int[np.ndarray, "m"]
+) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]]:
+    """Yields `pairs_within` in blocks of rows of the first table."""
+    for start in range(0, len(groups_a), BLOCK):
+        rows, columns = pairs_within(groups_a[start : start + BLOCK], groups_b)
+        yield rows + start, columns
+
+
 def place_within(groups: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     """The position of each row within its group, from 0; the rows of a group must be adjacent."""
     if len(groups) == 0:
         return np.zeros(0, np.int64)
     starts = np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1]]))
     return np.arange(len(groups)) - np.repeat(starts, np.diff(np.append(starts, len(groups))))
-
-
-# Detections per pass, so that memory does not grow with the dataset.
-BLOCK = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +127,7 @@ class BoxPairs:
 def overlapping(detections: BoxTable, truth: BoxTable) -> BoxPairs:
     """The overlapping pairs of two tables, regardless of class."""
     parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    for start in range(0, len(detections), BLOCK):
-        rows, columns = pairs_within(detections.frame[start : start + BLOCK], truth.frame)
-        rows += start
+    for rows, columns in blocks_within(detections.frame, truth.frame):
         near = _meet(detections, truth, rows, columns)
         rows, columns = rows[near], columns[near]
         iou = _iou(detections.take(rows), truth.take(columns))

@@ -12,60 +12,49 @@ the first candidate of each frame's first box, then its second candidate, and so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64, Shaped
 
-from annotator.evaluation.boxes import pairs_within, place_within
+from annotator.evaluation.boxes import BoxPairs, blocks_within, place_within
 from annotator.geometry.outline import rectangle_intersection_pairs
-
-
-@dataclass(frozen=True, eq=False)
-class Assignment:
-    """The result of the assignment, with one column per threshold.
-
-    Attributes:
-        pair: whether each pair was assigned.
-        truth: whether each true row got a detection.
-        detection: whether each detection was taken.
-    """
-
-    pair: Bool[np.ndarray, "p t"]
-    truth: Bool[np.ndarray, "g t"]
-    detection: Bool[np.ndarray, "d t"]
 
 
 def assign(
     truth: Int[np.ndarray, "p"],
     detection: Int[np.ndarray, "p"],
-    frame: Int[np.ndarray, "p"],
+    frames: Int[np.ndarray, "g"],
+    detections: int,
     preference: Sequence[Shaped[np.ndarray, "p"]],
     usable: Bool[np.ndarray, "p t"],
-) -> Assignment:
-    """Assigns detections to true rows.
+) -> tuple[Bool[np.ndarray, "p t"], Bool[np.ndarray, "g t"], Bool[np.ndarray, "d t"]]:
+    """Assigns detections to true rows, for each threshold (column).
 
     Args:
         truth, detection: row indices of the pairs that overlap enough, from 0. The true rows of a frame are processed
             in the order of their indices.
-        frame: frame of each pair.
+        frames: frame of each true row.
+        detections: number of detections.
         preference: sort keys of each true row's candidates, smallest first; the first array is the primary key.
         usable: whether the pair's detection passes each threshold.
+
+    Returns:
+        whether each pair was assigned, each true row got a detection, and each detection was taken.
     """
     columns = usable.shape[1]
     pair = np.zeros((len(truth), columns), bool)
-    served = np.zeros((truth.max(initial=-1) + 1, columns), bool)
-    taken = np.zeros((detection.max(initial=-1) + 1, columns), bool)
-    for step in _steps(truth, frame, preference):
+    served, taken = np.zeros((len(frames), columns), bool), np.zeros((detections, columns), bool)
+    for step in _steps(truth, frames[truth], preference):
         # one true row per frame, so no detection occurs twice in a step
         row, candidate = truth[step], detection[step]
         assigned = usable[step] & ~served[row] & ~taken[candidate]
         pair[step] = assigned
         served[row] |= assigned
         taken[candidate] |= assigned
-    return Assignment(pair, served, taken)
+    return pair, served, taken
 
 
 def _steps(
@@ -142,51 +131,26 @@ class KittiRows:
         return cls(frame, label, truncated, occluded, alpha, edges, size, bottom, numbers[:, 13], numbers[:, 14])
 
 
-# Detections per pass, so that memory does not grow with the dataset.
-BLOCK = 20_000
-
-
-@dataclass(frozen=True, eq=False)
-class Overlaps:
-    """The overlapping pairs, ordered by detection and then by truth.
-
-    Attributes:
-        detection, truth: row indices.
-        iou: of each pair, above 0.
-    """
-
-    detection: Int[np.ndarray, "p"]
-    truth: Int[np.ndarray, "p"]
-    iou: Float64[np.ndarray, "p"]
-
-
 Measure = Callable[[KittiRows, KittiRows], Float64[np.ndarray, "p"]]
 
 
 def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray, "n"]:
     """The largest share of each detection's 2D box that one of the areas (DontCare) covers; not an IoU."""
     share = np.zeros(len(detections))
-    for rows, columns in _blocks(detections, areas):
+    for rows, columns in blocks_within(detections.frame, areas.frame):
         a, b = detections.take(rows), areas.take(columns)
         inner, area = _intersection_2d(a, b), _area_2d(a)
         np.maximum.at(share, rows, np.divide(inner, area, out=np.zeros(len(area)), where=inner > 0))
     return share
 
 
-def _overlaps(detections: KittiRows, truth: KittiRows, measure: Measure) -> Overlaps:
+def _overlaps(detections: KittiRows, truth: KittiRows, measure: Measure) -> BoxPairs:
     parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    for rows, columns in _blocks(detections, truth):
+    for rows, columns in blocks_within(detections.frame, truth.frame):
         iou = measure(detections.take(rows), truth.take(columns))
         keep = iou > 0
         parts.append((rows[keep], columns[keep], iou[keep]))
-    return Overlaps(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def _blocks(a: KittiRows, b: KittiRows) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]]:
-    """All pairs of rows of the same frame, in blocks."""
-    for start in range(0, len(a), BLOCK):
-        rows, columns = pairs_within(a.frame[start : start + BLOCK], b.frame)
-        yield rows + start, columns
+    return BoxPairs(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _iou_2d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
@@ -368,7 +332,7 @@ class _ClassEvaluation:
     truth: KittiRows
     label: str
     needed: float
-    overlaps: Overlaps
+    overlaps: BoxPairs
     excused: Bool[np.ndarray, "d"]
 
     def curves(self, level: int) -> tuple[KittiCurve, KittiCurve]:
@@ -380,15 +344,17 @@ class _ClassEvaluation:
         rows, columns, iou = rows[enough], columns[enough], iou[enough]
         score, right = self.detections.score[rows], counts[columns] & valid[rows]
         # first pass, without a threshold: prefer the highest score, including small detections of any class
-        chosen, _, _ = self._assigned(rows, columns, (-score, rows), (score > NO_DETECTION)[:, None])
+        sides = (columns, rows, self.truth.frame, len(self.detections))
+        chosen, _, _ = assign(*sides, (-score, rows), (score > NO_DETECTION)[:, None])
         scores, objects = score[chosen[:, 0] & right], int(counts.sum())
         thresholds = score_thresholds(scores, objects)
         # second pass: prefer the largest overlap; small detections come last
         preference = (~valid[rows], np.where(valid[rows], -iou, 0.0), rows)
-        chosen, served, taken = self._assigned(rows, columns, preference, score[:, None] >= thresholds)
+        chosen, served, taken = assign(*sides, preference, score[:, None] >= thresholds)
         hits = chosen & right[:, None]
         similarity = 0.5 * (1.0 + np.cos(self.truth.alpha[columns] - self.detections.alpha[rows]))
-        wrong = self._wrong(valid & ~self.excused, taken, thresholds)
+        false = valid & ~self.excused
+        wrong = ((self.detections.score[false][:, None] >= thresholds) & ~taken[false]).sum(axis=0)
         detected, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
         recall = _share(detected, detected + missed)
         return (
@@ -414,28 +380,6 @@ class _ClassEvaluation:
         small = np.abs(self.detections.height_px) < MIN_HEIGHT_PX[level]
         of_class = self.detections.is_of(self.label)
         return of_class & ~small, of_class | small
-
-    def _assigned(
-        self,
-        rows: Int[np.ndarray, "p"],
-        columns: Int[np.ndarray, "p"],
-        preference: tuple[Shaped[np.ndarray, "p"], ...],
-        usable: Bool[np.ndarray, "p t"],
-    ) -> tuple[Bool[np.ndarray, "p t"], Bool[np.ndarray, "g t"], Bool[np.ndarray, "d t"]]:
-        """`assign` on the rows that occur in pairs; the result is expanded to all rows."""
-        paired_rows, row_numbers = np.unique(rows, return_inverse=True)
-        paired_columns, column_numbers = np.unique(columns, return_inverse=True)
-        assignment = assign(column_numbers, row_numbers, self.truth.frame[columns], preference, usable)
-        served = np.zeros((len(self.truth), usable.shape[1]), bool)
-        taken = np.zeros((len(self.detections), usable.shape[1]), bool)
-        served[paired_columns], taken[paired_rows] = assignment.truth, assignment.detection
-        return assignment.pair, served, taken
-
-    def _wrong(
-        self, valid: Bool[np.ndarray, "d"], taken: Bool[np.ndarray, "d t"], thresholds: Float64[np.ndarray, "t"]
-    ) -> Int[np.ndarray, "t"]:
-        above = self.detections.score[valid][:, None] >= thresholds
-        return np.asarray((above & ~taken[valid]).sum(axis=0))
 
 
 def score_thresholds(scores: Float64[np.ndarray, "k"], objects: int) -> Float64[np.ndarray, "t"]:

@@ -17,8 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
-from annotator.geometry.oriented_box import contains
-from annotator.types import OrientedBox, PointCloud
+from annotator.types import OrientedBox
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +116,7 @@ def pose_errors(boxes: BoxTable, truth: BoxTable) -> PoseErrors:
     )
 
 
-THRESHOLDS = (0.25, 0.5, 0.7)
+THRESHOLDS, SUNRGBD_THRESHOLDS = (0.25, 0.5, 0.7), (0.15, 0.25, 0.5)
 # Minimum IoU of pairs whose poses are compared; below it, angles are meaningless.
 POSE_IOU = 0.25
 
@@ -160,7 +159,14 @@ class OrientedResult:
 def evaluate_oriented(
     detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = THRESHOLDS
 ) -> OrientedResult:
-    """Evaluates the detections of all frames, class by class."""
+    """Evaluates the detections of all frames, class by class.
+
+    VoteNet intersects upright boxes. The exact intersection used here gives the same result for them, and is also
+    defined for tilted boxes.
+
+    Args:
+        detections: with scores; those in frames without a true box count as false positives.
+    """
     labels = np.unique(truth.label).tolist()
     return OrientedResult(
         {label: _class(detections.of_class(label), truth.of_class(label), thresholds) for label in labels}
@@ -256,69 +262,3 @@ def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
 def _table(boxes: Sequence[Sequence[OrientedBox]]) -> BoxTable:
     """A table of each frame's boxes, of one class."""
     return BoxTable.of((frame, "", box, 0.0) for frame, in_frame in enumerate(boxes) for box in in_frame)
-
-
-@dataclass(frozen=True)
-class MaskAgreement:
-    """Agreement of the points inside boxes with a point mask.
-
-    Attributes:
-        recall: share of the mask's points that lie in a box.
-        precision: share of the points in boxes that belong to the mask.
-    """
-
-    recall: float
-    precision: float
-
-
-def mask_agreement(boxes: Sequence[OrientedBox], cloud: PointCloud, of_object: Bool[np.ndarray, "n"]) -> MaskAgreement:
-    """Compares the points inside any box with the points of an object; (0, 0) without boxes."""
-    inside = np.zeros(len(cloud), bool)
-    for box in boxes:
-        inside |= contains(box, cloud.xyz_m)
-    both = int((inside & of_object).sum())
-    return MaskAgreement(both / max(int(of_object.sum()), 1), both / max(int(inside.sum()), 1))
-
-
-SUNRGBD_THRESHOLDS = (0.15, 0.25, 0.5)
-
-
-@dataclass(frozen=True)
-class SunRgbdResult:
-    """The curves by IoU threshold and class; classes without a true box are not evaluated.
-
-    Attributes:
-        objects, detections: number of true boxes and of detections, by class.
-    """
-
-    curves: Mapping[float, Mapping[str, PrecisionRecall]]
-    objects: Mapping[str, int]
-    detections: Mapping[str, int]
-
-    def mean(self, threshold: float) -> float:
-        """Mean average precision over the classes, 0..1; NaN without classes."""
-        areas = [curve.area for curve in self.curves[threshold].values()]
-        return float(np.mean(areas)) if areas else float("nan")
-
-
-def evaluate_sunrgbd(
-    detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = SUNRGBD_THRESHOLDS
-) -> SunRgbdResult:
-    """Evaluates the detections of all frames, class by class.
-
-    VoteNet intersects upright boxes. The exact intersection used here gives the same result for them, and is also
-    defined for tilted boxes.
-
-    Args:
-        detections: with scores; those in frames without a true box count as false positives.
-        truth: true boxes.
-    """
-    curves: dict[float, dict[str, PrecisionRecall]] = {threshold: {} for threshold in thresholds}
-    objects, numbers = {}, {}
-    for label in np.unique(truth.label).tolist():
-        detected, true = detections.of_class(label), truth.of_class(label)
-        objects[label], numbers[label] = len(true), len(detected)
-        pairs, counts = overlapping(detected, true), np.ones(len(true), bool)
-        for threshold in thresholds:
-            curves[threshold][label] = precision_recall(detected.score, pairs, counts, threshold)
-    return SunRgbdResult(curves, objects, numbers)

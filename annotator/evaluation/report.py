@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, RootModel
+from pydantic import BaseModel, RootModel
 
 from annotator.evaluation.kitti import DIFFICULTIES, SAMPLES, KittiCurve, KittiResult, Metric
-from annotator.evaluation.oriented import OrientedClass, OrientedResult, PrecisionRecall, SunRgbdResult
+from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, OrientedClass, OrientedResult, PrecisionRecall
 
 Row = tuple[str | int | float | None, ...]
 
@@ -52,61 +53,20 @@ class Report:
     notes: Sequence[str] = ()
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class KittiAp(_Record):
-    """Average precision at easy, moderate and hard, percent."""
-
-    R11: tuple[float, float, float]
-    R40: tuple[float, float, float]
-
-
-KittiContent = RootModel[dict[str, dict[Metric, KittiAp]]]
-
-
-class SunRgbdAp(_Record):
-    """Average precision at one IoU threshold, 0..1; null without classes."""
-
-    mAP: float | None
-    AP: dict[str, float]
-
-
-SunRgbdContent = RootModel[dict[str, SunRgbdAp]]
-
-
-class OrientedClassContent(_Record):
-    """The content of `OrientedClass`; null for values that could not be measured."""
-
-    AP: dict[str, float]
-    mean_iou: float
-    rotation_error_rad: float | None
-    size_error: float | None
-    center_error_m: float | None
-    objects: int
-    detections: int
-    matched: int
-
-
-class OrientedContent(_Record):
-    """Mean average precision at each IoU threshold, 0..1, and the classes."""
-
-    mAP: dict[str, float | None]
-    classes: dict[str, OrientedClassContent]
+Content = RootModel[dict[str, Any]]
 
 
 def kitti_report(result: KittiResult) -> Report:
     """R11 and R40, percent; one diagram per class and metric."""
     content = {
         label: {
-            metric: KittiAp(R11=_three(curves, "r11"), R40=_three(curves, "r40"))
+            metric: {"R11": [curve.r11 for curve in curves], "R40": [curve.r40 for curve in curves]}
             for metric, curves in by_metric.items()
         }
         for label, by_metric in result.curves.items()
     }
     rows: list[Row] = [
-        (label, m.value, *ap.R11, *ap.R40) for label, by_metric in content.items() for m, ap in by_metric.items()
+        (label, m.value, *ap["R11"], *ap["R40"]) for label, by_metric in content.items() for m, ap in by_metric.items()
     ]
     heads = [f"{name} {level}" for name in ("R11", "R40") for level in DIFFICULTIES]
     diagrams = [
@@ -114,42 +74,45 @@ def kitti_report(result: KittiResult) -> Report:
         for label, by_metric in result.curves.items()
         for m, curves in by_metric.items()
     ]
-    return Report(KittiContent(content), ["class", "metric", *heads], rows, diagrams)
+    return Report(Content(content), ["class", "metric", *heads], rows, diagrams)
 
 
-def sunrgbd_report(result: SunRgbdResult) -> Report:
-    """AP and final recall at each threshold; one diagram per threshold."""
-    content = {
-        f"{threshold:g}": SunRgbdAp(mAP=_or_none(result.mean(threshold)), AP={c: v.area for c, v in by_class.items()})
-        for threshold, by_class in result.curves.items()
+def sunrgbd_report(result: OrientedResult) -> Report:
+    """AP, 0..1, and final recall at each threshold; null without classes; one diagram per threshold."""
+    by_threshold = {
+        threshold: {label: one.curves[threshold] for label, one in result.classes.items()}
+        for threshold in SUNRGBD_THRESHOLDS
     }
-    thresholds = list(result.curves)
-    heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in thresholds]
+    content = {
+        f"{threshold:g}": {"mAP": _or_none(result.mean(threshold)), "AP": {c: v.area for c, v in curves.items()}}
+        for threshold, curves in by_threshold.items()
+    }
+    heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in by_threshold]
     rows: list[Row] = [
         (
             label,
-            count,
-            result.detections[label],
-            *(result.curves[threshold][label].area for threshold in thresholds),
-            *(result.curves[threshold][label].final_recall for threshold in thresholds),
+            one.objects,
+            one.detections,
+            *(curve.area for curve in one.curves.values()),
+            *(curve.final_recall for curve in one.curves.values()),
         )
-        for label, count in result.objects.items()
+        for label, one in result.classes.items()
     ]
-    rows.append(("mean", None, None, *map(result.mean, thresholds), *(None for _ in thresholds)))
+    rows.append(("mean", None, None, *map(result.mean, by_threshold), *(None for _ in by_threshold)))
     diagrams = [
-        Diagram(f"iou_{threshold:g}", f"IoU above {threshold:g}", "precision", _lines(by_class))
-        for threshold, by_class in result.curves.items()
+        Diagram(f"iou_{threshold:g}", f"IoU above {threshold:g}", "precision", _lines(curves))
+        for threshold, curves in by_threshold.items()
     ]
-    return Report(SunRgbdContent(content), ["class", "objects", "detections", *heads], rows, diagrams)
+    return Report(Content(content), ["class", "objects", "detections", *heads], rows, diagrams)
 
 
 def oriented_report(result: OrientedResult) -> Report:
     """AP, mean IoU and pose errors (degrees and percent in the table); one diagram per class."""
     thresholds = list(next(iter(result.classes.values())).curves) if result.classes else []
-    content = OrientedContent(
-        mAP={f"{threshold:g}": _or_none(result.mean(threshold)) for threshold in thresholds},
-        classes={label: _oriented_class(one) for label, one in result.classes.items()},
-    )
+    content = {
+        "mAP": {f"{threshold:g}": _or_none(result.mean(threshold)) for threshold in thresholds},
+        "classes": {label: _oriented_class(one) for label, one in result.classes.items()},
+    }
     heads = [f"AP {threshold:g}" for threshold in thresholds]
     rows: list[Row] = [
         (
@@ -170,12 +133,7 @@ def oriented_report(result: OrientedResult) -> Report:
         for label, one in result.classes.items()
     ]
     columns = ["class", "objects", "detections", *heads, "mean IoU", "rotation deg", "size %", "centre m"]
-    return Report(content, columns, rows, diagrams)
-
-
-def _three(curves: Iterable[KittiCurve], name: str) -> tuple[float, float, float]:
-    easy, moderate, hard = (float(getattr(curve, name)) for curve in curves)
-    return easy, moderate, hard
+    return Report(Content(content), columns, rows, diagrams)
 
 
 def _kitti_diagram(label: str, metric: Metric, curves: Iterable[KittiCurve]) -> Diagram:
@@ -192,17 +150,13 @@ def _lines(curves: Mapping[str, PrecisionRecall]) -> list[Line]:
     return [Line(f"{name} (AP {c.area:.3f})", c.recall, c.precision) for name, c in curves.items()]
 
 
-def _oriented_class(one: OrientedClass) -> OrientedClassContent:
-    return OrientedClassContent(
-        AP={f"{threshold:g}": curve.area for threshold, curve in one.curves.items()},
-        mean_iou=one.mean_iou,
-        rotation_error_rad=_or_none(one.rotation_error_rad),
-        size_error=_or_none(one.size_error),
-        center_error_m=_or_none(one.center_error_m),
-        objects=one.objects,
-        detections=one.detections,
-        matched=one.matched,
-    )
+def _oriented_class(one: OrientedClass) -> dict[str, Any]:
+    names = ("mean_iou", "rotation_error_rad", "size_error", "center_error_m")
+    return {
+        "AP": {f"{threshold:g}": curve.area for threshold, curve in one.curves.items()},
+        **{name: _or_none(getattr(one, name)) for name in names},
+        **{name: getattr(one, name) for name in ("objects", "detections", "matched")},
+    }
 
 
 def _or_none(value: float) -> float | None:

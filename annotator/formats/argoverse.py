@@ -42,22 +42,19 @@ def read_argoverse(path: Path) -> dict[int, list[Truth]]:
     quaternions = Quaternions()
     quaternions.add(rows[:, 3:7].ravel().tolist())
     quaternions.require(path)
+    norms = np.linalg.norm(rows[:, 3:7], axis=1)
+    if len(wrong := np.flatnonzero(~((norms > 0.5) & (norms < 2.0)))):
+        raise FormatError(path, f"row {wrong[0]}: {rows[wrong[0], 3:7].tolist()} is not a unit quaternion")
+    turns = Rotation.from_quat(rows[:, 3:7], scalar_first=True)
+    poses = RigidTransform.from_components(rows[:, :3], turns).as_matrix()
     tracks: dict[str, int] = {}
     boxes: dict[int, list[Truth]] = {}
     texts = zip(*(table[name].tolist() for name in ("timestamp_ns", "category", "track_uuid")), strict=True)
     for index, (time_ns, label, uuid) in enumerate(texts):
         track = tracks.setdefault(uuid, len(tracks))
         try:
-            box = _box(rows[index])
+            box = OrientedBox(poses[index].copy(), rows[index, 7:].copy())
         except ValueError as error:
             raise FormatError(path, f"row {index}: {error}") from error
         boxes.setdefault(time_ns, []).append(Truth(label, box, track))
     return boxes
-
-
-def _box(row: np.ndarray) -> OrientedBox:
-    if not 0.5 < np.linalg.norm(row[3:7]) < 2.0:
-        raise ValueError(f"{row[3:7].tolist()} is not a unit quaternion")
-    return OrientedBox.at(
-        RigidTransform.from_components(row[:3], Rotation.from_quat(row[3:7], scalar_first=True)), row[7:].copy()
-    )

@@ -3,7 +3,7 @@
     image,class,cx,cy,cz,l,w,h,yaw[,score]
 
 z up, metres, radians: centre, full sizes, and the direction of the length, counter-clockwise from +x seen from above.
-The frame is SUN RGB-D's "upright depth" (`sunrgbd_table.py`).
+The frame is SUN RGB-D's "upright depth" (`sunrgbd.py`).
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
-from annotator.formats.json_file import BoundedTrack, read_pairs, write_text
+from annotator.formats.reading import BoundedTrack, FileRecord, read_pairs, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -31,10 +31,8 @@ Vector = tuple[Number, Number, Number]
 CORNERS_AGREE_M = 2e-3
 
 
-class BoxEntry(BaseModel):
+class BoxEntry(FileRecord):
     """One object of one frame, as stored in the file."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     label: Annotated[str, Field(min_length=1)]
     center: Vector

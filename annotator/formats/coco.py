@@ -26,12 +26,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.json_file import read_model, write_text
-from annotator.formats.reading import OnFault, known_kind, raise_fault
+from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
@@ -71,11 +70,6 @@ class CocoImage:
     around: int = 0
 
 
-# Other fields of COCO files (licences, ...) are ignored.
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
 # Limit for pixel values; sums of such numbers stay finite.
 LARGEST = 1e9
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
@@ -85,12 +79,12 @@ Side = Annotated[int, Field(gt=0, le=LARGEST)]
 _POLYGONS: TypeAdapter[list[list[Number]]] = TypeAdapter(list[list[Number]])
 
 
-class _Category(_Part):
+class _Category(FileRecord):
     id: int
     name: str = Field(min_length=1)
 
 
-class _Image(_Part):
+class _Image(FileRecord):
     id: int
     file_name: str = Field(min_length=1)
     width: Side
@@ -99,7 +93,7 @@ class _Image(_Part):
     attributes: object = None
 
 
-class _Annotation(_Part):
+class _Annotation(FileRecord):
     id: int
     image_id: int
     category_id: int
@@ -113,7 +107,7 @@ class _Annotation(_Part):
     attributes: object = None
 
 
-class _File(_Part):
+class _File(FileRecord):
     images: tuple[_Image, ...]
     annotations: tuple[_Annotation, ...]
     categories: tuple[_Category, ...]

@@ -214,7 +214,11 @@ def write_dataset(
                 raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame is exported twice")
             known.add(place)
             count_lost(losses, item, format.loses)
-            _count_values(losses, item, format)
+            if not format.of_frames:
+                losses.add_values(item.attributes)
+            # a format that holds some values counts the others itself
+            if format.values == ():
+                losses.add_values(name for label in item.labels for name in label.attributes)
             writer.origins.append(FrameOrigin(writer.frame_id(item), *place, item.split))
             with writing(out):
                 writer.frame(item, writer.origins[-1].id)
@@ -250,14 +254,6 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Iterable[Lost]) -> None
     }
     for kind in kinds:
         losses.add(kind, int(counts[kind]))
-
-
-def _count_values(losses: Losses, item: DatasetItem, format: Format) -> None:
-    if not format.of_frames:
-        losses.add_values(item.attributes)
-    # a format that holds some values counts the others itself
-    if format.values == ():
-        losses.add_values(name for label in item.labels for name in label.attributes)
 
 
 @dataclass
@@ -350,7 +346,9 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
     Args:
         comment: the points' frame of reference, one line of ASCII.
     """
-    fields = _fields(cloud.rgb is not None, cloud.reflectance is not None)
+    fields = [(name, "<f4") for name in XYZ]
+    fields += [(name, "u1") for name in RGB if cloud.rgb is not None]
+    fields += [] if cloud.reflectance is None else [("reflectance", "<f4")]
     rows = np.empty(len(cloud), np.dtype(fields))
     for column, name in enumerate(XYZ):
         rows[name] = cloud.xyz_m[:, column]
@@ -359,28 +357,7 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
             rows[name] = cloud.rgb[:, column]
     if cloud.reflectance is not None:
         rows["reflectance"] = cloud.reflectance
-    with path.open("wb") as file:
-        file.write(_header(fields, len(cloud), comment))
-        file.write(rows.tobytes())
-
-
-def _fields(colour: bool, reflectance: bool) -> list[tuple[str, str]]:
-    """Returns the fields of a row as numpy names them."""
-    return (
-        [(name, "<f4") for name in XYZ]
-        + [(name, "u1") for name in RGB if colour]
-        + ([("reflectance", "<f4")] if reflectance else [])
-    )
-
-
-def _header(fields: list[tuple[str, str]], count: int, comment: str = CAMERA_FRAME) -> bytes:
     words = {"<f4": "float", "u1": "uchar"}
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {comment}",
-        f"element vertex {count}",
-        *(f"property {words[kind]} {name}" for name, kind in fields),
-        "end_header",
-    ]
-    return ("\n".join(lines) + "\n").encode("ascii")
+    head = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {len(cloud)}\n"
+    head += "".join(f"property {words[kind]} {name}\n" for name, kind in fields) + "end_header\n"
+    path.write_bytes(head.encode("ascii") + rows.tobytes())

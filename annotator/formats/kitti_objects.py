@@ -25,31 +25,12 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats import kitti_rows
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
-from annotator.formats.json_file import MOST
-from annotator.formats.kitti_rows import (
-    DECIMALS,
-    DONT_CARE,
-    FIELDS,
-    UNKNOWN_SIZES,
-    KittiLabel,
-    dont_care,
-    dump_label_line,
-    has_solid,
-    is_in_image,
-    label_frame,
-    parse_fields,
-    parse_label_line,
-    parse_tracking_fields,
-    rounded_box,
-    row_truth,
-    upright_box,
-    upright_row,
-)
 from annotator.formats.losses import Lost
-from annotator.formats.reading import read_text, text_files, text_rows
+from annotator.formats.reading import MOST, read_text, text_files, text_rows
 from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import straightened
@@ -75,10 +56,10 @@ class KittiRows:
     angles: Angles = field(default_factory=Angles)
     flat: Counter[str] = field(default_factory=Counter)
 
-    def truth(self, name: str, row: KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
+    def truth(self, name: str, row: kitti_rows.KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
         """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box."""
-        self.flat[name] += row.label != DONT_CARE and row.is_flat
-        return row_truth(row, track_id, None, file, line, self.angles) if has_solid(row) else None
+        self.flat[name] += row.label != kitti_rows.DONT_CARE and row.is_flat
+        return kitti_rows.row_truth(row, track_id, None, file, line, self.angles) if kitti_rows.has_solid(row) else None
 
 
 def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[Truth, ...]]]:
@@ -91,7 +72,7 @@ def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[
     """
     place = label_place(path)
     if place.is_file() and place.suffix == ".txt":
-        if any(len(fields) in (FIELDS, FIELDS + 1) for _, fields in text_rows(place)[:1]):
+        if any(len(fields) in (kitti_rows.FIELDS, kitti_rows.FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
         yield from _tracked(place, found).items()
         found.angles.require()
@@ -99,7 +80,7 @@ def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[
     dataset_names = DatasetNames.of(place)
     for stem, file, text in text_files(place, within=LABELS):
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
-        rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
+        rows = ((line, kitti_rows.parse_fields(fields, file, line)) for line, fields in lines)
         name = dataset_names.frame(stem)
         truths = (found.truth(name, row, None, file, line) for line, row in rows)
         yield name, tuple(replace(each, label=dataset_names.label(each.label)) for each in truths if each is not None)
@@ -129,7 +110,7 @@ def _tracked(file: Path, found: KittiRows) -> Frames:
     """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
     frames: dict[str, list[Truth]] = {}
     for line, fields in text_rows(file):
-        number, track_id, row = parse_tracking_fields(fields, file, line)
+        number, track_id, row = kitti_rows.parse_tracking_fields(fields, file, line)
         name = f"{number:06d}"
         objects = frames.setdefault(name, [])
         if (truth := found.truth(name, row, track_id, file, line)) is not None:
@@ -176,7 +157,7 @@ def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
     raise FormatError(path, "has no P2")
 
 
-def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel, ...]]:
+def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[kitti_rows.KittiLabel, ...]]:
     """Returns the rows of every frame, by the file's stem, in file order.
 
     Args:
@@ -186,20 +167,20 @@ def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel
     return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
 
 
-def read_kitti_file(path: Path, *, scored: bool) -> tuple[KittiLabel, ...]:
+def read_kitti_file(path: Path, *, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
     """Returns the rows of one frame; arguments and errors as in `read_kitti_folder`."""
     return _rows(read_text(path), path, scored)
 
 
-def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
+def _rows(text: str, file: Path, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
     lines, angles = enumerate(text.splitlines(), 1), Angles()
     rows = tuple(_row(line, file, number, scored, angles) for number, line in lines if line.strip())
     angles.require()
     return rows
 
 
-def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> KittiLabel:
-    row = parse_label_line(text, file, line)
+def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> kitti_rows.KittiLabel:
+    row = kitti_rows.parse_label_line(text, file, line)
     if scored and row.score is None:
         raise FormatError(
             file,
@@ -213,10 +194,10 @@ def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> Kitt
             file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
         )
     size = (row.height, row.width, row.length)
-    if min(size) <= 0 and size not in UNKNOWN_SIZES and row.label != DONT_CARE:
+    if min(size) <= 0 and size not in kitti_rows.UNKNOWN_SIZES and row.label != kitti_rows.DONT_CARE:
         height, width, length = size
         raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
-    if has_solid(row):
+    if kitti_rows.has_solid(row):
         angles.radians(row.rotation_y, file, line)
     return row
 
@@ -234,7 +215,7 @@ class KittiWriter(DatasetWriter):
     """Writes an object folder. KITTI's own recordings keep their DontCare areas."""
 
     def begin(self) -> None:
-        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.words = ClassWords(self.info.classes, reserved=(kitti_rows.DONT_CARE,))
         self.ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places])
         for name in PARTS:
             (self.folder / TRAINING / name).mkdir(parents=True)
@@ -249,8 +230,8 @@ class KittiWriter(DatasetWriter):
                 f"KITTI's parts are called {', '.join(SPLITS)}, not {item.split}; split the dataset with "
                 "--split train=0.8,val=0.2"
             )
-        rows = [dump_label_line(row) for _, row in self.rows(item)]
-        rows += [dump_label_line(dont_care(edges)) for edges in item.unlabelled]
+        rows = [kitti_rows.dump_label_line(row) for _, row in self.rows(item)]
+        rows += [kitti_rows.dump_label_line(kitti_rows.dont_care(edges)) for edges in item.unlabelled]
         training = self.folder / TRAINING
         (training / "label_2" / f"{frame_id}.txt").write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
         calibration = self.files(item.frame, training / "image_2" / frame_id, training / "velodyne" / frame_id)
@@ -259,7 +240,7 @@ class KittiWriter(DatasetWriter):
     def files(self, frame: Frame, image: Path, scan: Path) -> str:
         """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
         camera, rgb = straightened(frame.camera, frame.rgb)
-        T = label_frame(frame)
+        T = kitti_rows.label_frame(frame)
         image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb, "png"))
         scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
         return calibration_text(camera, T)
@@ -277,7 +258,7 @@ class KittiWriter(DatasetWriter):
             )
         self.words.write(self.folder)
 
-    def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, KittiLabel]]:
+    def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, kitti_rows.KittiLabel]]:
         """Yields the labels inside the image with their rows, and counts boxes and losses.
 
         All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
@@ -288,10 +269,10 @@ class KittiWriter(DatasetWriter):
         """
         sight, losses = Sight(item.frame.cloud.xyz_m), self.losses
         for label in item.labels:
-            upright, tilt_rad = upright_box(label.box, item.frame)
-            rounded = rounded_box(upright)
-            row = upright_row(self.words[label.label], rounded, None, item.frame, sight, label.attributes)
-            if not is_in_image(row):
+            upright, tilt_rad = kitti_rows.upright_box(label.box, item.frame)
+            rounded = kitti_rows.rounded_box(upright)
+            row = kitti_rows.upright_row(self.words[label.label], rounded, None, item.frame, sight, label.attributes)
+            if not kitti_rows.is_in_image(row):
                 losses.add(Lost.OUTSIDE)
                 continue
             losses.add_tilt(tilt_rad)
@@ -312,7 +293,7 @@ def _approximated(held: Mapping[str, float], levels: bool) -> Iterator[str]:
             # only "not truncated" is read again as a share
             if value != 0:
                 yield f"{name}, as a level"
-        elif round(value, DECIMALS) != value:
+        elif round(value, kitti_rows.DECIMALS) != value:
             yield f"{name}, rounded"
 
 

@@ -44,14 +44,12 @@ DONT_CARE = "DontCare"
 FIELDS = 15
 DECIMALS = 2
 TRACKING_FIELDS = 2
-# Levels of truncation in tracking files: not, partly, largely outside the image.
-INSIDE, PARTLY_OUTSIDE, LARGELY_OUTSIDE = 0, 1, 2
 # Share outside the image above which an object is partly and largely truncated (docs/formats.md).
 PARTLY_OUTSIDE_SHARE, LARGELY_OUTSIDE_SHARE = 0.5, 0.9
 # The sizes in rows without a 3D box.
 UNKNOWN_SIZES = ((-1.0, -1.0, -1.0), (0.0, 0.0, 0.0))
-# those that are not a fraction, too
-LEVELS_ALONE = tuple(str(level) for level in (PARTLY_OUTSIDE, LARGELY_OUTSIDE))
+# Levels of truncation in tracking files: 0 not, 1 partly, 2 largely outside the image; a fraction has decimals.
+LEVELS_ALONE = ("1", "2")
 
 
 @dataclass(frozen=True)
@@ -132,15 +130,8 @@ def dump_tracking_line(frame: int, track_id: int, row: KittiLabel) -> str:
     """Returns a row of a tracking file as text; arguments as in `dump_label_line`. Truncation is written as a level."""
     label, truncated, rest = dump_label_line(row).split(" ", 2)
     if row.label != DONT_CARE:
-        truncated = str(truncation_level(row.truncated))
+        truncated = str(sum(int(row.truncated > share) for share in (PARTLY_OUTSIDE_SHARE, LARGELY_OUTSIDE_SHARE)))
     return f"{frame} {track_id} {label} {truncated} {rest}"
-
-
-def truncation_level(share: float) -> int:
-    """Returns the level of truncation of an object, a share of which is outside the image."""
-    if share <= PARTLY_OUTSIDE_SHARE:
-        return INSIDE
-    return PARTLY_OUTSIDE if share <= LARGELY_OUTSIDE_SHARE else LARGELY_OUTSIDE
 
 
 def _decimal(value: float) -> str:
@@ -208,7 +199,9 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
     KITTI's own tracking files have levels of truncation, the whole numbers 0, 1 and 2, where other files have a
     fraction with decimals (KITTI tracking devkit, readme.txt). The fraction of levels 1 and 2 is unknown.
     """
-    frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
+    if len(fields) < TRACKING_FIELDS + FIELDS:
+        raise FormatError(path, f"a tracking row has {TRACKING_FIELDS + FIELDS} fields, not {len(fields)}", line)
+    frame, track_id = (_integer(field, path, line) for field in fields[:TRACKING_FIELDS])
     if max(abs(frame), abs(track_id)) > MOST_TRACK:
         raise FormatError(
             path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line
@@ -216,12 +209,6 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
     row = parse_fields(fields[TRACKING_FIELDS:], path, line)
     is_level = fields[TRACKING_FIELDS + 1] in LEVELS_ALONE
     return frame, track_id, replace(row, truncated=-1.0) if is_level else row
-
-
-def _leading(fields: list[str], path: Path, line: int) -> list[str]:
-    if len(fields) < TRACKING_FIELDS + FIELDS:
-        raise FormatError(path, f"a tracking row has {TRACKING_FIELDS + FIELDS} fields, not {len(fields)}", line)
-    return fields[:TRACKING_FIELDS]
 
 
 def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
@@ -278,7 +265,7 @@ def row_truth(
 
 
 OUTSIDE_IMAGE = (0.0, 0.0, 0.0, 0.0)
-VISIBLE, PARTLY_HIDDEN, LARGELY_HIDDEN, UNKNOWN = 0, 1, 2, 3
+VISIBLE, UNKNOWN = 0, 3
 # Hidden fraction above which an object is partly and largely hidden.
 PARTLY_SHARE, LARGELY_SHARE = 0.1, 0.55
 # Points closer than this to the front of a box, as a fraction of its mean side, do not count as hiding it: they are the
@@ -371,9 +358,7 @@ def occlusion(box: OrientedBox, sight: Sight) -> int:
     hidden = sight.hidden(box, MARGIN * float(np.cbrt(box.volume_m3)))
     if hidden.rays < LEAST_RAYS:
         return UNKNOWN
-    if hidden.share <= PARTLY_SHARE:
-        return VISIBLE
-    return PARTLY_HIDDEN if hidden.share <= LARGELY_SHARE else LARGELY_HIDDEN
+    return int(hidden.share > PARTLY_SHARE) + int(hidden.share > LARGELY_SHARE)
 
 
 # Near plane of the projection, metres along z of the labels' frame.

@@ -21,21 +21,21 @@ readme.txt). P2 may shift rectified camera 0 to the colour camera: P2 = K [I | t
 from __future__ import annotations
 
 import colorsys
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, read_model
-from annotator.formats.reading import OnFault, raise_fault, text_rows
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
@@ -48,34 +48,22 @@ CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class Axes(_Record):
-    """One value per axis: metres, or angles."""
-
-    x: Bounded
-    y: Bounded
-    z: Bounded
-
-
-class Dimensions(_Record):
+class Dimensions(reading.FileRecord):
     """Full sizes along the box's own x, y, z; metres."""
 
-    length: BoundedPositive
-    width: BoundedPositive
-    height: BoundedPositive
+    length: reading.BoundedPositive
+    width: reading.BoundedPositive
+    height: reading.BoundedPositive
 
 
-class BoxObject(_Record):
+class BoxObject(reading.FileRecord):
     """A labelled box: centre, sizes and angles, or its corners."""
 
     name: Annotated[str, Field(min_length=1)]
-    centroid: Axes | None = None
+    centroid: reading.Axes | None = None
     dimensions: Dimensions | None = None
-    rotations: Axes | None = None
-    vertices: Annotated[tuple[Bounded3, ...], Field(min_length=8, max_length=8)] | None = None
+    rotations: reading.Axes | None = None
+    vertices: Annotated[tuple[reading.Bounded3, ...], Field(min_length=8, max_length=8)] | None = None
 
     @model_validator(mode="after")
     def _is_a_box(self) -> BoxObject:
@@ -84,7 +72,7 @@ class BoxObject(_Record):
         return self
 
 
-class LabelFile(_Record):
+class LabelFile(reading.FileRecord):
     """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
 
     folder: str = ""
@@ -93,29 +81,10 @@ class LabelFile(_Record):
     objects: tuple[BoxObject, ...]
 
 
-class ClassEntry(_Record):
-    """A class with its number and colour (#rrggbb)."""
+class ClassesFile(reading.FileRecord):
+    """The box form of all label files; the classes of a file are not read."""
 
-    name: str
-    id: int
-    color: str
-
-
-class Creator(_Record):
-    """The program that wrote a file."""
-
-    name: str
-    version: str
-
-
-class ClassesFile(_Record):
-    """The classes, and the box form of all label files."""
-
-    classes: tuple[ClassEntry, ...]
-    default: int = 0
-    type: Literal["object_detection", "semantic_segmentation"] = "object_detection"
     format: str = CENTROID_REL
-    created_with: Creator | None = None
 
 
 DECIMALS = 8
@@ -234,9 +203,9 @@ def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
     return box
 
 
-def _axes(values: Float64[np.ndarray, "3"]) -> Axes:
+def _axes(values: Float64[np.ndarray, "3"]) -> reading.Axes:
     x, y, z = map(_rounded, values.tolist())
-    return Axes(x=x, y=y, z=z)
+    return reading.Axes(x=x, y=y, z=z)
 
 
 def _rounded(value: float) -> float:
@@ -266,7 +235,7 @@ def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
 def read_calibration_pose(path: Path) -> RigidTransform:
     """Returns T_camera_cloud of a file."""
     matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
-    for line, (head, *words) in text_rows(path):
+    for line, (head, *words) in reading.text_rows(path):
         name = head.rstrip(":")
         shape = SHAPES.get(name)
         if shape is None:
@@ -275,8 +244,8 @@ def read_calibration_pose(path: Path) -> RigidTransform:
             matrix = np.array([to_number(word) for word in words]).reshape(shape)
         except ValueError as error:
             raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers: {error}", line) from error
-        if not (np.abs(matrix) <= MOST).all():
-            raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
+        if not (np.abs(matrix) <= reading.MOST).all():
+            raise FormatError(path, f"{name} must be finite and at most {reading.MOST:g}", line)
         matrices[name] = matrix
     if missing := [name for name in SHAPES if name not in matrices]:
         raise FormatError(path, f"has no {' and no '.join(missing)}")
@@ -335,9 +304,14 @@ def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
 
 def _classes(names: Sequence[str], form: str, version: str) -> str:
     """Returns the text of `_classes.json`; labelCloud needs at least one class."""
-    entries = tuple(ClassEntry(name=name, id=number, color=_color(number)) for number, name in enumerate(names))
-    content = ClassesFile(classes=entries, format=form, created_with=Creator(name="annotator", version=version))
-    return content.model_dump_json(indent=1) + "\n"
+    content = {
+        "classes": [{"name": name, "id": number, "color": _color(number)} for number, name in enumerate(names)],
+        "default": 0,
+        "type": "object_detection",
+        "format": form,
+        "created_with": {"name": "annotator", "version": version},
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _color(number: int) -> str:
@@ -359,7 +333,7 @@ class LabelCloudFrame:
 
 
 def read_labelcloud(
-    path: Path, on_fault: OnFault = raise_fault, angles: AngleUnit | None = None
+    path: Path, on_fault: reading.OnFault = reading.raise_fault, angles: AngleUnit | None = None
 ) -> dict[str, LabelCloudFrame]:
     """Returns the labels of a project folder with all its parts, or of a folder of label files, by frame name.
 
@@ -381,7 +355,7 @@ def read_labelcloud(
 
 def read_labelcloud_file(file: Path) -> LabelCloudFrame:
     """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
-    content = read_model(file, LabelFile)
+    content = reading.read_model(file, LabelFile)
     degrees = _degrees(file.parent, {file: content})
     try:
         return LabelCloudFrame(tuple(Truth(entry.name, box_of(entry, degrees)) for entry in content.objects), None)
@@ -403,11 +377,13 @@ def _label_files(folder: Path) -> Iterator[Path]:
     return (file for file in sorted(folder.glob("*.json")) if file.name != CLASSES_FILE)
 
 
-def _read_folder(folder: Path, angles: AngleUnit | None, on_fault: OnFault) -> Iterator[tuple[str, LabelCloudFrame]]:
+def _read_folder(
+    folder: Path, angles: AngleUnit | None, on_fault: reading.OnFault
+) -> Iterator[tuple[str, LabelCloudFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
         try:
-            files[file] = read_model(file, LabelFile)
+            files[file] = reading.read_model(file, LabelFile)
         except FormatError as fault:
             on_fault(fault)
     degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
@@ -441,7 +417,7 @@ def _pose_for(objects: Sequence[Truth], file: Path) -> RigidTransform:
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
     """True for angles in degrees: from the folder's `_classes.json`, else from the range of all its angles."""
     classes = folder / CLASSES_FILE
-    form = read_model(classes, ClassesFile).format if classes.is_file() else None
+    form = reading.read_model(classes, ClassesFile).format if classes.is_file() else None
     angles = [
         angle
         for content in files.values()

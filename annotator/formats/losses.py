@@ -68,50 +68,41 @@ LEAST_ROUNDING_M = 1e-6
 # A box with a smaller tilt counts as upright, radians: angles in files are rounded to two to six decimals.
 LEAST_TILT_RAD = 1e-3
 
-# The noun of what is counted, with its verb: for one, for several, and the rest of the line.
+# What is counted: {for one|for several} and the rest of the line.
 _WORDS = {
-    Lost.TILT: (
-        "box is tilted; the nearest upright one was",
-        "boxes are tilted; the nearest upright ones were",
-        "written",
-    ),
-    Lost.SCORE: ("box has", "boxes have", "a score"),
-    Lost.TRACK: ("box has", "boxes have", "a track id"),
+    Lost.TILT: "{box is tilted; the nearest upright one was|boxes are tilted; the nearest upright ones were} written",
+    Lost.SCORE: "{box has|boxes have} a score",
+    Lost.TRACK: "{box has|boxes have} a track id",
     Lost.STATE: (
-        "box was not reviewed or was",
-        "boxes were not reviewed or were",
-        "corrected, which the format cannot store",
+        "{box was not reviewed or was|boxes were not reviewed or were} corrected, which the format cannot store"
     ),
-    Lost.LENS: ("frame has", "frames have", "lens distortion; images were rectified to an ideal camera"),
-    Lost.DEPTH_COLOR: ("cloud has", "clouds have", "colours"),
-    Lost.REFLECTANCE: ("cloud has", "clouds have", "reflectances"),
-    Lost.OUTSIDE: ("box is outside the image and was", "boxes are outside the image and were", "left out"),
-    Lost.NAME: ("box has", "boxes have", "a class name that was written with other characters"),
-    Lost.TIME: ("frame has", "frames have", "a capture time"),
+    Lost.LENS: "{frame has|frames have} lens distortion; images were rectified to an ideal camera",
+    Lost.DEPTH_COLOR: "{cloud has|clouds have} colours",
+    Lost.REFLECTANCE: "{cloud has|clouds have} reflectances",
+    Lost.OUTSIDE: "{box is outside the image and was|boxes are outside the image and were} left out",
+    Lost.NAME: "{box has|boxes have} a class name that was written with other characters",
+    Lost.TIME: "{frame has|frames have} a capture time",
     Lost.SOLID: (
-        "box is a 3D box; the 2D box around its projection was",
-        "boxes are 3D boxes; the 2D boxes around their projections were",
-        "written",
+        "{box is a 3D box; the 2D box around its projection was|boxes are 3D boxes; the 2D boxes around their "
+        "projections were} written"
     ),
     Lost.KIND: (
-        "box is a projected 3D box",
-        "boxes are projected 3D boxes",
-        "on images whose other boxes are drawn around what is seen",
+        "{box is a projected 3D box|boxes are projected 3D boxes} on images whose other boxes are drawn around what is "
+        "seen"
     ),
-    Lost.SAME: ("box or image is a duplicate and was", "boxes or images are duplicates and were", "left out"),
+    Lost.SAME: "{box or image is a duplicate and was|boxes or images are duplicates and were} left out",
     Lost.OPEN: (
-        "image with reviewed boxes also has unreviewed proposals and was",
-        "images with reviewed boxes also have unreviewed proposals and were",
-        "left out",
+        "{image with reviewed boxes also has unreviewed proposals and was|images with reviewed boxes also have "
+        "unreviewed proposals and were} left out"
     ),
-    Lost.GRAVITY: ("frame has", "frames have", "a gravity direction other than the image's downward direction"),
-    Lost.LEVEL: ("frame has", "frames have", "no known gravity direction; the image's downward direction was used"),
-    Lost.ROUNDED: ("box was", "boxes were", "rounded"),
-    Lost.CUT: ("frame has", "frames have", "a scan with points outside the camera's view, which were left out"),
-    Lost.ATTRIBUTE: ("attribute value", "attribute values", "cannot be stored in this format"),
-    Lost.SAID: ("box was", "boxes were", "proposed by other software; this format cannot store which one"),
-    Lost.ORIGIN: ("frame has", "frames have", "a place in a map; boxes and points were written relative to the camera"),
-    Lost.UNREADABLE: ("frame cannot be read and was", "frames cannot be read and were", "left out"),
+    Lost.GRAVITY: "{frame has|frames have} a gravity direction other than the image's downward direction",
+    Lost.LEVEL: "{frame has|frames have} no known gravity direction; the image's downward direction was used",
+    Lost.ROUNDED: "{box was|boxes were} rounded",
+    Lost.CUT: "{frame has|frames have} a scan with points outside the camera's view, which were left out",
+    Lost.ATTRIBUTE: "{attribute value|attribute values} cannot be stored in this format",
+    Lost.SAID: "{box was|boxes were} proposed by other software; this format cannot store which one",
+    Lost.ORIGIN: "{frame has|frames have} a place in a map; boxes and points were written relative to the camera",
+    Lost.UNREADABLE: "{frame cannot be read and was|frames cannot be read and were} left out",
 }
 
 
@@ -170,14 +161,12 @@ class Losses:
 
     def _line(self, kind: Lost) -> Loss:
         count = self._counts[kind]
-        one, several, rest = _WORDS[kind]
-        message = f"{amount(count, one, several)} {rest}"
+        several, rest = _WORDS[kind][1:].split("} ", 1)
+        message, most = f"{amount(count, *several.split('|'))} {rest}", None
         if kind is Lost.ROUNDED:
-            most = f" (corners move by up to {self._rounding_m * 1000:.2g} mm)"
-            return Loss(kind=kind, count=count, message=message + most, most=self._rounding_m)
-        if kind is Lost.ATTRIBUTE:
+            message, most = f"{message} (corners move by up to {self._rounding_m * 1000:.2g} mm)", self._rounding_m
+        elif kind is Lost.TILT:
+            message, most = f"{message} (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)", self._tilt_rad
+        elif kind is Lost.ATTRIBUTE:
             message += f" ({', '.join(f'{number} {name}' for name, number in sorted(self._values.items()))})"
-        if kind is not Lost.TILT:
-            return Loss(kind=kind, count=count, message=message)
-        most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
-        return Loss(kind=kind, count=count, message=message + most, most=self._tilt_rad)
+        return Loss(kind=kind, count=count, message=message, most=most)

@@ -15,19 +15,19 @@ frame, by the tokens of their samples. Trackers write `tracking_name`, `tracking
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, RootModel, ValidationError
+from pydantic import AliasChoices, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats import reading
 from annotator.formats.attributes import VISIBILITY, from_dotted
-from annotator.formats.frame_names import FrameOrigin, read_frames
-from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack, read_model, read_pairs
-from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.frame_names import read_frames
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import Quaternions
@@ -50,8 +50,8 @@ from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import first_problem
 
-Vector3 = Bounded3
-Quaternion = Bounded4
+Vector3 = reading.Bounded3
+Quaternion = reading.Bounded4
 
 
 class Category(Record):
@@ -82,7 +82,7 @@ class Instance(Record):
     nbr_annotations: int
     first_annotation_token: str
     last_annotation_token: str
-    track_id: BoundedTrack | None = None
+    track_id: reading.BoundedTrack | None = None
 
 
 class Log(Record):
@@ -102,7 +102,7 @@ class SampleAnnotation(Linked):
     visibility_token: str = ""
     attribute_tokens: tuple[str, ...] = ()
     translation: Vector3
-    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
     num_lidar_pts: int = 0
     num_radar_pts: int = 0
@@ -160,7 +160,7 @@ NEAREST_M = 0.1
 Row = TypeVar("Row", bound=Record)
 
 
-def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[Truth, ...]]:
+def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -> dict[str, tuple[Truth, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
     With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the dataset has a
@@ -173,20 +173,28 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     """
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
-    labels = _Labels(folder)
-    require_w_first(folder, labels.annotations(), labels.instances)
+    boxes = _boxes(folder, _rows(folder / ANNOTATIONS, SampleAnnotation), on_fault)
     frames: dict[str, tuple[Truth, ...]] = {}
-    for index, row in enumerate(labels.data.values()):
-        if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
+    for stem, row, camera, T_global_camera in _camera_images(folder):
+        if not row.is_key_frame:
             continue
-        stem = normal(stem_of(row.filename))
         name = origins[stem].name if stem in origins else stem
         if name in frames:
             raise FormatError(
                 folder / "sample_data.json",
-                f"row {index}: a second camera image is called {name}; file names must be unique",
+                f"row {row.token}: a second camera image is called {name}; file names must be unique",
             )
-        frames[name] = tuple(labels.boxes(index, row, origins, on_fault))
+        T_camera_global, K, found = T_global_camera.inv(), np.array(camera.camera_intrinsic), list[Truth]()
+        for truth in boxes.get(row.sample_token, ()):
+            try:
+                box = truth.box.transformed(T_camera_global)
+            except ValueError as error:
+                on_fault(FormatError(folder / ANNOTATIONS, f"a box of the sample {row.sample_token}: {error}"))
+                continue
+            # an export has one camera, which has all boxes
+            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
+                found.append(replace(truth, box=box))
+        frames[name] = tuple(found)
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return frames
@@ -195,16 +203,9 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
 def read_world_poses(path: Path) -> dict[str, RigidTransform]:
     """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates."""
     folder = _table_folder(path)
-    origins = read_frames(folder.parent)
-    if not origins:
+    if not (origins := read_frames(folder.parent)):
         return {}
-    labels = _Labels(folder)
-    stems = ((normal(stem_of(row.filename)), index, row) for index, row in enumerate(labels.data.values()))
-    poses = {
-        origins[stem].name: labels.T_global_camera(index, row)
-        for stem, index, row in stems
-        if stem in origins and labels.sensor(index, row).modality == "camera"
-    }
+    poses = {origins[stem].name: T for stem, _, _, T in _camera_images(folder) if stem in origins}
     # without map coordinates, the camera is the origin
     return {name: pose for name, pose in poses.items() if pose.translation.any()}
 
@@ -217,94 +218,78 @@ def _table_folder(path: Path) -> Path:
     return folders[0]
 
 
-class _Labels:
-    """The tables, and the boxes that follow from their rows."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.data = self._table("sample_data", SampleData)
-        self._sensors = self._table("sensor", Sensor)
-        self._calibrated = self._table("calibrated_sensor", CalibratedSensor)
-        self._poses = self._table("ego_pose", EgoPose)
-        self._categories = self._table("category", Category)
-        self.instances = self._table("instance", Instance)
-        # other tools leave these tables out
-        self._names = self._named("attribute", Attribute, "name")
-        self._levels = self._named("visibility", Visibility, "level")
-        self._numbers = {token: number for number, token in enumerate(self.instances)}
-        self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
-        for index, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
-            self._of_sample.setdefault(row.sample_token, []).append((index, row))
-
-    def annotations(self) -> Iterator[SampleAnnotation]:
-        """Yields the rows of all boxes."""
-        return (row for rows in self._of_sample.values() for _, row in rows)
-
-    def sensor(self, index: int, row: SampleData) -> Sensor:
-        """Returns the sensor of a row."""
-        calibrated = self._row("sample_data", index, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
-        return self._row("sample_data", index, self._sensors, "sensor", calibrated.sensor_token)
-
-    def T_global_camera(self, index: int, row: SampleData) -> RigidTransform:
-        """Returns the pose of the camera of an image; call `sensor` before."""
-        ego = self._row("sample_data", index, self._poses, "ego_pose", row.ego_pose_token)
-        calibrated = self._calibrated[row.calibrated_sensor_token]
-        return self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)
-
-    def boxes(
-        self, index: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
-    ) -> Iterator[Truth]:
-        """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
-        calibrated = self._calibrated[row.calibrated_sensor_token]
-        T_camera_global = self.T_global_camera(index, row).inv()
-        for number, annotation in self._of_sample.get(row.sample_token, ()):
-            try:
-                box = box_from(annotation.translation, annotation.rotation, annotation.size).transformed(
-                    T_camera_global
-                )
-            except ValueError as error:
-                on_fault(FormatError(self._folder / ANNOTATIONS, f"row {number}: {error}"))
-                continue
-            K = np.array(calibrated.camera_intrinsic)
-            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
-                instance = self._row("sample_annotation", number, self.instances, "instance", annotation.instance_token)
-                category = self._row(
-                    "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
-                )
-                track_id = track_of(instance, self._numbers[instance.token])
-                values = values_of(annotation, instance, self._names, self._levels)
-                yield Truth(category.name, box, track_id, attributes=values)
-
-    def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
+def _camera_images(folder: Path) -> Iterator[tuple[str, SampleData, CalibratedSensor, RigidTransform]]:
+    """Yields the stem of each camera image, its row, its camera, and T_global_camera."""
+    sensors, calibrated = _table(folder, "sensor", Sensor), _table(folder, "calibrated_sensor", CalibratedSensor)
+    places = _table(folder, "ego_pose", EgoPose)
+    for row in _table(folder, "sample_data", SampleData).values():
+        file = folder / "sample_data.json"
+        camera = _linked(file, row, calibrated, "calibrated_sensor", row.calibrated_sensor_token)
+        if _linked(file, row, sensors, "sensor", camera.sensor_token).modality != "camera":
+            continue
+        place = _linked(file, row, places, "ego_pose", row.ego_pose_token)
         try:
-            return pose(row.translation, row.rotation)
+            T_global_camera = pose(place.translation, place.rotation) * pose(camera.translation, camera.rotation)
         except ValueError as error:
-            raise FormatError(self._folder / f"{table}.json", f"{row.token}: {error}") from error
-
-    def _table(self, name: str, model: type[Row]) -> dict[str, Row]:
-        path = self._folder / f"{name}.json"
-        rows: tuple[Row, ...] = read_model(path, RootModel[tuple[model, ...]]).root  # type: ignore[valid-type]
-        by_token: dict[str, Row] = {}
-        for index, row in enumerate(rows):
-            if row.token in by_token:
-                raise FormatError(path, f"row {index}: the token {row.token} occurs twice; tokens must be unique")
-            by_token[row.token] = row
-        return by_token
-
-    def _named(self, table: str, model: type[Row], field: str) -> dict[str, str]:
-        has_table = (self._folder / f"{table}.json").is_file()
-        return {token: getattr(row, field) for token, row in self._table(table, model).items()} if has_table else {}
-
-    def _row(self, table: str, index: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
-        if token not in rows:
-            raise FormatError(
-                self._folder / f"{table}.json",
-                f"row {index}: refers to the token {token}, which is not in {other}.json",
-            )
-        return rows[token]
+            raise FormatError(file, f"row {row.token}: a pose of its camera: {error}") from error
+        yield normal(stem_of(row.filename)), row, camera, T_global_camera
 
 
-def require_w_first(tables: Path, annotations: Iterable[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
+def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth, ...]]:
+    """Returns the boxes of samples in the global frame, by the sample's token.
+
+    Args:
+        tables: the folder of the tables.
+    """
+    annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
+    Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
+    boxes = _boxes(tables, annotations, reading.raise_fault)
+    return {sample: tuple(boxes.get(sample, ())) for sample in samples}
+
+
+def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: reading.OnFault) -> dict[str, list[Truth]]:
+    """Returns the boxes in the global frame, by the token of their sample."""
+    instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Category)
+    # a track is the row's number
+    numbers = {token: number for number, token in enumerate(instances)}
+    # other tools leave these tables out
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
+    require_w_first(tables, annotations, instances)
+    boxes: dict[str, list[Truth]] = {}
+    for row in annotations:
+        instance = _linked(tables / ANNOTATIONS, row, instances, "instance", row.instance_token)
+        file, category = tables / "instance.json", instance.category_token
+        label = _linked(file, instance, categories, "category", category).name
+        try:
+            box = box_from(row.translation, row.rotation, row.size)
+        except ValueError as error:
+            on_fault(FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}"))
+            continue
+        values = values_of(row, instance, names, levels)
+        track = track_of(instance, numbers[instance.token])
+        boxes.setdefault(row.sample_token, []).append(Truth(label, box, track, attributes=values))
+    return boxes
+
+
+def _linked(file: Path, row: Record, rows: Mapping[str, Row], other: str, token: str) -> Row:
+    if token not in rows:
+        raise FormatError(file, f"row {row.token}: refers to the token {token}, which is not in {other}.json")
+    return rows[token]
+
+
+def _table(folder: Path, name: str, model: type[Row]) -> dict[str, Row]:
+    """Returns the rows of a table by their token, in the order of the file."""
+    rows: dict[str, Row] = {}
+    for row in _rows(folder / f"{name}.json", model):
+        if row.token in rows:
+            problem = f"row {len(rows)}: the token {row.token} occurs twice; tokens must be unique"
+            raise FormatError(folder / f"{name}.json", problem)
+        rows[row.token] = row
+    return rows
+
+
+def require_w_first(tables: Path, annotations: Sequence[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
     """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted."""
     quaternions = Quaternions()
     for row in annotations:
@@ -346,39 +331,6 @@ def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> b
     return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
 
 
-def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth, ...]]:
-    """Returns the boxes of samples, by the sample's token.
-
-    Args:
-        tables: the folder of the tables.
-    """
-    annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
-    # all of them, because a track is the row's number
-    instances = {row.token: (number, row) for number, row in enumerate(_rows(tables / "instance.json", Instance))}
-    Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
-    require_w_first(tables, annotations, {token: row for token, (_, row) in instances.items()})
-    classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
-    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
-    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
-    boxes: dict[str, list[Truth]] = {sample: [] for sample in samples}
-    for row in annotations:
-        if row.instance_token not in instances:
-            problem = f"row {row.token}: refers to the token {row.instance_token}, which is not in instance.json"
-            raise FormatError(tables / ANNOTATIONS, problem)
-        number, instance = instances[row.instance_token]
-        if instance.category_token not in classes:
-            problem = f"row {number}: refers to the token {instance.category_token}, which is not in category.json"
-            raise FormatError(tables / "instance.json", problem)
-        try:
-            box = box_from(row.translation, row.rotation, row.size)
-        except ValueError as error:
-            raise FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}") from error
-        label = classes[instance.category_token]
-        values = values_of(row, instance, names, levels)
-        boxes[row.sample_token].append(Truth(label, box, track_of(instance, number), attributes=values))
-    return {sample: tuple(found) for sample, found in boxes.items()}
-
-
 def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
     return _rows(path, model) if path.is_file() else []
 
@@ -396,13 +348,11 @@ def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list
 RESULTS = "results"
 
 
-class ResultBox(BaseModel):
+class ResultBox(reading.FileRecord):
     """A box of a detector or tracker."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
     translation: Vector3
-    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
     label: Annotated[str, Field(min_length=1, validation_alias=AliasChoices("detection_name", "tracking_name"))]
     score: Annotated[
@@ -416,7 +366,7 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
     """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
     tracks: dict[str | int, int] = {}
     quaternions = Quaternions()
-    for sample, boxes in read_pairs(path, RESULTS):
+    for sample, boxes in reading.read_pairs(path, RESULTS):
         if not isinstance(boxes, list):
             raise FormatError(path, f"results.{sample}: must be a list of boxes")
         yield (

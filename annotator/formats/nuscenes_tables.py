@@ -17,7 +17,6 @@ import json
 import uuid
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import count
 from math import isnan
@@ -27,22 +26,10 @@ import numpy as np
 from pydantic import SerializeAsAny, TypeAdapter
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats import nuscenes
 from annotator.formats.attributes import VISIBILITY as VISIBLE
 from annotator.formats.attributes import dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
-from annotator.formats.nuscenes import (
-    Attribute,
-    Category,
-    Instance,
-    Log,
-    Map,
-    SampleAnnotation,
-    Visibility,
-    quaternion,
-    scan,
-    vector,
-    width_length_height,
-)
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import straightened
@@ -50,6 +37,9 @@ from annotator.geometry.transforms import level_pose
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor
 from annotator.types import Camera, Label
 
+VERSION = "v1.0-annotator"
+SPLITS = "splits.json"
+_ROWS = TypeAdapter(list[SerializeAsAny[Record]])
 # The channels that nuScenes' devkit uses.
 CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
 MAP_FILE = "maps/none.png"
@@ -70,23 +60,50 @@ def token(*parts: object) -> str:
     return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
 
 
-@dataclass
-class Tables:
-    """All rows so far, without images and clouds."""
+class NuScenesWriter(DatasetWriter):
+    """Keeps all rows in memory, without images and clouds."""
 
-    classes: Sequence[str]
-    _samples: dict[Key, list[Sample]] = field(default_factory=dict)
-    _data: dict[tuple[Key, str], list[SampleData]] = field(default_factory=dict)
-    _poses: list[EgoPose] = field(default_factory=list)
-    _calibrations: dict[str, CalibratedSensor] = field(default_factory=dict)
-    _annotations: dict[str, list[SampleAnnotation]] = field(default_factory=dict)
-    _instances: dict[str, tuple[str, int | None]] = field(default_factory=dict)
-    _order: list[str] = field(default_factory=list)
-    _attributes: set[str] = field(default_factory=set)
-    _shifts_us: dict[Key, int] = field(default_factory=dict)
-    _starts_us: set[int] = field(default_factory=set)
+    def begin(self) -> None:
+        import cv2
 
-    def add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
+        self._samples: dict[Key, list[Sample]] = {}
+        self._data: dict[tuple[Key, str], list[SampleData]] = {}
+        self._poses: list[EgoPose] = []
+        self._calibrations: dict[str, CalibratedSensor] = {}
+        self._annotations: dict[str, list[nuscenes.SampleAnnotation]] = {}
+        self._instances: dict[str, tuple[str, int | None]] = {}
+        self._order: list[str] = []
+        self._attributes: set[str] = set()
+        self._shifts_us: dict[Key, int] = {}
+        self._starts_us: set[int] = set()
+        for name in (VERSION, f"samples/{CAMERA}", f"samples/{LIDAR}", "maps"):
+            (self.folder / name).mkdir(parents=True)
+        (self.folder / MAP_FILE).write_bytes(cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        files = {
+            CAMERA: f"samples/{CAMERA}/{frame_id}.{self.info.image_format}",
+            LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
+        }
+        T_level_camera = level_pose(item.frame.up)
+        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
+        (self.folder / files[CAMERA]).write_bytes(encoded_image(rgb, self.info.image_format))
+        (self.folder / files[LIDAR]).write_bytes(nuscenes.scan(item.frame.cloud, T_level_camera).tobytes())
+        self._add(item, camera, T_level_camera, files)
+        self.counts.update(label.label for label in item.labels)
+
+    def finish(self) -> None:
+        folder = self.folder / VERSION
+        for name, rows in self._tables().items():
+            (folder / f"{name}.json").write_bytes(_ROWS.dump_json(list(rows), indent=0) + b"\n")
+        splits: dict[str, list[str]] = {}
+        for (_, split), name in self._scene_names().items():
+            if split is not None:
+                splits.setdefault(split, []).append(name)
+        if splits:
+            (folder / SPLITS).write_text(json.dumps(splits, indent=1) + "\n", encoding="utf-8")
+
+    def _add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
         """Adds a frame.
 
         Args:
@@ -109,8 +126,8 @@ class Tables:
                 EgoPose(
                     token=data,
                     timestamp=time_us,
-                    rotation=quaternion(ego.rotation),
-                    translation=vector(ego.translation),
+                    rotation=nuscenes.quaternion(ego.rotation),
+                    translation=nuscenes.vector(ego.translation),
                 )
             )
             size = (camera.width_px, camera.height_px) if channel == CAMERA else (0, 0)
@@ -129,15 +146,17 @@ class Tables:
             self._data.setdefault((key, channel), []).append(row)
         self._annotate(item, sample, T_level_camera if world is None else world)
 
-    def finish(self) -> dict[str, Sequence[Record]]:
+    def _tables(self) -> dict[str, Sequence[Record]]:
         """Returns the rows of every table, by the table's name."""
-        names = self.scene_names()
+        names = self._scene_names()
         logs = {key: token("log", *key) for key in names}
         annotations = {row.token: row for rows in self._annotations.values() for row in linked(rows)}
         return {
-            "category": [Category(token=token("category", name), name=name) for name in self.classes],
-            "attribute": [Attribute(token=token("attribute", name), name=name) for name in sorted(self._attributes)],
-            "visibility": [Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
+            "category": [nuscenes.Category(token=token("category", name), name=name) for name in self.info.classes],
+            "attribute": [
+                nuscenes.Attribute(token=token("attribute", name), name=name) for name in sorted(self._attributes)
+            ],
+            "visibility": [nuscenes.Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
             "instance": [self._instance(each) for each in self._instances],
             "sensor": [
                 Sensor(token=token("sensor", CAMERA), channel=CAMERA, modality="camera"),
@@ -150,10 +169,10 @@ class Tables:
             "sample": [row for rows in self._samples.values() for row in linked(rows)],
             "sample_data": [row for rows in self._data.values() for row in linked(rows)],
             "sample_annotation": [annotations[each] for each in self._order],
-            "map": [Map(token=token("map"), log_tokens=tuple(logs.values()), filename=MAP_FILE)],
+            "map": [nuscenes.Map(token=token("map"), log_tokens=tuple(logs.values()), filename=MAP_FILE)],
         }
 
-    def scene_names(self) -> dict[Key, str]:
+    def _scene_names(self) -> dict[Key, str]:
         """Returns the name of each scene; a scene is a recording, or the frames of it in one part of the dataset."""
         parts = Counter(recording for recording, _ in self._samples)
         names = FileNames()
@@ -179,8 +198,8 @@ class Tables:
         row = CalibratedSensor(
             token=token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), rows),
             sensor_token=token("sensor", channel),
-            translation=vector(T_ego_sensor.translation),
-            rotation=quaternion(T_ego_sensor.rotation),
+            translation=nuscenes.vector(T_ego_sensor.translation),
+            rotation=nuscenes.quaternion(T_ego_sensor.rotation),
             camera_intrinsic=tuple((x, y, z) for x, y, z in rows),
         )
         self._calibrations[row.token] = row
@@ -202,23 +221,23 @@ class Tables:
             # with a given level, too, so that an import can tell it from a measured one
             names = dotted(label.attributes)
             self._attributes |= set(names)
-            row = SampleAnnotation(
+            row = nuscenes.SampleAnnotation(
                 token=token("annotation", sample.token, instance),
                 sample_token=sample.token,
                 instance_token=instance,
                 visibility_token=visibility,
                 attribute_tokens=tuple(token("attribute", name) for name in names),
-                translation=vector(box.center_m),
-                size=width_length_height(box),
-                rotation=quaternion(box.T_camera_box.rotation),
+                translation=nuscenes.vector(box.center_m),
+                size=nuscenes.width_length_height(box),
+                rotation=nuscenes.quaternion(box.T_camera_box.rotation),
                 num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
             )
             self._annotations.setdefault(instance, []).append(row)
             self._order.append(row.token)
 
-    def _instance(self, instance: str) -> Instance:
+    def _instance(self, instance: str) -> nuscenes.Instance:
         (label, track_id), rows = self._instances[instance], self._annotations[instance]
-        return Instance(
+        return nuscenes.Instance(
             token=instance,
             category_token=token("category", label),
             nbr_annotations=len(rows),
@@ -239,10 +258,10 @@ class Tables:
             description=f"recording {key[0]}",
         )
 
-    def _log(self, key: Key, log: str) -> Log:
+    def _log(self, key: Key, log: str) -> nuscenes.Log:
         """Returns the row of a drive; its date is 1970-01-01 if the recording has no times."""
         day = datetime.fromtimestamp(self._samples[key][0].timestamp / 1e6, UTC).date().isoformat()
-        return Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
+        return nuscenes.Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
 
 
 def linked(rows: Sequence[Row]) -> list[Row]:
@@ -256,47 +275,3 @@ def _visibility(sight: Sight, label: Label) -> str:
     share = sight.hidden(label.box).share
     seen = 0.0 if isnan(share) else 1.0 - share
     return max(name for name, (least, _) in VISIBILITY.items() if seen >= least)
-
-
-VERSION = "v1.0-annotator"
-SPLITS = "splits.json"
-_ROWS = TypeAdapter(list[SerializeAsAny[Record]])
-
-
-class NuScenesWriter(DatasetWriter):
-    def begin(self) -> None:
-        self._tables = Tables(self.info.classes)
-        for name in (VERSION, f"samples/{CAMERA}", f"samples/{LIDAR}", "maps"):
-            (self.folder / name).mkdir(parents=True)
-        (self.folder / MAP_FILE).write_bytes(_black_pixel())
-
-    def frame(self, item: DatasetItem, frame_id: str) -> None:
-        files = {
-            CAMERA: f"samples/{CAMERA}/{frame_id}.{self.info.image_format}",
-            LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
-        }
-        T_level_camera = level_pose(item.frame.up)
-        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
-        (self.folder / files[CAMERA]).write_bytes(encoded_image(rgb, self.info.image_format))
-        (self.folder / files[LIDAR]).write_bytes(scan(item.frame.cloud, T_level_camera).tobytes())
-        self._tables.add(item, camera, T_level_camera, files)
-        self.counts.update(label.label for label in item.labels)
-
-    def finish(self) -> None:
-        folder = self.folder / VERSION
-        for name, rows in self._tables.finish().items():
-            (folder / f"{name}.json").write_bytes(_ROWS.dump_json(list(rows), indent=0) + b"\n")
-        splits: dict[str, list[str]] = {}
-        for (_, split), name in self._tables.scene_names().items():
-            if split is not None:
-                splits.setdefault(split, []).append(name)
-        if splits:
-            (folder / SPLITS).write_text(json.dumps(splits, indent=1) + "\n", encoding="utf-8")
-
-
-def _black_pixel() -> bytes:
-    """Returns the PNG file of a map without content."""
-    import cv2
-
-    _, data = cv2.imencode(".png", np.zeros((1, 1), np.uint8))
-    return bytes(data.tobytes())

@@ -23,46 +23,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
+from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
 from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
-from annotator.formats.json_file import read_model, unique_keys
-from annotator.formats.openlabel_document import (
-    FRAME_CONTEXT,
-    SAID_BY,
-    SCHEMA_VERSION,
-    AttributeKind,
-    Attributes,
-    Content,
-    Context,
-    Coordinates,
-    CoordinateSystem,
-    Cuboid,
-    DataPointer,
-    Document,
-    Frame,
-    FrameContext,
-    FrameInterval,
-    FrameObject,
-    FrameProperties,
-    FrameStream,
-    Metadata,
-    Object,
-    ObjectData,
-    Pinhole,
-    Stream,
-    StreamProperties,
-    Sync,
-    Transform,
-    attributes_of,
-    box_from,
-    cuboid_values,
-    key_of,
-    pinhole_of,
-    said_from,
-    said_text,
-    transform_values,
-    values_of,
-)
+from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
@@ -89,7 +53,7 @@ class _Track:
     name: str
     type: str
     frames: list[int] = field(default_factory=list)
-    attributes: dict[str, AttributeKind] = field(default_factory=dict)
+    attributes: dict[str, doc.AttributeKind] = field(default_factory=dict)
 
 
 @dataclass
@@ -105,60 +69,62 @@ class Scene:
     recording: str
     generator: str
     comment: str | None = None
-    _camera: Pinhole | None = None
-    _frames: dict[int, Frame] = field(default_factory=dict)
+    _camera: doc.Pinhole | None = None
+    _frames: dict[int, doc.Frame] = field(default_factory=dict)
     _tracks: dict[str, _Track] = field(default_factory=dict)
 
     def add(self, item: DatasetItem, image: str, cloud: str) -> None:
         """Adds a frame; `image` and `cloud` are its files, relative to the document."""
         frame, number = item.frame, item.frame.index
-        camera = pinhole_of(frame.camera)
+        camera = doc.pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
-        sync = Sync(frame_stream=number) if time is None else Sync(timestamp=time)
+        sync = doc.Sync(frame_stream=number) if time is None else doc.Sync(timestamp=time)
         # a frame has intrinsics only if they differ from those of the stream
         intrinsics = None if camera == self._camera else camera
         streams = {
-            CAMERA: FrameStream(
-                uri=image, stream_properties=StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
+            CAMERA: doc.FrameStream(
+                uri=image, stream_properties=doc.StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
             ),
-            CLOUD: FrameStream(uri=cloud, stream_properties=StreamProperties(sync=sync)),
+            CLOUD: doc.FrameStream(uri=cloud, stream_properties=doc.StreamProperties(sync=sync)),
         }
-        self._frames[number] = Frame(
-            frame_properties=FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
+        self._frames[number] = doc.Frame(
+            frame_properties=doc.FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
             objects=self._objects(number, item.labels) or None,
-            contexts={self._context: FrameContext(context_data=attributes_of(item.attributes))}
+            contexts={self._context: doc.FrameContext(context_data=doc.attributes_of(item.attributes))}
             if item.attributes
             else None,
         )
 
-    def document(self) -> Document:
+    def document(self) -> doc.Document:
         """Returns the document, frames in the order of their numbers."""
         numbers = sorted(self._frames)
-        pose = transform_values(T_BASE_CAMERA)
+        pose = doc.transform_values(T_BASE_CAMERA)
         is_placed = any(frame.frame_properties and frame.frame_properties.transforms for frame in self._frames.values())
-        world = {WORLD: CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
+        world = {WORLD: doc.CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
         # some readers require children, even if there are none
-        sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
-        return Document(
-            openlabel=Content(
-                metadata=Metadata(
-                    schema_version=SCHEMA_VERSION,
+        sensor = doc.CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
+        return doc.Document(
+            openlabel=doc.Content(
+                metadata=doc.Metadata(
+                    schema_version=doc.SCHEMA_VERSION,
                     name=self.recording,
                     annotator=self.generator,
                     comment=self.comment,
                 ),
                 coordinate_systems={
                     **world,
-                    BASE: CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
+                    BASE: doc.CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
                     CAMERA: sensor,
                     CLOUD: sensor,
                 },
                 streams={
-                    CAMERA: Stream(
-                        type="camera", uri="images", stream_properties=StreamProperties(intrinsics_pinhole=self._camera)
+                    CAMERA: doc.Stream(
+                        type="camera",
+                        uri="images",
+                        stream_properties=doc.StreamProperties(intrinsics_pinhole=self._camera),
                     ),
-                    CLOUD: Stream(type="lidar", uri="clouds"),
+                    CLOUD: doc.Stream(type="lidar", uri="clouds"),
                 },
                 contexts=self._contexts(),
                 objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
@@ -169,15 +135,15 @@ class Scene:
 
     @property
     def _context(self) -> str:
-        return _uuid(self.recording, FRAME_CONTEXT)
+        return _uuid(self.recording, doc.FRAME_CONTEXT)
 
-    def _contexts(self) -> dict[str, Context] | None:
+    def _contexts(self) -> dict[str, doc.Context] | None:
         numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
-        context = Context(name=FRAME_CONTEXT, type=FRAME_CONTEXT, frame_intervals=_intervals(numbers))
+        context = doc.Context(name=doc.FRAME_CONTEXT, type=doc.FRAME_CONTEXT, frame_intervals=_intervals(numbers))
         return {self._context: context} if numbers else None
 
-    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, FrameObject]:
-        objects: dict[str, FrameObject] = {}
+    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.FrameObject]:
+        objects: dict[str, doc.FrameObject] = {}
         seen: Counter[str] = Counter()
         for label in labels:
             identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
@@ -186,7 +152,7 @@ class Scene:
             occurrence = seen[f"{label.label} {identity}"]
             uid = _uuid(self.recording, label.label, identity, str(occurrence))
             cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
-            objects[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
+            objects[uid] = doc.FrameObject(object_data=doc.ObjectData(cuboid=(cuboid,)))
             if uid not in self._tracks:
                 self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
             self._tracks[uid].frames.append(number)
@@ -194,12 +160,12 @@ class Scene:
         return objects
 
 
-def _transforms(frame: RecordedFrame) -> dict[str, Transform] | None:
+def _transforms(frame: RecordedFrame) -> dict[str, doc.Transform] | None:
     """Returns the pose of the base in map coordinates; None if a frame has none."""
     if frame.T_world_camera is None:
         return None
     T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
-    return {PLACE: Transform(src=BASE, dst=WORLD, transform_src_to_dst=transform_values(T_world_base))}
+    return {PLACE: doc.Transform(src=BASE, dst=WORLD, transform_src_to_dst=doc.transform_values(T_world_base))}
 
 
 def _uuid(*parts: str) -> str:
@@ -212,7 +178,7 @@ def _seconds(time_ns: int) -> str:
     return f"{whole}.{rest:09d}"
 
 
-def _cuboid(label: Label, uid: str) -> Cuboid:
+def _cuboid(label: Label, uid: str) -> doc.Cuboid:
     numbers: dict[str, AttributeValue | None] = {
         "score": label.score,
         "track_id": label.track_id,
@@ -231,28 +197,28 @@ def _cuboid(label: Label, uid: str) -> Cuboid:
     if label.box_kind is not BoxKind.BOX:
         texts["box_kind"] = label.box_kind.value
     if label.said:
-        texts[SAID_BY] = said_text(label.said)
+        texts[doc.SAID_BY] = doc.said_text(label.said)
     own = {name: value for name, value in (numbers | texts).items() if value is not None}
-    return Cuboid(
+    return doc.Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",
-        val=cuboid_values(label.box),
+        val=doc.cuboid_values(label.box),
         coordinate_system=CAMERA,
         uid=uid,
-        attributes=attributes_of(own | {key_of(name): value for name, value in label.attributes.items()}),
+        attributes=doc.attributes_of(own | {doc.key_of(name): value for name, value in label.attributes.items()}),
     )
 
 
-def _kinds(cuboid: Cuboid) -> dict[str, AttributeKind]:
-    attributes = cuboid.attributes or Attributes()
-    kinds: dict[str, AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
+def _kinds(cuboid: doc.Cuboid) -> dict[str, doc.AttributeKind]:
+    attributes = cuboid.attributes or doc.Attributes()
+    kinds: dict[str, doc.AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
     kinds |= {each.name: "text" for each in attributes.text or () if each.name}
     return kinds | {each.name: "boolean" for each in attributes.boolean or () if each.name}
 
 
-def _object(track: _Track) -> Object:
+def _object(track: _Track) -> doc.Object:
     intervals = _intervals(sorted(track.frames))
-    pointer = DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
-    return Object(
+    pointer = doc.DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
+    return doc.Object(
         name=track.name,
         type=track.type,
         frame_intervals=intervals,
@@ -260,7 +226,7 @@ def _object(track: _Track) -> Object:
     )
 
 
-def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
+def _intervals(numbers: Iterable[int]) -> tuple[doc.FrameInterval, ...]:
     """Returns the runs of consecutive numbers in a sorted sequence of frame numbers."""
     runs: list[list[int]] = []
     for number in numbers:
@@ -268,7 +234,7 @@ def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
             runs[-1][1] = number
         else:
             runs.append([number, number])
-    return tuple(FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
+    return tuple(doc.FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
 
 
 # Documents have the key "openlabel" within these first bytes.
@@ -301,7 +267,7 @@ class OpenLabelWriter(DatasetWriter):
             file.write_text(dump(scene.document()), encoding="utf-8")
 
 
-def dump(document: Document) -> str:
+def dump(document: doc.Document) -> str:
     """Returns the text of a document."""
     return document.model_dump_json(indent=1, exclude_none=True) + "\n"
 
@@ -363,7 +329,7 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Ope
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        document = read_model(file, Document, unique_keys)
+        document = read_model(file, doc.Document, unique_keys)
         _collect(file, document.openlabel, all_angles, quaternions)
         for frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
             if frame.name in frames:
@@ -375,7 +341,7 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Ope
     return frames
 
 
-def _collect(file: Path, content: Content, angles: Angles, quaternions: Quaternions) -> None:
+def _collect(file: Path, content: doc.Content, angles: Angles, quaternions: Quaternions) -> None:
     """Adds the numbers of all cuboids of a document; quaternions only of those in level frames."""
     cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
     for number, frame in (content.frames or {}).items():
@@ -389,7 +355,7 @@ def _collect(file: Path, content: Content, angles: Angles, quaternions: Quaterni
 
 
 def parse(
-    path: Path, document: Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
+    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
 ) -> Iterator[OpenLabelFrame]:
     """Yields the frames of one document, once for each of its cameras.
 
@@ -400,10 +366,10 @@ def parse(
     content = document.openlabel
     sensors = _sensors(path, content)
     for number, frame in (content.frames or {}).items():
-        properties = frame.frame_properties or FrameProperties()
+        properties = frame.frame_properties or doc.FrameProperties()
         where = f"openlabel.frames.{number}"
         try:
-            coordinates = Coordinates(content.coordinate_systems or {}, properties.transforms)
+            coordinates = doc.Coordinates(content.coordinate_systems or {}, properties.transforms)
         except ValueError as error:
             raise FormatError(path, f"{where}: {error}") from error
         for sensor, of_camera in sensors.items():
@@ -421,7 +387,7 @@ def parse(
                 if cuboid.val is not None
             )
             contexts = (frame.contexts or {}).values()
-            values = {key: value for each in contexts for key, value in values_of(each.context_data).items()}
+            values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
             is_placed = stem in origins and PLACE in (properties.transforms or {})
             world = coordinates.transform(WORLD, sensor) if is_placed else None
             yield OpenLabelFrame(name, boxes, of_camera, values, world)
@@ -436,7 +402,7 @@ def _documents(path: Path) -> list[Path]:
     return documents
 
 
-def _sensors(path: Path, content: Content) -> dict[str, bool]:
+def _sensors(path: Path, content: doc.Content) -> dict[str, bool]:
     """Returns the streams to read boxes for: the cameras (True), or without cameras the only LiDAR (False)."""
     streams = content.streams or {}
     if cameras := [name for name, stream in streams.items() if stream.type == "camera"]:
@@ -449,7 +415,9 @@ def _sensors(path: Path, content: Content) -> dict[str, bool]:
     return {clouds[0]: False}
 
 
-def _cuboids(path: Path, content: Content, number: int, frame: Frame) -> Iterator[tuple[str, str, Object, Cuboid]]:
+def _cuboids(
+    path: Path, content: doc.Content, number: int, frame: doc.Frame
+) -> Iterator[tuple[str, str, doc.Object, doc.Cuboid]]:
     """Yields place, object uid, object and cuboid: first those of the frame, then those of static objects."""
     objects = content.objects or {}
     for uid, dynamic in (frame.objects or {}).items():
@@ -460,36 +428,31 @@ def _cuboids(path: Path, content: Content, number: int, frame: Frame) -> Iterato
             for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
                 yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
     for uid, each in objects.items():
-        if each.object_data is None or not _is_present(each, number):
-            continue
-        for place, cuboid in enumerate(each.object_data.cuboid or ()):
+        spans = each.frame_intervals
+        is_present = not spans or any(span.frame_start <= number <= span.frame_end for span in spans)
+        for place, cuboid in enumerate((is_present and each.object_data and each.object_data.cuboid) or ()):
             yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
-
-
-def _is_present(each: Object, number: int) -> bool:
-    intervals = each.frame_intervals
-    return not intervals or any(i.frame_start <= number <= i.frame_end for i in intervals)
 
 
 def _box(
     path: Path,
     where: str,
-    each: Object,
-    cuboid: Cuboid,
+    each: doc.Object,
+    cuboid: doc.Cuboid,
     uid: str,
-    coordinates: Coordinates,
+    coordinates: doc.Coordinates,
     sensor: str,
     degrees: bool,
 ) -> OpenLabelBox:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
         raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
-    attributes = cuboid.attributes or Attributes()
+    attributes = cuboid.attributes or doc.Attributes()
     numbers = {num.name: num.val for num in attributes.num or ()}
     texts = {text.name: text.val for text in attributes.text or ()}
     try:
-        box, track_id = box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
-        said = said_from(texts[SAID_BY]) if SAID_BY in texts else ()
+        box, track_id = doc.box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
+        said = doc.said_from(texts[doc.SAID_BY]) if doc.SAID_BY in texts else ()
         if system != sensor:
             T = coordinates.transform(sensor, system)
             box, said = box.transformed(T), tuple(each.transformed(T) for each in said)
@@ -498,7 +461,7 @@ def _box(
     state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    values = values_of(attributes)
+    values = doc.values_of(attributes)
     score = numbers.get("score")
     return OpenLabelBox(each.type, box, track_id, score, None, box_kind, values, said, review)
 

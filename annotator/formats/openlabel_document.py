@@ -23,10 +23,10 @@ from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter, ValidationError
+from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.json_file import Bounded, Bounded3, Bounded4, BoundedTrack, Exact
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact, FileRecord
 from annotator.formats.units import rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
 from annotator.types.label import AttributeValue, Said
@@ -41,32 +41,28 @@ Timestamp = Annotated[str | Bounded, Field(union_mode="left_to_right")]
 AttributeKind = Literal["num", "text", "boolean", "vec"]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class Num(_Record):
+class Num(FileRecord):
     """A named number."""
 
     name: str | None = None
     val: Exact
 
 
-class Text(_Record):
+class Text(FileRecord):
     """A named text."""
 
     name: str | None = None
     val: str
 
 
-class Boolean(_Record):
+class Boolean(FileRecord):
     """A named yes or no."""
 
     name: str | None = None
     val: bool
 
 
-class Attributes(_Record):
+class Attributes(FileRecord):
     """Attributes of a cuboid, or data of a context."""
 
     boolean: tuple[Boolean, ...] | None = None
@@ -74,7 +70,7 @@ class Attributes(_Record):
     text: tuple[Text, ...] | None = None
 
 
-class Cuboid(_Record):
+class Cuboid(FileRecord):
     """`val`: x y z, then qx qy qz qw or rx ry rz, then the full sizes sx sy sz; metres and radians."""
 
     name: str
@@ -84,26 +80,26 @@ class Cuboid(_Record):
     attributes: Attributes | None = None
 
 
-class ObjectData(_Record):
+class ObjectData(FileRecord):
     """The cuboids of an object."""
 
     cuboid: tuple[Cuboid, ...] | None = None
 
 
-class FrameObject(_Record):
+class FrameObject(FileRecord):
     """The data of an object in one frame."""
 
     object_data: ObjectData | None = None
 
 
-class FrameInterval(_Record):
+class FrameInterval(FileRecord):
     """Frame numbers from `frame_start` to `frame_end`, inclusive."""
 
     frame_start: Annotated[int, Field(ge=0)]
     frame_end: Annotated[int, Field(ge=0)]
 
 
-class DataPointer(_Record):
+class DataPointer(FileRecord):
     """The frames in which an object has data of a given name, and the attributes of that data."""
 
     type: str | None = None
@@ -111,7 +107,7 @@ class DataPointer(_Record):
     attribute_pointers: dict[str, AttributeKind] | None = None
 
 
-class Object(_Record):
+class Object(FileRecord):
     """An object in all frames; `type` is its class."""
 
     name: str
@@ -122,7 +118,7 @@ class Object(_Record):
     object_data_pointers: dict[str, DataPointer] | None = None
 
 
-class TransformData(_Record):
+class TransformData(FileRecord):
     """A transform in one of three forms: 4x4 matrix row by row; quaternion x y z w; Euler angles in `sequence`."""
 
     matrix4x4: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)] | None = None
@@ -132,7 +128,7 @@ class TransformData(_Record):
     translation: Bounded3 | None = None
 
 
-class CoordinateSystem(_Record):
+class CoordinateSystem(FileRecord):
     """`pose_wrt_parent` maps coordinates of this system to those of its parent; the root has the parent ""."""
 
     type: str
@@ -141,7 +137,7 @@ class CoordinateSystem(_Record):
     children: tuple[str, ...] | None = None
 
 
-class Transform(_Record):
+class Transform(FileRecord):
     """A transform of one frame, from coordinates of `src` to those of `dst`."""
 
     src: str
@@ -149,7 +145,7 @@ class Transform(_Record):
     transform_src_to_dst: TransformData
 
 
-class Pinhole(_Record):
+class Pinhole(FileRecord):
     """A camera: `camera_matrix` is 3x4, row by row; distortion as in OpenCV, 5 to 14 coefficients."""
 
     width_px: int
@@ -158,21 +154,21 @@ class Pinhole(_Record):
     distortion_coeffs: Annotated[tuple[Bounded, ...], Field(min_length=5, max_length=14)]
 
 
-class Sync(_Record):
+class Sync(FileRecord):
     """The time of an image or cloud, or its place in the stream."""
 
     timestamp: Timestamp | None = None
     frame_stream: int | None = None
 
 
-class StreamProperties(_Record):
+class StreamProperties(FileRecord):
     """Calibration of a stream, or the place of a frame in it; lens models other than the pinhole are ignored."""
 
     intrinsics_pinhole: Pinhole | None = None
     sync: Sync | None = None
 
 
-class FrameStream(_Record):
+class FrameStream(FileRecord):
     """A stream in one frame; `uri` is its file."""
 
     uri: str | None = None
@@ -186,7 +182,7 @@ class Stream(FrameStream):
     description: str | None = None
 
 
-class FrameProperties(_Record):
+class FrameProperties(FileRecord):
     """Time, files and transforms of one frame."""
 
     timestamp: Timestamp | None = None
@@ -194,13 +190,13 @@ class FrameProperties(_Record):
     transforms: dict[str, Transform] | None = None
 
 
-class FrameContext(_Record):
+class FrameContext(FileRecord):
     """The data of a context in one frame."""
 
     context_data: Attributes | None = None
 
 
-class Context(_Record):
+class Context(FileRecord):
     """What holds for a scene as a whole; annotator writes one, of the type `frame`, for attributes of frames."""
 
     name: str
@@ -208,7 +204,7 @@ class Context(_Record):
     frame_intervals: tuple[FrameInterval, ...] | None = None
 
 
-class Frame(_Record):
+class Frame(FileRecord):
     """One moment."""
 
     frame_properties: FrameProperties | None = None
@@ -216,7 +212,7 @@ class Frame(_Record):
     contexts: dict[Uid, FrameContext] | None = None
 
 
-class Metadata(_Record):
+class Metadata(FileRecord):
     """Data about the document; `name` is the recording's name."""
 
     schema_version: Literal["1.0.0"]
@@ -225,7 +221,7 @@ class Metadata(_Record):
     comment: str | None = None
 
 
-class Content(_Record):
+class Content(FileRecord):
     """The content of a document."""
 
     metadata: Metadata
@@ -237,7 +233,7 @@ class Content(_Record):
     frame_intervals: tuple[FrameInterval, ...] | None = None
 
 
-class Document(_Record):
+class Document(FileRecord):
     """An OpenLABEL file."""
 
     openlabel: Content
@@ -381,9 +377,7 @@ class Coordinates:
 SAID_BY = "said_by"
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _Entry(FileRecord):
     source: Annotated[str, Field(min_length=1, max_length=200)]
     type: Annotated[str, Field(min_length=1)]
     val: Annotated[tuple[Bounded, ...], Field(min_length=10, max_length=10)]

@@ -17,9 +17,8 @@ from annotator.formats import kitti_objects, kitti_tracking
 from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.boxes_json import NAME
-from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE
-from annotator.formats.reading import text_rows
+from annotator.formats.reading import read_json, text_rows
 from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, named_format
 from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE
@@ -182,14 +181,12 @@ def _of_json(content: object) -> list[AnyFormat]:
             return [BoxFormat.SUSTECHPOINTS]
         case {"objects": _, "filename": _}:
             return [BoxFormat.LABELCLOUD]
-        case dict() if any(_is_box(entry) for entries in islice(content.values(), LOOK_AT) for entry in _list(entries)):
+        case dict() if any(map(_has_box, islice(content.values(), LOOK_AT))):
             return [BoxFormat.BOXES]
     return []
 
 
-def _list(entries: object) -> list[object]:
-    return entries if isinstance(entries, list) else [entries]
-
-
-def _is_box(entry: object) -> bool:
-    return isinstance(entry, dict) and {"center", "size", "rotation"} <= entry.keys()
+def _has_box(entries: object) -> bool:
+    """True for the boxes of a frame in boxes.json: one, or a list."""
+    every = entries if isinstance(entries, list) else [entries]
+    return any(isinstance(each, dict) and {"center", "size", "rotation"} <= each.keys() for each in every)

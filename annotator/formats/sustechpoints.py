@@ -30,13 +30,13 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
+from pydantic import ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
 from annotator.formats.frame_names import read_frames
-from annotator.formats.json_file import Bounded, BoundedPositive, read_model
+from annotator.formats.reading import Axes, Bounded, BoundedPositive, FileRecord, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
@@ -53,33 +53,19 @@ EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler(
 MOST_OFF_ROTATION = 1e-2
 
 
-class _Axes(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    x: Bounded
-    y: Bounded
-    z: Bounded
-
-
-class _Scale(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _Scale(FileRecord):
     x: BoundedPositive
     y: BoundedPositive
     z: BoundedPositive
 
 
-class _Psr(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    position: _Axes
+class _Psr(FileRecord):
+    position: Axes
     scale: _Scale
-    rotation: _Axes
+    rotation: Axes
 
 
-class _Object(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _Object(FileRecord):
     obj_id: str | int | None = None
     obj_type: Annotated[str, Field(min_length=1)]
     obj_attr: str | None = None
@@ -95,15 +81,13 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
-class _EgoPose(_Axes):
+class _EgoPose(Axes):
     azimuth: Bounded
     pitch: Bounded
     roll: Bounded
 
 
-class _Calibration(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _Calibration(FileRecord):
     extrinsic: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)]
     intrinsic: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=9)]
 

@@ -38,12 +38,12 @@ from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from annotator.files import why_missing
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import has_frames
-from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
+from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
@@ -323,10 +323,7 @@ class YoloPicture:
     box_kind: BoxKind | None = None
 
 
-class _DataYaml(BaseModel):
-    # other fields (nc, download, ...) are ignored
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
+class _DataYaml(FileRecord):
     path: str | None = None
     train: str | list[str] | None = None
     val: str | list[str] | None = None
@@ -464,7 +461,8 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_without_image(_inside(label_file, root), place, names, on_fault)
+            boxes = _boxes(_inside(label_file, root), names, on_fault)
+            yield YoloPicture(label_file.name, place, None, label_file, boxes)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -502,10 +500,6 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
         on_fault(fault)
         return ()
     return parse_boxes(label_file, text, names, on_fault)
-
-
-def _labels_without_image(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
-    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
 
 
 def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:

@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from annotator.evaluation.boxes import BoxTable
 from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
 from annotator.evaluation.oriented import (
+    SUNRGBD_THRESHOLDS,
     FrameResult,
     average_precision,
     evaluate_oriented,
-    evaluate_sunrgbd,
     matched_ious,
 )
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
@@ -184,7 +184,7 @@ def _sunrgbd(detections: Path, truth: Path, options: Options) -> Report:
         detected, true = ([row for row in rows if row.image in names] for rows in (detected, true))
     _require_truth(truth, len(true))
     numbers: dict[str, int] = {}
-    return sunrgbd_report(evaluate_sunrgbd(box_rows(detected, numbers), box_rows(true, numbers)))
+    return sunrgbd_report(evaluate_oriented(box_rows(detected, numbers), box_rows(true, numbers), SUNRGBD_THRESHOLDS))
 
 
 def box_rows(rows: Sequence[BoxRow], numbers: dict[str, int]) -> BoxTable:
@@ -325,7 +325,7 @@ def _boxes(source: _Source, protocol: Protocol) -> Report:
     if len(true) == 0:
         raise ConfigError(f"there are no true boxes in the {amount(len(compared), 'frame')} to evaluate")
     if protocol is Protocol.SUNRGBD:
-        return sunrgbd_report(evaluate_sunrgbd(detected, true))
+        return sunrgbd_report(evaluate_oriented(detected, true, SUNRGBD_THRESHOLDS))
     return oriented_report(evaluate_oriented(detected, true))
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, JsonValue, RootModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from annotator.detection.trained import read_trained
-from annotator.formats.json_file import read_model
+from annotator.formats.reading import read_model
 from annotator.project import Project
 from annotator.project.config import CONFIG_FILE, BoxRotation
 from annotator.project.labels import ReviewedBox

@@ -66,26 +66,19 @@ def test_float_and_rgba_images_are_converted(given: Any) -> None:
         refused(lambda: rgbd(given), "int64", "uint8")  # int64 does not show whether the range is 0..1 or 0..255
         return
     assert (rgbd(given).rgb == RGB).all()
-
-
-def test_a_grey_image_is_repeated_in_three_channels() -> None:
-    for given in (RGB[..., 0], RGB[..., :1]):
-        assert (rgbd(given).rgb == RGB[..., :1]).all()
+    assert (rgbd(RGB[..., 0]).rgb == RGB[..., :1]).all()
 
 
 @pytest.mark.parametrize(
     ("rgb", "words"),
     [
         (RGB.astype(np.float64), ["0..1", "astype"]),
-        (RGB / 255.0 - 0.5, ["floats from"]),
         (RGB.astype(np.uint16), ["uint16", "uint8"]),
-        (RGB > 128, ["bool"]),
         (np.moveaxis(RGB, -1, 0), ["channels must come last", "moveaxis"]),
         (RGB[..., :2], ["(H, W, 3)"]),
-        (RGB[None], ["(H, W, 3)"]),
         (np.where(RGB[0, 0] == RGB, np.nan, RGB / 255.0), ["NaN"]),
     ],
-    ids=["floats to 255", "centred", "16 bits", "bool", "channels first", "two channels", "a batch", "NaN"],
+    ids=["floats to 255", "16 bits", "channels first", "two channels", "NaN"],
 )
 def test_ambiguous_images_are_errors(rgb: np.ndarray, words: list[str]) -> None:
     refused(lambda: rgbd(rgb), *words)
@@ -114,13 +107,9 @@ def test_zero_and_non_finite_depth_gives_no_points() -> None:
         (DEPTH * 1000, {}, ["2000", "metres", "depth_scale=1000"]),
         (DEPTH.astype(np.int64), {}, ["integers up to 2", "depth_scale"]),
         (DEPTH[:-1], {}, ["(23, 32)", "(24, 32)", "register"]),
-        (DEPTH.T, {}, ["register"]),
         (np.zeros_like(DEPTH), {}, ["no pixel has a depth"]),
-        (np.full_like(DEPTH, np.nan), {}, ["no pixel has a depth"]),
         (-DEPTH, {}, ["negative", "z points away"]),
-        (DEPTH > 1, {}, ["bool"]),
         (DEPTH, {"depth_scale": 0.0}, ["positive"]),
-        (DEPTH, {"depth_scale": np.nan}, ["positive"]),
     ],
 )
 def test_ambiguous_or_unusable_depth_is_an_error(depth: np.ndarray, more: dict[str, Any], words: list[str]) -> None:
@@ -135,7 +124,6 @@ def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., an
     assert make(distortion=(0.1, 0.0, 0.0, 0.0)).camera.distortion == (0.1, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("make", [rgbd, cloud], ids=["rgbd", "points"])
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -143,31 +131,14 @@ def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., an
         (np.diag([30.0, 30, 2]), ["last row", "0 0 1"]),
         (np.hstack([K, np.zeros((3, 1))]), ["projection matrix"]),
         (K + np.array([[0, 3, 0], [0, 0, 0], [0, 0, 0]]), ["skew"]),
-        ((30, 30, 15.5), ["(fx, fy, cx, cy)"]),
         ((15.5, 11.5, 300, 300), ["principal point", "resolution"]),
         ((0.9, 1.2, 0.5, 0.5), ["pixels", "fractions"]),
-        ((-30, 30, 15.5, 11.5), ["focal"]),
         ((np.nan, 30, 15.5, 11.5), ["NaN"]),
-        ("K", ["numbers"]),
         (annotator.Camera(64, 48, 60.0, 60.0, 31.5, 23.5), ["64 x 48", "32 x 24"]),
     ],
 )
-def test_invalid_intrinsics_are_errors(make: Callable[..., annotator.Frame], given: Any, words: list[str]) -> None:
-    refused(lambda: make(intrinsics=given), *words)
-
-
-def test_distortion_needs_as_many_coefficients_as_opencv_accepts() -> None:
-    refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
-    refused(
-        lambda: rgbd(intrinsics=annotator.Camera(W, H, 30.0, 30.0, 15.5, 11.5), distortion=(0.1, 0.0, 0.0, 0.0)),
-        "twice",
-    )
-
-
-@pytest.mark.parametrize("up", [(0, 0, 0), (0, np.nan, 0), (0, -1), "up"])
-def test_an_invalid_up_direction_is_an_error(up: Any) -> None:
-    with pytest.raises(ValueError):
-        rgbd(up=up)
+def test_invalid_intrinsics_are_errors(given: Any, words: list[str]) -> None:
+    refused(lambda: rgbd(intrinsics=given), *words)
 
 
 def test_points_are_transformed_to_the_camera_and_coloured_by_their_pixel() -> None:
@@ -206,10 +177,8 @@ def test_points_in_map_coordinates_are_precise_and_zeros_are_no_returns() -> Non
         (np.diag([1.0, -1, 1, 1]) @ T_CAMERA_LIDAR, ["is a reflection", "-1"]),
         (np.diag([2.0, 2, 2, 1]) @ T_CAMERA_LIDAR, ["scales"]),
         (T_CAMERA_LIDAR[:3], ["(4, 4)"]),
-        (np.eye(3), ["(4, 4)"]),
         (np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]), ["transposed"]),
         (np.full((4, 4), np.nan), ["finite"]),
-        ("identity", ["numbers"]),
         (RigidTransform.from_rotation(Rotation.identity(2)), ["not a stack"]),
     ],
 )
@@ -233,21 +202,20 @@ def test_points_outside_the_image_are_an_error_with_the_likely_cause() -> None:
         (lidar_points().T, ["xyz.T"]),
         (np.hstack([lidar_points(), np.ones((4000, 1))]), ["xyz[:, :3]", "reflectance"]),
         (lidar_points().reshape(40, 100, 3), ["reshape"]),
-        (np.zeros(3), ["(N, 3)"]),
         (np.full((5, 3), np.nan), ["no finite point"]),
-        (np.zeros((0, 3)), ["no finite point"]),
         (lidar_points() * 1000, ["millimetres"]),
-        ("points", ["numbers"]),
     ],
 )
 def test_invalid_point_arrays_are_errors(points: Any, words: list[str]) -> None:
     refused(lambda: cloud(points), *words)
 
 
-def test_reflectance_needs_one_value_in_0_to_1_per_point() -> None:
+def test_wrong_reflectances_lenses_and_directions_are_errors() -> None:
     refused(lambda: cloud(reflectance=np.ones(7)), "(4000,)")
     refused(lambda: cloud(reflectance=np.full(4000, 255.0)), "0..1")
-    refused(lambda: cloud(reflectance=np.full(4000, np.nan)), "0..1")
+    refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
+    with pytest.raises(ValueError):
+        rgbd(up=(0, 0, 0))
 
 
 def test_a_recorded_frame_can_be_rebuilt_from_its_arrays(generated: Path) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import annotator
-from annotator.api.proposing import FunctionDetector, as_detector, image_boxes_of
+from annotator.api.proposing import FunctionDetector
 from annotator.types import Region
-from annotator.types.errors import ArgumentError, ConfigError, DetectionError
+from annotator.types.errors import ArgumentError, ConfigError
 
 HAND = annotator.NearestCluster("hand")
 
@@ -69,24 +69,11 @@ def test_a_function_detector_gets_the_whole_frame_for_a_region(hands: annotator.
     assert [box.xyxy for box in found] == [(10.0, 10.0, 40.0, 40.0)]
 
 
-def test_an_object_that_is_not_a_detector_is_an_error(hands: annotator.Recording) -> None:
-    for given in ("yolo", annotator.NearestCluster):
-        with pytest.raises(ArgumentError, match="is not a detector"):
-            as_detector(given)
-
-
 def test_nearest_cluster_finds_separate_objects_without_training(hands: annotator.Recording, knowing_all: Any) -> None:
     for index in range(2):
         found = annotator.propose(hands.frame(index), image_detector=knowing_all, view_detector=HAND, rotation="free")
         # where a hand occludes itself, the box contains only the visible points
         assert min(overlaps(hands, index, found)) > 0.25
-
-
-def test_nearest_cluster_accepts_only_pseudo_views(hands: annotator.Recording) -> None:
-    with pytest.raises(DetectionError, match="pseudo-views only"):
-        HAND.detect([hands.frame(0)])
-    with pytest.raises(ValueError, match="label"):
-        annotator.NearestCluster()
 
 
 def test_nearest_cluster_boxes_the_nearer_of_two_groups() -> None:
@@ -122,9 +109,9 @@ def test_invalid_or_conflicting_arguments_are_errors(hands: annotator.Recording)
     refused("there is no such setting", image_boxes=[box], settings={"max_step": 3})
     refused("edges in 0..1", image_boxes=[annotator.Box2D("hand", 0.1, 0.2, 0.5, 0.6)])
     refused("outside the image", image_boxes=[annotator.Box2D("hand", 5000.0, 10.0, 5050.0, 50.0)])
+    refused("is not a detector", image_detector="yolo")
     refused("must be Box2D", image_boxes=[(10, 10, 50, 50)])
-    with pytest.raises(ArgumentError, match="must be a Frame"):
-        image_boxes_of(["frame"], [[box]], None)
+    refused("must be a Frame", ["frame"], image_boxes=[[box]])
 
 
 def test_settings_reach_the_recursion(hands: annotator.Recording, knowing_all: Any) -> None:

@@ -1,17 +1,23 @@
-"""The commands that create, fill and inspect projects."""
+"""The commands that create, fill and inspect projects, and that adjust recordings."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.project import Effort, NewLabel, WriteContext, open_project
-from annotator.types import BoxKind, OrientedBox
+from annotator.geometry.oriented_box import same_box
+from annotator.project import BoxRotation, Project, open_project
+from annotator.rcv.config import Orientation
+from annotator.types import Correction, Frame, Label
+from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.adjusting import correct_calibration
 
 WIDTH, HEIGHT = 8, 6
 
@@ -44,7 +50,9 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def stats(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
     capsys.readouterr()
     assert main(["stats", *words, "--json"]) == 0
-    content: dict[str, object] = json.loads(capsys.readouterr().out)
+    captured = capsys.readouterr()
+    assert captured.err == "" and captured.out.count("\n") == 1
+    content: dict[str, object] = json.loads(captured.out)
     return content
 
 
@@ -69,61 +77,6 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
     assert "recordings" in capsys.readouterr().out
 
 
-def test_stats_name_people_and_no_commands_and_short_times_in_minutes(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["new", "hands", "--classes", "hand"]) == 0
-    assert main(["add", "hands", str(write_recording(tmp_path / "take"))]) == 0
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.full(3, 0.2))
-    with open_project(root / "hands") as project:
-        frame, other = project.frames.of()[:2]
-        ann = WriteContext(frame.revision, "ann", effort=Effort(9, 720.0))
-        project.labels.create(frame.id, [NewLabel("hand", box)], ann)
-        project.boxes.set_on_image(other.id, [], BoxKind.BOX, WriteContext(other.revision, "simulated operator"))
-    capsys.readouterr()
-    assert main(["stats", "hands"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "labelled by ann 1 box in 12 minutes on 1 day" in printed
-    assert "simulated operator" not in printed
-
-
-def test_stats_list_values_of_attributes_like_other_counts(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["new", "hands", "--classes", "hand"]) == 0
-    assert main(["add", "hands", str(write_recording(tmp_path / "take"))]) == 0
-    assert main(["classes", "attribute", "hands", "pose", "--kind", "choice", "--choices", "open", "closed"]) == 0
-    assert main(["classes", "attribute", "hands", "blurred", "--kind", "boolean", "--of", "frame"]) == 0
-    assert main(["classes", "attribute", "hands", "fingers", "--kind", "integer"]) == 0
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.full(3, 0.2))
-    with open_project(root / "hands") as project:
-        frame = project.frames.of()[0]
-        poses = ("open", "closed", "closed")
-        made = [NewLabel("hand", box, attributes={"pose": pose, "fingers": 5}) for pose in poses]
-        made.append(NewLabel("hand", box))
-        project.labels.create(frame.id, made, WriteContext(frame.revision, "ann"))
-    capsys.readouterr()
-    assert main(["stats", "hands"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "pose 2 closed, 1 open; 1 without a value" in printed
-    assert "fingers 3 with 5; 1 without a value" in printed
-    assert "blurred none; 3 without a value" in printed
-
-
-def test_move_accepts_only_the_same_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = write_recording(tmp_path / "take")
-    assert main(["new", "hands", "--classes", "hand"]) == 0
-    assert main(["add", "hands", str(recording)]) == 0
-    recording.rename(tmp_path / "moved")
-    assert main(["project", "move", "hands", "take", str(tmp_path / "moved")]) == 0
-    assert f"take: 3 frames, now at {tmp_path / 'moved'}" in capsys.readouterr().out
-    other = write_recording(tmp_path / "other", 2)
-    assert main(["project", "move", "hands", "take", str(other)]) == 2
-    assert "is not take: it lacks frame 000002" in capsys.readouterr().err
-    assert main(["project", "move", "hands", "tack", str(other)]) == 2
-    assert "did you mean 'take'?" in capsys.readouterr().err
-
-
 def test_the_projects_option_overrides_the_environment_variable(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -136,41 +89,6 @@ def test_the_projects_option_overrides_the_environment_variable(
         patch.delenv("ANNOTATOR_PROJECTS")
         assert main(["new", "c", "--classes", "x"]) == 0
     assert (tmp_path / "projects/c/project.json").is_file()
-
-
-REFUSED = [
-    (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
-    (["new", "there", "--classes", "x"], "exists already"),
-    (["new", "n", "--classes"], "at least one class"),
-    (["stats", "nothere"], "no project 'nothere' (did you mean 'there'?)"),
-    (["add", "there"], "no recording given"),
-    (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
-    (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
-    (["add", "there", "good", "--up", "0", "0", "0"], "up direction"),
-    (["add", "there", "broken"], "none of its first frames can be read (1 tried)"),
-    (["inspect", "nowhere"], "no such file or folder"),
-    (["inspect", "."], "no known recording format"),
-    (["inspect", "broken"], "none of its first frames can be read (1 tried)"),
-]
-
-
-def test_bad_input_is_an_error_and_changes_nothing(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_recording(tmp_path / "good", 1)
-    write_recording(tmp_path / "good2", 1)
-    broken = write_recording(tmp_path / "broken", 1)
-    (broken / "depth/000000.png").write_bytes(b"")
-    assert main(["new", "there", "--classes", "x"]) == 0
-    capsys.readouterr()
-    for words, says in REFUSED:
-        assert main(words) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert says in said
-        assert "Traceback" not in said
-    assert stats(capsys, "there")["recordings"] == 0
-    assert [path.name for path in root.iterdir()] == ["there"]
 
 
 def test_inspect_describes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,33 +107,6 @@ def test_inspect_describes_a_recording(tmp_path: Path, capsys: pytest.CaptureFix
     assert report["frame"]["points"] == WIDTH * HEIGHT
     assert report["frame"]["nearest_m"] == report["frame"]["farthest_m"] == 1.0
     assert report["has_labels"] is False
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    ("folder", "format", "frames", "objects"),
-    [
-        ("kitti_drive_0005", "kitti_tracking", 20, {"Van": 1, "Cyclist": 1, "Pedestrian": 1}),
-        ("hand_gesture", "rgbd_folder", 24, {"hand": 1}),
-    ],
-)
-def test_inspect_real_recordings(
-    shared: Path, capsys: pytest.CaptureFixture[str], folder: str, format: str, frames: int, objects: dict[str, int]
-) -> None:
-    assert main(["inspect", str(shared / "data" / folder), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert (report["format"], report["frames"]) == (format, frames)
-    assert report["frame"]["objects"] == objects
-    assert report["broken"] == {}
-
-
-def test_json_is_one_line_on_standard_output(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["new", "a", "--classes", "x"]) == 0
-    capsys.readouterr()
-    assert main(["stats", "a", "--json"]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    assert captured.out.count("\n") == 1
 
 
 @pytest.fixture
@@ -252,3 +143,115 @@ def test_inspect_says_how_much_of_a_scan_a_camera_sees(clouds: Path, capsys: pyt
     assert "--camera all: name one camera" in capsys.readouterr().err
     assert main(["inspect", "clouds", "--look-around", "6"]) == 0
     assert "6 cameras: around-000, around-060" in capsys.readouterr().out
+
+
+LEVEL = np.array([0.0, -1.0, 0.0])
+
+
+@pytest.fixture
+def room(own_copy: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A generated recording with times and labels, added to the project "p" without its gravity."""
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
+    folder = own_copy("people")
+    keys = sorted(path.stem for path in (folder / "color").iterdir())
+    lines = [f"{key},{number * 100_000_000}\n" for number, key in enumerate(keys)]
+    (folder / "timestamps.csv").write_text("key,timestamp_ns\n" + "".join(lines))
+    (folder / "gravity.json").rename(tmp_path / "gravity.json")
+    assert main(["new", "p", "--classes", "person"]) == 0
+    assert main(["add", "p", str(folder), "--name", "room"]) == 0
+    return folder
+
+
+@pytest.fixture
+def opened(room: Path, tmp_path: Path) -> Project:
+    return open_project(tmp_path / "projects" / "p")
+
+
+def first(project: Project, number: int = 0) -> tuple[Frame, tuple[Label, ...]]:
+    stored = project.frames.of()[number]
+    return FrameSource(project).read(stored), tuple(each for each in project.labels.of_frame(stored.id))
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0
+    content: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return content
+
+
+def test_up_is_estimated_shown_and_cleared_and_the_boxes_rotation_follows(
+    opened: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert first(opened)[0].up is None
+    assert orientation_for(BoxRotation.AUTO, first(opened)[0]) is Orientation.FREE
+    found = run(capsys, "up", "p", "room", "--estimate")
+    true = np.array(json.loads((tmp_path / "gravity.json").read_text())["up"])
+    assert np.degrees(np.arccos(np.dot(found["up"], true))) < 2
+    assert found["source"] == "project"
+    assert found["certainty"] > 0.6
+    frame = first(opened)[0]
+    assert frame.up == pytest.approx(found["up"])
+    assert orientation_for(BoxRotation.AUTO, frame) is Orientation.UPRIGHT
+    assert main(["up", "p", "room"]) == 0
+    assert "set in the project" in capsys.readouterr().out
+    assert run(capsys, "up", "p", "room", "0", "-2", "-0.5")["up"] == pytest.approx([0, -0.970, -0.243], abs=1e-3)
+    assert run(capsys, "up", "p", "room", "--clear")["source"] == "unknown"
+
+
+def test_wrong_directions_and_corrections_are_refused(room: Path, capsys: pytest.CaptureFixture[str]):
+    for words in ("1 2", "0 -1 0 --clear", "--estimate --clear", "0 0 0"):
+        assert main(["up", "p", "room", *words.split()]) == 2
+        assert "three" in capsys.readouterr().err
+    for words in ("--turn 0 900 0", "--clear --shift 0 0 1"):
+        assert main(["calibrate", "p", "room", *words.split()]) == 2
+        assert "give" in capsys.readouterr().err
+    (room / "timestamps.csv").unlink()
+    assert main(["calibrate", "p", "room", "--time-offset", "0.1"]) == 2
+    assert "have no times" in capsys.readouterr().err
+
+
+def test_labels_that_are_imported_after_a_correction_are_where_the_cloud_is(
+    opened: Project, room: Path, tmp_path: Path
+):
+    assert main(["new", "q", "--classes", "person"]) == 0
+    assert main(["add", "q", str(room), "--name", "room", "--no-labels"]) == 0
+    for name in ("p", "q"):
+        assert main(["calibrate", name, "room", "--turn", "3", "0", "0", "--shift", "0", "0.1", "0"]) == 0
+    assert main(["add", "q", str(room)]) == 0
+    with open_project(tmp_path / "projects" / "q") as late:
+        pairs = zip(opened.labels.select(), late.labels.select(), strict=True)
+        assert all(same_box(a.label.box, b.label.box) for a, b in pairs)
+
+
+def test_a_time_offset_shows_the_image_that_is_nearest_in_time(opened: Project, capsys: pytest.CaptureFixture[str]):
+    frames = [first(opened, number)[0] for number in range(4)]
+    run(capsys, "calibrate", "p", "room", "--time-offset", "0.16")
+    late = [first(opened, number)[0] for number in range(4)]
+    # the clouds' clock is two frames ahead, so each belongs to an earlier image
+    assert [np.array_equal(late[i].rgb, frames[max(0, i - 2)].rgb) for i in range(4)] == [True] * 4
+    assert all(np.array_equal(a.cloud.xyz_m, b.cloud.xyz_m) for a, b in zip(late, frames, strict=True))
+    run(capsys, "calibrate", "p", "room", "--time-offset", "0.04")
+    assert np.array_equal(first(opened, 2)[0].rgb, frames[2].rgb)
+    assert run(capsys, "calibrate", "p", "room", "--clear")["time_offset_s"] == 0
+
+
+def test_adding_a_recording_that_does_not_know_up_says_what_to_do(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for name, rotation in (("a", "auto"), ("b", "free")):
+        assert main(["new", name, "--classes", "person", "--rotation", rotation]) == 0
+        capsys.readouterr()
+        assert main(["add", name, str(room), "--no-labels"]) == 0
+        assert (f"annotator up {name} people --estimate" in capsys.readouterr().out) == (rotation == "auto")
+
+
+def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, monkeypatch: pytest.MonkeyPatch):
+    theirs = Correction(shift_m=(0.0, 0.1, 0.0))
+
+    def late(project: Project, recording: int, *rest: Any) -> int:
+        project.adjustments.correct(recording, theirs, "Bob")
+        return correct_calibration(project, recording, *rest)
+
+    monkeypatch.setattr("annotator.cli.adjust.correct_calibration", late)
+    assert main(["calibrate", "p", "room", "--turn", "3", "0", "0"]) != 0
+    assert opened.recordings.all()[0].correction == theirs

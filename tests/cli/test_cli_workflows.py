@@ -11,17 +11,14 @@ import pytest
 
 from annotator.cli import annotate as annotate_command
 from annotator.cli import demo as demo_command
-from annotator.cli.annotate import SHOWN_FAILURES, summary_lines
 from annotator.cli.main import main
 from annotator.demo import FirstDragPlan, TrainedPlan
 from annotator.detection import pretrained
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
-from annotator.recordings import open_recording
-from annotator.types import Box2D, ReviewState, Source
+from annotator.types import Box2D
 from annotator.types.errors import ConfigError
-from annotator.workflows.proposing.annotate import AnnotateSummary
 from annotator.workflows.proposing.tasks import GivenDetectors
 
 Capture = pytest.CaptureFixture[str]
@@ -64,9 +61,6 @@ def stats(capsys: Capture, name: str = "room") -> dict[str, object]:
     return content
 
 
-# --- add, simulate ---------------------------------------------------------------------------------------------------
-
-
 def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, capsys: Capture) -> None:
     run(capsys, "new", "both", "--classes", "person", "robot")
     said = run(capsys, "add", "both", generated / "people", generated / "hands")
@@ -78,24 +72,12 @@ def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, ca
     assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
 
 
-def test_add_lists_unreadable_frames(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
-    folder = own_copy("people")
-    (folder / "depth" / "000003.png").write_bytes(b"")
-    run(capsys, "new", "room", "--classes", "person")
-    said = run(capsys, "add", "room", folder)
-    assert "imported as labels: 12 person in 4 frames" in said
-    assert "unreadable: 000003: " in said
-
-
 def test_simulate_draws_silhouettes_by_default(project: str, capsys: Capture) -> None:
     said = run(capsys, "simulate", project, "people", "--every", "2")
     assert "3 frames, 9 objects, 45 2D boxes drawn" in said
     assert stats(capsys)["labels"]["total"] == 0, "silhouettes by default"
     run(capsys, "simulate", project, "people", "--box-kind", "box", "--every", "5")
     assert stats(capsys)["labels"]["total"] == 3
-
-
-# --- views, import ---------------------------------------------------------------------------------------------------
 
 
 def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Capture) -> None:
@@ -118,13 +100,6 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     assert "imported as 2D boxes: 2 person on 2 pseudo-views" in said
     counts = stats(capsys)
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
-
-    said = run(capsys, "export", project, "yolo", "--format", "yolo", "--boxes-on", "both")
-    assert said.startswith("yolo: 3 images, 3 person\n")
-    assert said.endswith("; split the dataset with --split train=0.8,val=0.2\n")
-    assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
-        "imported as 2D boxes: 3 person on 1 camera image and 2 pseudo-views\n"
-    )
 
 
 def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
@@ -153,9 +128,6 @@ def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: C
     said = run(capsys, "import", project, "theirs.json", *options, "--source", "other")
     assert said.startswith("proposed by other: 2 person in 2 frames\nmerged: 1 box with proposals of other sources\n")
     assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
-
-
-# --- annotate --------------------------------------------------------------------------------------------------------
 
 
 def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
@@ -200,23 +172,6 @@ def test_annotate_with_a_bad_frame_returns_1(
     assert "  failed 000002: " in said
     assert "depth/000002.png" in said
     assert stats(capsys)["frames_failed"] == 1
-    # the frame is retried, and fails again
-    assert "0 frames done, 0 proposals (0 frames without), 4 skipped, 1 failed" in run(
-        capsys, "annotate", "room", "--axes", "camera", code=1
-    )
-
-
-def test_only_the_first_failures_are_listed() -> None:
-    failed = [(f"{n:06d}", "no good") for n in range(SHOWN_FAILURES + 3)]
-    assert summary_lines(AnnotateSummary(backends=("openvino", "openvino")))[0].endswith("; detectors on openvino")
-    assert summary_lines(AnnotateSummary(backends=("openvino", "torch")))[0].endswith("; detectors on openvino, torch")
-    assert "detectors on" not in summary_lines(AnnotateSummary(backends=("", "")))[0]
-    lines = summary_lines(AnnotateSummary(frames=20, failed=failed))
-    assert len(lines) == 1 + SHOWN_FAILURES + 1
-    assert lines[-1] == "  and 3 more"
-
-
-# --- export ----------------------------------------------------------------------------------------------------------
 
 
 def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -234,192 +189,102 @@ def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, ca
     assert "5 frames" in said
 
 
-# --- generate, demo --------------------------------------------------------------------------------------------------
-
-
-def test_generate_writes_a_recording(tmp_path: Path, root: Path, capsys: Capture) -> None:
-    words = ["generate", "made/hands", "--preset", "hands", "--frames", "2", "--width", "64", "--height", "48"]
-    assert run(capsys, *words) == "made/hands: 2 frames of hands\n"
-    recording = open_recording(tmp_path / "made" / "hands")
-    assert len(recording) == 2
-    assert recording.frame(1).rgb.shape == (48, 64, 3)
-    assert "already exists" in run(capsys, *words, code=2)
-
-
 def test_demo_passes_its_options_on_and_checks_them(
-    root: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    root: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plans = []
 
-    def refuse(folder: Path, plan: object, tell: Callable[[str, float, float], None], *_: object) -> None:
+    def refuse(folder: Path, plan: object, *_: object) -> None:
         plans.append((folder, plan))
-        tell("train", 1.0, 2.0)
         raise ConfigError("not today")
 
     monkeypatch.setattr(demo_command, "run_trained", refuse)
     monkeypatch.setattr(demo_command, "run_first_drag", refuse)
     monkeypatch.setattr(demo_command, "has_base", lambda: True)
     words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3"]
-    assert "not today" in run(capsys, *words, "--train", "--image-pictures", "7", code=2)
-    assert "not today" in run(capsys, *words, code=2)
+    run(capsys, *words, "--train", "--image-pictures", "7", code=2)
+    run(capsys, *words, code=2)
     common = {"preset": "hands", "frames": 6, "seed": 3}
-    assert plans == [
-        (Path("there"), TrainedPlan(image_pictures=7, **common)),
-        (Path("there"), FirstDragPlan(**common)),
-    ]
+    assert [plan for _, plan in plans] == [TrainedPlan(image_pictures=7, **common), FirstDragPlan(**common)]
     assert "add --train" in run(capsys, *words, "--image-pictures", "7", code=2)
     run(capsys, "demo", code=2)
-    run(capsys, "demo", "--train", code=2)
-    assert len({folder for folder, _ in plans}) == 3, "a new folder each time"
-    assert plans[2] == (plans[2][0], FirstDragPlan())
-    assert plans[3] == (plans[3][0], TrainedPlan())
-    assert plans[2][0].parent == Path("out")
     monkeypatch.setattr(demo_command, "has_base", lambda: False)
-    main(["demo", "elsewhere"])
+    main(["demo"])
     assert "trains two detectors first" in capsys.readouterr().out
-    assert plans[4] == (Path("elsewhere"), TrainedPlan())
+    assert plans[3][1] == TrainedPlan()
+    assert len({folder for folder, _ in plans}) == 3 and plans[2][0].parent == Path("out"), "a new folder each time"
 
 
-# --- errors ----------------------------------------------------------------------------------------------------------
-
-
-REFUSED = [
-    ("simulate room nothing", "no recording 'nothing'; it has: people"),
-    ("simulate room people --every 0", "give 1 or more"),
-    ("simulate nowhere people", "no project 'nowhere' (it has: room); `annotator new` creates one"),
-    ("views room out", "no object with boxes on camera images yet"),
-    ("views room out --step 2", "both views of the first step"),
-    ("views room out --step 3", "there is no step 3"),
-    ("views room file.txt", "exists already"),
-    ("import room nothing.json", "nothing.json"),
-    ("import room dogs.json", "none of the dataset's classes is in the project: the dataset has dog"),
-    ("import room dogs.json --pictures p --recording x", "--recording is for boxes on camera images"),
-    ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
-    ("import room dogs.json --fraction 0.5", "--fraction and --seed need --as 2d"),
-    ("import room dogs.json --as 2d", "is coco, which contains no 3D boxes; leave out --as"),
-    ("import room --as 2d --fraction 2", "cannot take a fraction of 2.0 of the frames"),
-    ("import room --as 2d --pictures p", "leave out --pictures"),
-    ("import room --as 2d --recording x", "no recording 'x'"),
-    ("import room dogs.json --as proposals", "dogs.json is coco, which contains no 3D boxes"),
-    ("import room dogs.json --min-score 0.5", "--source and --min-score need --as proposals"),
-    ("import room dogs.json --classes dog", "write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT"),
-    ("import room file.txt", "no format of boxes was recognised"),
-    ("train room", "no boxes on camera images or pseudo-views to learn from"),
-    ("train room --only view", "no boxes on pseudo-views to learn from"),
-    ("annotate room", "has no image detector yet; run `annotator train room`"),
-    ("export room out", "has no labels in state proposed, accepted, edited to export"),
-    ("export room out --recordings x", "no recording 'x'"),
-    ("add room PEOPLE --name other", "is in the project already, as people"),
-    ("generate file.txt", "already exists"),
-    ("generate new --frames 0", "frames must be at least 1"),
-    ("generate new --width 3", "at least 16 x 16 pixels"),
-]
-
-
-def test_bad_input_is_an_error_and_changes_nothing(
-    project: str, generated: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    (tmp_path / "file.txt").write_text("no JSON")
-    write_coco(tmp_path / "dogs.json", [CocoImage("000000.jpg", 320, 240, (Box2D("dog", 1.5, 1.5, 9.5, 9.5),))])
-    before, content = stats(capsys), sorted(path.name for path in tmp_path.iterdir())
-    for command, says in REFUSED:
-        words = [str(generated / "people") if word == "PEOPLE" else word for word in command.split()]
-        said = run(capsys, *words, code=2)
-        assert "error: " in said
-        assert says in said
-        assert sorted(path.name for path in tmp_path.iterdir()) == content
-    assert stats(capsys) == before
-
-
-def test_annotate_with_unusable_options(trained: str, capsys: Capture) -> None:
-    assert "a limit of 0 frames" in run(capsys, "annotate", "room", "--limit", "0", code=2)
-    assert "no recording 'x'; it has: people" in run(capsys, "annotate", "room", "--recordings", "x", code=2)
-    assert stats(capsys)["runs"] == 0
-
-
-def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, capsys: Capture) -> None:
-    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
-    run(capsys, "import", project, "c.json")
-    run(capsys, "views", project, "pictures")
-    next((tmp_path / "pictures").glob("*side.png")).unlink()
-    drawn = [
-        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
-        for i in read_coco(tmp_path / "pictures" / "coco.json")
-    ]
-    write_coco(tmp_path / "drawn.json", drawn)
-    said = run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
-    assert "side.png is not in pictures; give the folder of the images" in said
-    assert stats(capsys)["view_boxes"]["boxes"] == 0
-    shutil.rmtree(tmp_path / "pictures")
-    assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
-
-
-def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: Capture) -> None:
     shutil.copytree(made_rooms / "labelled", root)
     with open_project(root / "room") as project:
         for frame in project.frames.of()[1:4]:
             for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
                 project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
+    assert "track 1: 3 frames filled" in run(capsys, "interpolate", "room", "people", "--track", "1")
+    run(capsys, *["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"])
+    assert "track 9 has 0 reviewed boxes" in run(capsys, "interpolate", "room", "people", "--track", "9", code=2)
+    said = run(capsys, "track", "room", "--recordings", "people")
+    assert "12 boxes in 3 tracks of 1 recording, 0 changed" in said
+
+
+HEAD = "image,class,cx,cy,cz,l,w,h,yaw"
+CAR = "Car 0.00 0 0.10 100.00 120.00 190.00 180.00 1.50 1.60 4.00 2.00 1.60 20.00 0.20"
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture
+def rooms(tmp_path: Path) -> list[str]:
+    (tmp_path / "truth.csv").write_text(f"{HEAD}\n1,night/stand,0,0,0,2,1.5,0.5,0.3\n")
+    (tmp_path / "found.csv").write_text(f"{HEAD},score\n1,night/stand,0,0,0,2,1.5,0.5,0.3,0.9\n")
+    return [str(tmp_path / "found.csv"), str(tmp_path / "truth.csv")]
+
+
+def said(capsys: Capture, *words: object, code: int = 0) -> str:
     capsys.readouterr()
-    assert main(["interpolate", "room", "people", "--track", "1"]) == 0
-    assert "track 1: 3 frames filled" in capsys.readouterr().out
-    assert main(["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"]) == 0
-    with open_project(root / "room") as project:
-        states = [[label.state for label in project.labels.of_frame(frame.id)] for frame in project.frames.of()]
-        assert states[2] == [ReviewState.PROPOSED] * 2
-        assert all(label.track_id in (1, 2, 3) for f in project.frames.of() for label in project.labels.of_frame(f.id))
-    assert main(["interpolate", "room", "people", "--track", "9"]) == 2
-    assert "track 9 has 0 reviewed boxes" in capsys.readouterr().err
-    assert main(["track", "room", "--recordings", "people"]) == 0
-    assert "12 boxes in 3 tracks of 1 recording, 0 changed" in capsys.readouterr().out
-    assert main(["track", "room", "--no-smooth"]) == 0
+    assert main(["evaluate", *map(str, words)]) == code
+    captured = capsys.readouterr()
+    return captured.err if code else captured.out
 
 
-@pytest.mark.slow
-def test_from_a_recording_to_a_dataset(
-    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
-    monkeypatch.chdir(tmp_path)
+def test_evaluate_prints_a_table_or_one_json_object(rooms: list[str], capsys: Capture) -> None:
+    table = said(capsys, *rooms, "--protocol", "sunrgbd")
+    assert "night/stand" in table
+    assert "1.000" in table
+    lines = said(capsys, *rooms, "--protocol", "sunrgbd", "--json").splitlines()
+    assert [json.loads(line)["0.25"] for line in lines] == [{"mAP": 1.0, "AP": {"night/stand": 1.0}}]
 
-    def annotator(*words: str | Path) -> str:
-        code, printed = main([str(word) for word in words]), capsys.readouterr()
-        assert code == 0, printed.err
-        return printed.out
 
-    annotator("new", "room", "--classes", "person")
-    assert "imported as labels: 15 person in 5 frames" in annotator("add", "room", generated / "people")
+def test_kitti_curves_are_written_as_images(tmp_path: Path, capsys: Capture) -> None:
+    for name, score in (("found", " 0.5"), ("label_2", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "000000.txt").write_text(CAR + score)
+    words = [tmp_path / "found", tmp_path / "label_2", "--protocol", "kitti", "--curves", tmp_path / "a" / "curves"]
+    assert f"{tmp_path / 'a' / 'curves'}: 4 images" in said(capsys, *words)
+    files = sorted((tmp_path / "a" / "curves").iterdir())
+    assert [file.name for file in files] == [f"Car_{metric}.png" for metric in ("3d", "aos", "bbox", "bev")]
+    assert all(file.read_bytes().startswith(PNG) for file in files)
+    assert list(json.loads(said(capsys, *words, "--json"))) == ["Car"]
 
-    said = annotator(
-        *("train", "room", "--epochs", "1", "--image-epochs", "1"),
-        *("--size", "64", "--image-size", "64", "--views", "16", "--weights", "never"),
+
+def test_a_project_instead_of_files(made_rooms: Path, tmp_path: Path, capsys: Capture) -> None:
+    root = ["--projects", str(shutil.copytree(made_rooms / "labelled", tmp_path / "projects"))]
+    words = ["--project", "room", *root, "--protocol", "oriented"]
+    found = json.loads(said(capsys, *words, "--recordings", "people", "--json"))
+    assert found["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
+    assert found["classes"]["person"]["objects"] == 15
+    assert "note: imported from the recordings themselves, and so compared with themselves: 15 of 15 labels" in said(
+        capsys, *words
     )
-    assert "image detector: trained on" in said
-    assert "view detector: trained on" in said
-    assert said.count("random weights") == 2
-    assert "next: annotator annotate room" in said
+    assert "no true box" in said(capsys, *words, "--measured", "proposals", code=2)
+    assert "measure proposals" in said(capsys, *words, "--against", "reviewed", code=2)
 
-    said = annotator("annotate", "room")
-    assert said.startswith("5 frames done, ")
-    assert ", 0 skipped, 0 failed; " in said
-    assert annotator("annotate", "room").startswith(
-        "0 frames done, 0 proposals (0 frames without), 5 skipped, 0 failed"
-    )
 
-    assert "5 frames, " in annotator("export", "room", "--format", "rcv", "out/3D_ROOM")
-    counts = json.loads(annotator("stats", "room", "--json"))
-    assert (counts["frames"], counts["models"], counts["runs"], counts["frames_failed"]) == (5, 2, 2, 0)
-    assert counts["labels"]["by_source"]["imported"] == 15
-    dataset = read_rcv(tmp_path / "out" / "3D_ROOM")
-    assert len(dataset) == 5
-    assert dataset.manifest.counts.objects == counts["labels"]["total"]
-    # only backends that ran are listed; briefly trained detectors may propose nothing
-    proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
-    assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
-
-    # the manifest of each model lists its training labels
-    for manifest in (tmp_path / "projects" / "room" / "models").glob("*/*-*/manifest.json"):
-        entries = json.loads(manifest.read_text())["entries"]
-        assert {uid for entry in entries for uid in entry["label_uids"]} == {
-            label.uid for index in range(5) for label in dataset.labels(index) if label.source == "imported"
-        }
+def test_unusable_arguments_are_errors(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
+    assert "give DETECTIONS and TRUTH" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
+    assert "not both" in said(capsys, *rooms, "--protocol", "sunrgbd", "--project", "x", code=2)
+    assert "need --project" in said(capsys, *rooms, "--protocol", "sunrgbd", "--measured", "proposals", code=2)
+    assert "--relaxed is for the kitti protocol" in said(capsys, *rooms, "--protocol", "sunrgbd", "--relaxed", code=2)
+    assert "no such folder" in said(capsys, tmp_path / "a", tmp_path / "b", "--protocol", "kitti", code=2)
+    broken = said(capsys, rooms[1], rooms[1], "--protocol", "sunrgbd", code=2)
+    assert f"{rooms[1]}:1: " in broken.replace("\n", "")

@@ -37,7 +37,7 @@ from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
 from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
 from test_cloud_files import RGB, XYZ  # noqa: E402
-from test_kitti_tracklets import PEDESTRIAN, VAN, document  # noqa: E402
+from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 from test_las_file import written  # noqa: E402
 from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
 from test_ros_messages import rvl  # noqa: E402

@@ -41,20 +41,8 @@ def test_coordinates_are_shifted_by_half_a_pixel(tmp_path: Path) -> None:
     assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)
     assert first.boxes[1] == Box2D("person", 2.0, 2.5, 6.0, 4.5)
     assert (second.file_name, second.boxes) == ("sub/b.png", ())
-
-
-@pytest.mark.parametrize(
-    ("bbox", "clipped"),
-    [
-        ([-3, 2, 6, 2], (-0.5, 1.5, 2.5, 3.5)),
-        ([8, 6, 100, 100], (7.5, 5.5, 9.5, 7.5)),
-        ([-1, -1, 100, 100], (-0.5, -0.5, 9.5, 7.5)),
-    ],
-)
-def test_box_partly_outside_is_clipped(tmp_path: Path, bbox: list[float], clipped: tuple[float, ...]) -> None:
-    content = copy.deepcopy(GOOD)
-    content["annotations"][0]["bbox"] = bbox
-    assert read_coco(put(tmp_path, content))[0].boxes[0].xyxy == clipped
+    clipped = read_coco(put(tmp_path, broken("annotations.0.bbox", [-3, 2, 100, 2])))[0].boxes[0]
+    assert clipped.xyxy == (-0.5, 1.5, 9.5, 3.5)
 
 
 def broken(place: str, value: Any) -> dict[str, Any]:
@@ -78,30 +66,21 @@ def repeated(part: str, **changes: Any) -> dict[str, Any]:
     ("content", "says"),
     [
         ('{"images": [\n {"id": 1,}]}', ":2: is not valid JSON"),
-        ("", "is not valid JSON"),
         ("[]", "Input should be an object"),
         ({"images": []}, "annotations"),
         (broken("images.0.width", 0), "images.0.width"),
-        (broken("images.0.file_name", ""), "images.0.file_name"),
-        (broken("annotations.1.bbox", [1, 2, 3]), "annotations.1.bbox"),
         (broken("annotations.1.bbox", [1, 2, 3, float("nan")]), "annotations.1.bbox.3"),
-        (broken("annotations.1.bbox", ["a", 2, 3, 4]), "annotations.1.bbox.0"),
         (broken("annotations.1.bbox", [1e308, 0, 1e308, 1]), "annotations.1.bbox.0"),
-        (broken("images.0.width", 10**309), "images.0.width"),
         (broken("annotations.1.score", 1.5), "annotations.1.score"),
         (broken("annotations.1.image_id", 8), "annotation 4: image_id 8 is not in images"),
         (broken("annotations.1.category_id", 8), "annotation 4: category_id 8 is not in categories"),
         (broken("annotations.1.bbox", [1, 2, -3, 4]), "must have a positive width and height"),
-        (broken("annotations.1.bbox", [1, 2, 3, 0]), "must have a positive width and height"),
         (broken("annotations.1.bbox", [10, 2, 3, 4]), "lies outside 'a.png', which is 10 x 8 px"),
-        (broken("annotations.1.bbox", [1, -5, 3, 4]), "lies outside"),
         (broken("annotations.1.bbox", [9.9, 2, 1e-30, 4]), "lies outside"),
         (broken("annotations.1.iscrowd", 1), "crowd region"),
-        (repeated("images", file_name="c.png"), "image id 7 is used twice"),
         (repeated("images", id=1), "file_name 'a.png' is used twice"),
         (repeated("annotations", bbox=[1, 1, 2, 2]), "annotation id 3 is used twice"),
         (repeated("annotations", id=1), "box (image_id, category_id, bbox) (7, 5"),
-        (repeated("categories", name="c"), "category id 5 is used twice"),
         (repeated("categories", id=1), "category name 'hand' is used twice"),
     ],
 )
@@ -150,18 +129,14 @@ POLYGONS = [[30, 20, 50, 20, 40, 45], [38, 44, 42, 44, 40, 60]]
         # edges from the picture's corner
         (turned(90, (20, 30, 40, 10)), (35, 15, 45, 55), 1),
         (turned(45.0, (20, 30, 30, 10)), (35 - 200**0.5, 35 - 200**0.5, 35 + 200**0.5, 35 + 200**0.5), 1),
-        (turned(-30, (20, 30, 40, 10)), (40 - 19.8205, 35 - 14.3301, 40 + 19.8205, 35 + 14.3301), 1),
-        (turned(0.0, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
         (turned(180, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
         (turned("90", (20, 30, 40, 10)), (35, 15, 45, 55), 1),
         # no angle, but somebody's own attribute
         (turned("left", (20, 30, 40, 10)), (20, 30, 60, 40), 0),
-        (turned(True, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
         # the rectangle around a turned box may reach beyond the picture
         (turned(90, (0, 0, 40, 10)), (15, 0, 25, 25), 1),
         # polygons without a box, and with one
         (turned(0, None, segmentation=POLYGONS), (30, 20, 50, 60), 1),
-        (turned(0, [], segmentation=POLYGONS), (30, 20, 50, 60), 1),
         (turned(0, (20, 30, 40, 10), segmentation=POLYGONS), (20, 30, 60, 40), 0),
         # somebody's own attribute in a file of annotator
         (turned(45, (20, 30, 40, 10), image={"box_kind": "box"}), (20, 30, 60, 40), 0),
@@ -174,13 +149,11 @@ def test_turned_boxes_and_polygons_are_the_rectangles_around_them(
     assert image.boxes[0].xyxy == pytest.approx(np.array(edges) - 0.5, abs=1e-4)
     assert image.around == around
     rotation = content["annotations"][0]["attributes"]["rotation"]
-    kept = {"rotation": rotation} if rotation in ("left", True) or image.box_kind is not None else {}
+    kept = {"rotation": rotation} if rotation == "left" or image.box_kind is not None else {}
     assert image.values == ({"occluded": False} | kept,)
 
 
-@pytest.mark.parametrize(
-    "segmentation", [None, [], [[]], [[1, 2, 3], [4, 5, 6]], {"counts": "abc", "size": [8, 10]}, "x", [["a", 1]]]
-)
+@pytest.mark.parametrize("segmentation", [None, [[1, 2, 3], [4, 5, 6]], {"counts": "abc", "size": [8, 10]}])
 def test_an_annotation_without_box_and_polygons_is_an_error(tmp_path: Path, segmentation: object) -> None:
     with pytest.raises(FormatError, match="annotation 1: has no bbox, and no polygons as segmentation"):
         read_coco(put(tmp_path, turned(0, None, segmentation=segmentation)))
@@ -214,24 +187,16 @@ def areas(rows: np.ndarray, *, as_corners: bool = False, more: float = 0.0) -> l
     ("rows", "area", "are_corners"),
     [
         pytest.param(CORNERS, None, True, id="corners"),
-        pytest.param(CORNERS[2:3], None, True, id="one"),
         pytest.param(CORNERS, areas(CORNERS, as_corners=True), True, id="areas-of-corners"),
-        pytest.param(CORNERS, areas(CORNERS, as_corners=True, more=1), True, id="areas-with-both-edges"),
         pytest.param(NEAR, areas(NEAR, as_corners=True), True, id="only-the-areas-show-it"),
-        pytest.param(CORNERS, [0.6 * each for each in areas(CORNERS, as_corners=True)], True, id="areas-of-masks"),
-        pytest.param(np.r_[CORNERS.repeat(8, 0) + np.arange(40)[:, None] / 99, [[9, 9, 9, 20]]], None, True, id="odd"),
         pytest.param(SIZES, None, False, id="sizes"),
-        pytest.param(SIZES, areas(SIZES), False, id="sizes-with-areas"),
         pytest.param(LARGE, None, False, id="large"),
-        pytest.param(LARGE, areas(LARGE), False, id="large-with-areas"),
         pytest.param(LARGE + np.array([5, 5, 40, 30]), None, False, id="slightly-outside"),
         pytest.param(NEAR, areas(NEAR), False, id="near"),
-        pytest.param(NEAR, None, False, id="near-without-areas"),
         pytest.param(CORNERS[2:3], areas(CORNERS[2:3]), False, id="far-outside-with-its-area"),
-        pytest.param(CORNERS[:0], None, False, id="none"),
     ],
 )
-@pytest.mark.parametrize("said", ["area", "polygon", "crowd"])
+@pytest.mark.parametrize("said", ["area", "polygon"])
 def test_corners_in_place_of_sizes_are_refused(
     tmp_path: Path, rows: np.ndarray, area: list[float] | None, are_corners: bool, said: str
 ) -> None:
@@ -246,10 +211,6 @@ def test_corners_in_place_of_sizes_are_refused(
         else:
             entry |= {"area": px}
     images = [{"id": 1, "file_name": "a.png", "width": SHOWN[0], "height": SHOWN[1]}]
-    if said == "crowd":
-        rle = {"counts": [0, 5], "size": [480, 640]}
-        crowd = {"bbox": [600, 400, 30, 20], "iscrowd": 1, "segmentation": rle, "area": 5}
-        annotations.append({"id": 99, "image_id": 1, "category_id": 1} | crowd)
     path = put(tmp_path, {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "a"}]})
     if are_corners:
         with pytest.raises(
@@ -257,9 +218,7 @@ def test_corners_in_place_of_sizes_are_refused(
         ):
             read_coco(path)
     else:
-        faults: list[FormatError] = []
-        (image,) = read_coco(path, faults.append)
+        (image,) = read_coco(path)
         low, size = rows[:, :2], rows[:, 2:]
         want = np.c_[low, np.minimum(low + size, SHOWN)] - 0.5
         np.testing.assert_allclose(np.array([box.xyxy for box in image.boxes]).reshape(-1, 4), want)
-        assert len(faults) == (said == "crowd")

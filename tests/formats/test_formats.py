@@ -16,7 +16,7 @@ from annotator.formats.dataset_writing import DatasetItem, FileNames, encoded_im
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, WRITERS, ExportFormat, documented
 from annotator.types import Camera, PointCloud, ReviewState, Truth
-from annotator.types.errors import FormatError, FrameError
+from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
 from annotator.workflows.importing.readers import READERS
@@ -209,8 +209,8 @@ def failing(error: BaseException) -> Iterator[DatasetItem]:
     raise error
 
 
-@pytest.mark.parametrize("error", [FrameError(Path("x.png"), "truncated"), KeyboardInterrupt()])
-def test_a_failed_export_leaves_nothing_and_an_older_one_as_it_was(tmp_path: Path, error: BaseException) -> None:
+def test_a_failed_export_leaves_nothing_and_an_older_one_as_it_was(tmp_path: Path) -> None:
+    error = KeyboardInterrupt()
     with pytest.raises(type(error)):
         write("openlabel", tmp_path / "out", failing(error))
     assert list(tmp_path.iterdir()) == []

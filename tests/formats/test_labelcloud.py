@@ -120,10 +120,8 @@ def foreign(tmp_path: Path, form: str | None, *entries: dict[str, Any]) -> Path:
     ("form", "angles", "degrees"),
     [
         ("centroid_abs", [(0.5, 0, 0)], True),
-        ("centroid_rel", [(0.5, 0, 0)], False),
         (None, [(0, 0, 0.5), (0, 0, 270)], True),
         (None, [(0, 0, 0.5), (0, 0, -0.5)], False),
-        (None, [(0, 0, 0)], False),
     ],
 )
 def test_the_unit_of_the_angles_is_detected(
@@ -148,16 +146,11 @@ FLAT = {"name": "a", "vertices": [[x, y, 0] for _ in (0, 1) for x, y in ((0, 0),
 @pytest.mark.parametrize(
     ("entries", "problem"),
     [
-        ([entry(0, 0, 0.5)], "labels: the angles may be radians or degrees"),
-        ([entry(0, 0, -0.5), entry(0, 0, 200)], "labels: angles from -0.5 to 200.0 are neither"),
-        ([entry(0, 0, -7)], "are neither"),
         ([SKEW], r"000000\.json: objects\.0: the vertices lie up to .* off the corners of a box"),
         ([MIRRORED], r"objects\.0: the vertices are not in labelCloud's order"),
         ([FLAT], r"objects\.0: the vertices lie in one plane"),
-        ([{"name": "a", "vertices": [[0, 0, 0]] * 7}], r"objects\.0\.vertices"),
         ([{"name": "a"}], r"objects\.0: .*a box needs centroid, dimensions and rotations, or vertices"),
         ([entry(0, 0, 0) | {"dimensions": {"length": -1, "width": 1, "height": 1}}], r"dimensions\.length"),
-        ([entry(0, 0, float("nan"))], r"rotations\.z"),
     ],
 )
 def test_errors_of_invalid_labels_name_the_place(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
@@ -170,7 +163,6 @@ def test_errors_of_invalid_labels_name_the_place(tmp_path: Path, entries: list[d
     [
         ("P2: 1 2 3\n", r"000000\.txt:1: P2 needs 12 numbers"),
         ("R0_rect: 1 0 0 0 1 0 0 0 1\n", "has no P2 and no Tr_velo_to_cam"),
-        ("Tr_velo_to_cam: 1 0 0 0 0 nan 0 0 0 0 1 0\n", r"000000\.txt:1: Tr_velo_to_cam must be finite"),
         (
             "P2: 1 0 0 0 0 1 0 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 1 0 0 1e10 0 1 0 0 0 0 1 0\n",
             r"calib/000000\.txt: moves objects\.0 of its cloud out of range: a box must be within",

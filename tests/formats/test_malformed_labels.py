@@ -10,8 +10,7 @@ import tempfile
 import tracemalloc
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -114,23 +113,13 @@ def complaint(read: Reader, path: Path) -> str | None:
     return None
 
 
-@pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A valid file for each reader."""
-    found = {}
-    root = tmp_path_factory.mktemp("readers")
-    for number, (name, (file, content, _)) in enumerate(READERS.items()):
-        path = root / f"reader{number}" / "data" / file
-        for other, kept in {**(RCV if name.startswith("rcv/") else {}), file: content}.items():
-            (path.parents[file.count("/")] / other).parent.mkdir(parents=True, exist_ok=True)
-            (path.parents[file.count("/")] / other).write_bytes(kept)
-        found[name] = path
-    return found
-
-
-def root_of(name: str, path: Path) -> Path:
-    """The reader's argument: the file, or the dataset that contains it."""
-    return path.parents[READERS[name][0].count("/")] if name.startswith("rcv/") else path
+def put(name: str, folder: Path, content: bytes) -> Path:
+    """Writes the file of a reader with this content, beside what it needs; returns the reader's argument."""
+    file = READERS[name][0]
+    for other, kept in {**(RCV if name.startswith("rcv/") else {}), file: content}.items():
+        (folder / other).parent.mkdir(parents=True, exist_ok=True)
+        (folder / other).write_bytes(kept)
+    return folder if name.startswith("rcv/") else folder / file
 
 
 def png_header(width: int, height: int) -> bytes:
@@ -149,15 +138,6 @@ def bomb() -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.txt", b"\0" * (20 << 20))
     return buffer.getvalue()
-
-
-def broken_lzma() -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
-        archive.writestr("a.txt", b"0" * 4000)
-    content = bytearray(buffer.getvalue())
-    content[60] ^= 255
-    return bytes(content)
 
 
 def changed(content: object, value: object, *place: str | int) -> bytes:
@@ -181,53 +161,30 @@ FOUND: list[tuple[str, bytes, str]] = [
     ("boxes_json", b'{"a":' + b"[" * 200_000, "boxes.json: is nested too deeply"),
     ("boxes_json", changed(BOXES, "\ud800", "000", "label"), r"has an unpaired surrogate \('.ud800'\)"),
     ("boxes_json", changed(BOXES, 1e308, "000", "rotation", 0, 0), "000.0.rotation.0.0: Input should be less than"),
-    ("boxes_json", changed(BOXES, 1e300, "000", "center", 0), "000.0.center.0: Input should be less than"),
-    ("boxes_json", changed(BOXES, [[1e308] * 3] * 8, "000", "corners"), "000.0.corners.0.0: Input should be less than"),
     ("sunrgbd_scene", changed(SCENE, 1e308, "objects", 0, "polygon", 0, "X", 0), r"objects\.0\.polygon\.0\.X\.0: "),
     ("kitti", CAR.replace("48.22", "1e300").encode(), r"000\.txt:1: a box must be within 1e\+09 m"),
     ("kitti", CAR.replace("48.22", "9" * 5000).encode(), r"000\.txt:1: '9{40}' is not a finite number"),
-    ("kitti_tracking", f"0 1 {CAR}\n1e999 1 {CAR}".encode(), r"l\.txt:2: '1e999' is not a finite number"),
-    ("sunrgbd", READERS["sunrgbd"][1].replace(b"30", b"1_0"), r"000\.txt:1: '1_0' is not a number"),
-    ("sunrgbd", READERS["sunrgbd"][1].replace(b"0.4", b"1e308"), r"000\.txt:1: a number is larger than"),
     ("mask", png_header(100_000, 100_000), "image of 100000 x 100000 pixels is too large"),
-    ("mask", png_header(0, 5), "cannot be decoded"),
     ("archive", bomb(), r"labels\.zip/a\.txt: is longer than 16 MiB"),
-    ("archive", broken_lzma(), r"labels\.zip: the archive cannot be read \(Corrupt input data\)"),
     (LABELS, rcv("a\0b", "image"), "'a.x00b' leads out of the folder"),
     (LABELS, rcv("../../../etc/passwd", "cloud"), "'../../../etc/passwd' leads out of the folder"),
-    (LABELS, rcv("/etc/passwd", "image"), "'/etc/passwd' leads out of the folder"),
-    (LABELS, rcv([1e308] * 3, "objects", 0, "size"), "objects.0.size.0: Input should be less than"),
     (
         "rcv/dataset.json",
         rcv("../../x", "frames", 0, file="dataset.json"),
         "the id '../../x' is not a valid file name",
     ),
-    ("rcv/dataset.json", rcv("a\0b", "frames", 0, file="dataset.json"), "leads out of the folder"),
 ]
 
 
-@contextmanager
-def content_of(path: Path, content: bytes, kept: bytes) -> Iterator[None]:
-    """Replaces a file's content temporarily."""
-    path.write_bytes(content)
-    try:
-        yield
-    finally:
-        path.write_bytes(kept)
-
-
 @pytest.mark.parametrize(("name", "content", "says"), FOUND, ids=[f"{n}-{i}" for i, (n, _, _) in enumerate(FOUND)])
-def test_known_cases_are_errors_without_large_memory_use(
-    name: str, content: bytes, says: str, places: dict[str, Path]
-) -> None:
-    path, read = places[name], READERS[name][2]
-    with content_of(path, content, READERS[name][1]):
-        tracemalloc.start()
-        try:
-            message = complaint(read, root_of(name, path))
-            peak = tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
+def test_known_cases_are_errors_without_large_memory_use(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+    path = put(name, tmp_path / "data", content)
+    tracemalloc.start()
+    try:
+        message = complaint(READERS[name][2], path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
     assert message is not None and re.search(says, message), message
     assert peak < 64 << 20
     assert len(message) < 1000
@@ -236,9 +193,7 @@ def test_known_cases_are_errors_without_large_memory_use(
 def test_links_out_of_a_dataset_are_refused(tmp_path: Path) -> None:
     secret = tmp_path / "secret.json"
     secret.write_bytes(RCV[RCV_LABELS])
-    for name in RCV:
-        (tmp_path / "data" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "data" / name).write_bytes(RCV[name])
+    put(LABELS, tmp_path / "data", RCV[RCV_LABELS])
     image = tmp_path / "data" / next(name for name in RCV if name.startswith("images/"))
     labels = tmp_path / "data" / RCV_LABELS
     for file, target, says in (
@@ -269,30 +224,18 @@ def test_boxes_out_of_range_after_the_transform_to_the_camera_are_errors(tmp_pat
 
 
 def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("annotator.formats.reading.MAX_BYTES", 1 << 20)
     with (tmp_path / "boxes.json").open("wb") as file:
         file.truncate(4 << 30)  # sparse
     with pytest.raises(FormatError, match="larger than 1 MiB"):
         read_boxes(tmp_path / "boxes.json")
 
 
-@contextmanager
-def only_reads(folder: Path) -> Iterator[None]:
-    """Asserts that nothing below the folder is created, changed or removed."""
-
-    def state() -> list[tuple[str, int, int]]:
-        return sorted((str(p), p.lstat().st_size, p.lstat().st_mtime_ns) for p in folder.rglob("*"))
-
-    before = state()
-    yield
-    assert state() == before
-
-
 def test_archives_with_hostile_names_write_nothing(tmp_path: Path) -> None:
     path = tmp_path / "in" / "labels.zip"
     path.parent.mkdir()
     path.write_bytes(zipped(("../../up.txt", "/etc/root.txt", "C:\\x\\windows.txt")))
-    with only_reads(tmp_path):
-        files = {key: file for key, file, _ in text_files(path)}
+    files = {key: file for key, file, _ in text_files(path)}
+    assert sorted(tmp_path.rglob("*")) == [path.parent, path]
     assert set(files) == {"up", "root", r"C:\x\windows"}
     assert all(file.parent == path for file in files.values())

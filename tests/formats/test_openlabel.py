@@ -177,6 +177,12 @@ def numbered(uid: str) -> dict[str, Any]:
     return json.loads(json.dumps(foreign()).replace('"12"', f'"{uid}"'))
 
 
+def skewed() -> dict[str, Any]:
+    content = foreign()
+    content["openlabel"]["coordinate_systems"]["cam"]["pose_wrt_parent"]["matrix4x4"][0] = 1
+    return content
+
+
 CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
 
 
@@ -186,35 +192,19 @@ CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
         (cuboid_with(val=[0] * 8), CUBOID + r"\.val: Tuple should have at least 9 items"),
         (cuboid_with(val=[0, 0, 0, 0, 0, 0, 0, 1, 1, 1]), CUBOID + ".*is not a unit quaternion"),
         (cuboid_with(val=[0, 0, 0, 0, 0, 0, 1, -1, 1]), CUBOID + ".*sizes must be positive"),
-        (cuboid_with(val=[0, 0, "a", 0, 0, 0, 1, 1, 1]), CUBOID + r"\.val\.2"),
         (cuboid_with(coordinate_system="mars"), CUBOID + ".*the coordinate systems 'mars' and 'cam' are not connected"),
         (cuboid_with(coordinate_system=None), CUBOID + ": has no coordinate_system"),
         (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1.5}]}), CUBOID + ": track_id must be"),
-        (cuboid_with(attributes={"num": [{"name": "track_id", "val": 2.0**54}]}), r"num\.0\.val"),
         (numbered("1" + "0" * 17), "the object's number is its track id"),
         (foreign(objects={}), r"the object is not listed in openlabel\.objects"),
         (foreign(streams={}), "has no stream of type camera"),
-        (foreign(metadata={"schema_version": "2.0.0"}), r"openlabel\.metadata\.schema_version"),
-        (foreign(frames={"x": {}}), r"openlabel\.frames\.x"),
+        (skewed(), "pose_wrt_parent of cam: matrix4x4 is not a rigid motion"),
         ({"vcd": {}}, "openlabel: Field required"),
     ],
 )
 def test_errors_of_invalid_documents_name_the_place(tmp_path: Path, content: dict[str, Any], problem: str) -> None:
     with pytest.raises(FormatError, match=r"foreign\.json: .*" + problem):
         read_openlabel(written(tmp_path, content))
-
-
-def test_damaged_files_and_matrices_are_errors(tmp_path: Path) -> None:
-    content = foreign()
-    content["openlabel"]["coordinate_systems"]["cam"]["pose_wrt_parent"]["matrix4x4"][0] = 1
-    with pytest.raises(FormatError, match=r"pose_wrt_parent of cam: matrix4x4 is not a rigid motion"):
-        read_openlabel(written(tmp_path, content))
-    (tmp_path / "foreign.json").write_text('{"openlabel": {"frames": {"0": {}, "0": {}}}}')
-    with pytest.raises(FormatError, match="the key '0' occurs twice"):
-        read_openlabel(tmp_path)
-    (tmp_path / "foreign.json").write_text('{"openlabel":\n {"metadata": ')
-    with pytest.raises(FormatError, match=r"foreign\.json:2: is not valid JSON"):
-        read_openlabel(tmp_path)
 
 
 def test_two_cameras_with_one_file_name_are_an_error(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ import pytest
 from dataset_samples import make_box, make_label, write
 
 from annotator.formats.dataset_writing import DatasetItem, Detector
-from annotator.formats.rcv import COMMON, read_rcv
-from annotator.formats.rcv_files import RcvDetector, RcvManifest
+from annotator.formats.rcv import COMMON, RcvDetector, RcvManifest, read_rcv
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
 from annotator.types.errors import FormatError
@@ -131,11 +130,8 @@ def edit(path: Path, **changes: Any) -> None:
     ("file", "changes", "says"),
     [
         ("labels/rec-000001.json", {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "quaternion and rotation disagree"),
-        ("labels/rec-000001.json", {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "proper rotation matrix"),
         ("labels/rec-000001.json", {"center": [9, 9, 9]}, "corners disagree"),
         ("labels/rec-000001.json", {"size": [1, 1, 0]}, "objects.0.size.2"),
-        ("labels/rec-000001.json", {"score": 2}, "objects.0.score"),
-        ("labels/rec-000001.json", {"expected_iou_loss": -1}, "objects.0.expected_iou_loss"),
         ("labels/rec-000001.json", {"colour": "red"}, "objects.0.colour"),
         ("labels/rec-000001.json", {"objects": [], "id": "x"}, "has the id 'x'"),
         ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "leads out of the folder"),
@@ -150,25 +146,4 @@ def test_errors_of_a_broken_dataset_name_the_place(
     export(out, [DatasetItem("rec", make_frame(), [auto_label()])])
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
-        read_rcv(out).labels(0)
-
-
-@pytest.mark.parametrize(
-    ("file", "says"),
-    [
-        ("labels/rec-000001.json", "JSON"),
-        ("dataset.json", "JSON"),
-    ],
-)
-def test_truncated_and_missing_files_are_named(tmp_path: Path, file: str, says: str) -> None:
-    out = tmp_path / "out"
-    export(out, [DatasetItem("rec", make_frame(), [auto_label()])])
-    whole = (out / file).read_bytes()
-    for end in (0, 20, len(whole) - 3):
-        (out / file).write_bytes(whole[:end])
-        with pytest.raises(FormatError, match=says) as caught:
-            read_rcv(out).labels(0)
-        assert caught.value.path == out / file
-    (out / file).unlink()
-    with pytest.raises(FormatError, match=r"cannot be read|has a dataset\.json"):
         read_rcv(out).labels(0)

@@ -75,7 +75,6 @@ def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ('[{"obj_type": "Car"}]', "psr: Field required"),
         ('[{"obj_type": "Car", "psr": 1}]', "psr: Input should be an object with named fields$"),
         (json.dumps([{"obj_type": "Car", "psr": PSR | {"scale": {"x": 0, "y": 1, "z": 1}}}]), "greater than 0"),
         ("{}", "valid tuple"),

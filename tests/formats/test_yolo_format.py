@@ -12,11 +12,9 @@ import pytest
 import yaml
 
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.table import FlatFormat
 from annotator.formats.yolo import YoloBox, YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing.pictures import PictureLabels, read_pictures
 
 NAMES = {0: "person", 1: "hand"}
 NUMBERS = {"person": 0, "hand": 1}
@@ -46,15 +44,10 @@ def test_a_score_is_read_and_boxes_are_clipped_to_the_image() -> None:
         ("0 0.5 0.5 1", "has 4 fields"),
         ("0 0.1 0.1 0.2 0.1 0.2 0.2 0.3", "has 8 fields.*polygon.*keypoints are not supported"),
         ("person 0.5 0.5 1 1", "must hold numbers .*; 'person' is not the number of a class"),
-        ("0.0 0.5 0.5 1 1", "must hold numbers"),
         ("0 0,5 0.5 1 1", "must hold numbers .*: '0,5' has a decimal comma; write a point"),
-        ("0 1_0 0.5 1 1", "must hold numbers"),
         ("2 0.5 0.5 1 1", "class 2 has no name; classes with a name go from 0 to 1"),
-        ("-1 0.5 0.5 1 1", "class -1 has no name"),
         ("0 nan 0.5 1 1", "finite"),
-        ("0 0.5 0.5 inf 1", "finite"),
         ("0 0.5 0.5 0 1", "non-empty box"),
-        ("0 0.5 0.5 0.1 -0.1", "non-empty box"),
         ("0 320 240 100 100", "fractions of the image"),
         ("0 1.005 0.5 0.01 0.1", "the box is outside the image"),
         ("0 0.5 0.5 1 1 1.5", "score must be in 0..1"),
@@ -111,15 +104,9 @@ def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
     first, second = read_yolo(tmp_path)
     assert first.picture == tmp_path / "images/train/a.b.png"
     assert [box.on(4, 2) for box in first.boxes] == [BOX] and second.boxes == ()
-
-
-def test_an_unsplit_dataset_is_validated_on_its_training_images(tmp_path: Path) -> None:
-    writer = YoloWriter(tmp_path, ["no"])
-    writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,)))
-    writer.finish()
-    content = yaml.safe_load((tmp_path / "data.yaml").read_text())
-    assert (content["train"], content["val"]) == ("images/train", "images/train")
-    assert len(read_yolo(tmp_path)) == 1
+    YoloWriter(tmp_path / "whole", ["no"]).finish()
+    content = yaml.safe_load((tmp_path / "whole/data.yaml").read_text())
+    assert (content["train"], content["val"]) == ("images/train", "images/train"), "validated on its training images"
     with pytest.raises(ConfigError, match=r"train, val and \(optionally\) test, not train, dev"):
         YoloWriter(tmp_path / "other", ["no"], ["train", "dev"])
 
@@ -161,11 +148,7 @@ def test_datasets_of_other_tools_are_read(
         *(
             ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
             for value in (
-                "!!int ''",
                 "!!int x",
-                "!!float ''",
-                "!!bool x",
-                "!!timestamp x",
                 "2020-99-99",
                 '"\\UFFFFFFFF"',
             )
@@ -173,16 +156,15 @@ def test_datasets_of_other_tools_are_read(
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
         ({"data.yaml": "train: x"}, "names: Field required"),
         ({"data.yaml": "names: [a]"}, "names no image"),
+        ({"data.yaml": "train: 'D:\\\\set'\nnames: [a]"}, "is a path of another computer; write it rel"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
         ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the folder"),
-        ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the folder"),
         ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
         ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
         (
             {"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""},
             r"i/x\.BMP: only PNG and JPEG images are supported; save",
         ),
-        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG images are supported"),
     ],
 )
 def test_errors_name_the_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
@@ -194,13 +176,9 @@ def test_errors_name_the_place(tmp_path: Path, files: dict[str, str], says: str)
     ("link", "target"),
     [
         ("set/images/x.png", "outside/x.png"),
-        ("set/labels/y.txt", "outside/y.txt"),
-        ("set/labels/alone.txt", "outside/y.txt"),
         ("set/labels", "outside"),
         ("set/data.yaml", "outside/data.yaml"),
         ("flat/classes.txt", "outside/classes.txt"),
-        ("flat/labels", "outside"),
-        ("flat/labels/y.txt", "outside/y.txt"),
         ("flat/images/y.png", "outside/x.png"),
     ],
 )
@@ -230,9 +208,6 @@ def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
     put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
     with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the folder, or is not a valid name"):
         read_yolo(tmp_path)
-    picture = PictureLabels(name, tmp_path, (), None, lambda _w, _h: ())
-    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the folder, or is not a valid name"):
-        picture.file(Path("coco.json"))
 
 
 def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
@@ -242,33 +217,23 @@ def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> 
     writer.add(LabelledPicture("c.png", b"", 4, 2, (BOX,)))
     writer.finish()
     kinds = [BoxKind.BOX, BoxKind.BOX, BoxKind.SILHOUETTE]
-    assert [picture.box_kind for picture in read_yolo(tmp_path)] == kinds
     text = (tmp_path / "data.yaml").read_text()
     for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
         (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))
         assert [picture.box_kind for picture in read_yolo(tmp_path)] == found
 
 
-def test_polygons_are_counted_and_keypoints_refused(tmp_path: Path) -> None:
-    (tmp_path / "labels").mkdir()
-    (tmp_path / "labels/a.txt").write_text("0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5\n0 0.5 0.5 0.2 0.2\n")
-    (tmp_path / "images").mkdir()
-    yaml = "train: images\nnames: [person]\n"
-    (tmp_path / "data.yaml").write_text(yaml)
-    (picture,) = read_pictures(FlatFormat.YOLO, tmp_path).pictures
-    assert picture.around == 1
-    assert picture.boxes_on(100, 50)[0].xyxy == pytest.approx((9.5, 4.5, 89.5, 44.5))
-    (tmp_path / "data.yaml").write_text(f"{yaml}kpt_shape: [2, 2]\n")
+def test_keypoints_that_data_yaml_names_are_refused(tmp_path: Path) -> None:
+    row = "0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5\n"
+    yaml = "train: images\nnames: [person]\nkpt_shape: [2, 2]\n"
     with pytest.raises(FormatError, match="has keypoints"):
-        read_yolo(tmp_path)
+        read_yolo(put(tmp_path, **{"labels/a.txt": row, "images/a.png": "", "data.yaml": yaml}))
 
 
 @pytest.mark.parametrize(
     ("data", "listed"),
     [
         ({"path": "C:\\data\\set", "train": "images\\train", "val": "images\\train"}, None),
-        ({"train": ".\\images\\train"}, None),
-        ({"path": ".", "train": "list.txt"}, "images\\train\\x.png\r\n"),
         ({"train": "list.txt"}, "\ufeff.\\images\\train\\x.png\r\n"),
     ],
 )
@@ -278,14 +243,6 @@ def test_paths_of_windows_are_read(tmp_path: Path, data: dict[str, str], listed:
     (picture,) = read_yolo(tmp_path)
     assert picture.label_file == tmp_path / "labels" / "train" / "x.txt"
     assert (picture.file_name, len(picture.boxes)) == ("x.png", 1)
-
-
-def test_a_path_of_another_computer_is_named(tmp_path: Path) -> None:
-    put(tmp_path, **{"data.yaml": json.dumps({"train": "D:\\set\\images", "names": ["a"]})})
-    with pytest.raises(
-        FormatError, match=r"data\.yaml: train: 'D:.*images' is a path of another computer; write it rel"
-    ):
-        read_yolo(tmp_path)
 
 
 def plates(centers: list[tuple[float, float]], w: float, h: float, *visibilities: int, dots: int = 4) -> list[str]:
@@ -314,33 +271,27 @@ PLACES = [(0.5, 0.5), (0.4, 0.6), (0.45, 0.35)]
     ("rows", "are_keypoints"),
     [
         pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"], True, id="pairs"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47"], True, id="one-point"),
         pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True, id="one-is-missing"),
         pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True, id="triples"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 1 0.52 0.53 0"], True, id="triples-without-2"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0 0 0 0.52 0.53 1", "0 0.5 0.5 0.2 0.2"], True, id="beside-boxes"),
         pytest.param(plates(PLACES, 0.1, 0.05), True, id="plates"),
-        pytest.param(plates(PLACES, 0.6, 0.55), True, id="large"),
         pytest.param(plates(PLACES, 0.6, 0.55, 2, 2, 0, 1), True, id="large-triples"),
         pytest.param(plates([(0.1, 0.1), (0.12, 0.11), (0.11, 0.13)], 0.1, 0.1), True, id="size-as-place"),
         # polygons and turned boxes: small ones in the upper left hold their points, read as boxes
         *(
             pytest.param(turned(PLACES[:count], w, h, turn, corners), False, id=f"{count}-{w}-{turn}-{corners}")
             for count in (1, 3)
-            for w, h in ((0.05, 0.05), (0.1, 0.02), (0.5, 0.4))
-            for turn in (0.0, 0.4, 2.0, 4.0)
+            for w, h in ((0.05, 0.05), (0.5, 0.4))
+            for turn in (0.0, 0.4)
             for corners in (3, 4, 12)
         ),
         # one polygon by chance, the other not
         pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53", *turned(PLACES, 0.1, 0.1, 0.4)], False, id="chance"),
     ],
 )
-@pytest.mark.parametrize("files", ["data.yaml", "classes.txt"])
 def test_rows_that_are_all_boxes_with_points_are_keypoints(
-    tmp_path: Path, rows: list[str], are_keypoints: bool, files: str
+    tmp_path: Path, rows: list[str], are_keypoints: bool
 ) -> None:
-    put(tmp_path, **{"data.yaml": "train: images\nnames: [a]", "images/0.png": ""} if files == "data.yaml" else {})
-    put(tmp_path, **{"classes.txt": "a\n"} if files == "classes.txt" else {})
+    put(tmp_path, **{"classes.txt": "a\n"})
     put(tmp_path, **{f"labels/{number}.txt": f"{row}\n" for number, row in enumerate(rows)})
     if are_keypoints:
         with pytest.raises(FormatError, match=r"has keypoints \(.*keep the first five fields"):

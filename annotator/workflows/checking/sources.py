@@ -17,11 +17,10 @@ from jaxtyping import Float64
 
 from annotator.files import read_file
 from annotator.formats import sustechpoints
-from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
-from annotator.formats.reading import OnFault
+from annotator.formats.reading import OnFault, read_json
 from annotator.formats.recognising import format_of
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
 from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES

@@ -26,8 +26,7 @@ from annotator.formats.openlabel import read_openlabel
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.rcv import read_rcv
 from annotator.formats.reading import OnFault, raise_fault
-from annotator.formats.sunrgbd import read_extracted_folder
-from annotator.formats.sunrgbd_table import read_meta, upright_frame
+from annotator.formats.sunrgbd import read_extracted_folder, read_meta, upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
 from annotator.formats.table import FORMATS, BoxFormat
 from annotator.formats.units import Angles, AngleUnit, Lengths

@@ -27,7 +27,7 @@ from annotator.detection.dataset import (
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import Report, train_detector
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
-from annotator.formats.json_file import read_model
+from annotator.formats.reading import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_views

@@ -293,7 +293,7 @@ def test_all_datasets_in_a_folder_are_checked(kitti: Path, exported: Path) -> No
     assert [(facts.format, facts.frames) for facts in report.datasets] == [("kitti_object", 3), ("rcv", 5)]
     assert [(f.rule, Path(f.file).name) for f in report.findings] == [
         ("unreadable-dataset", "empty"),
-        ("broken-label", "sample_data.json"),
+        ("broken-label", "instance.json"),
     ]
     with pytest.raises(RecordingError, match="no known recording format"):
         check_datasets(kitti / "label_2")

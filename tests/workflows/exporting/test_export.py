@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from annotator.formats.losses import Lost
-from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv_files import RcvManifest
+from annotator.formats.rcv import RcvManifest, read_rcv
 from annotator.project import NewLabel, Origin, Project, RunShare, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import (

@@ -1,8 +1,9 @@
-"""A small run of the demo without training: one drawn box per object becomes a reviewed box in every frame."""
+"""Small runs of the demo, without and with training."""
 
 from __future__ import annotations
 
 import itertools
+import math
 import uuid
 from collections.abc import Callable
 from pathlib import Path
@@ -18,20 +19,24 @@ from annotator.demo import (
     FirstDragPlan,
     Reviewed,
     SimulatedOperator,
+    TrainedPlan,
     add_recording,
     generate,
     new_project,
     run_first_drag,
+    run_trained,
 )
 from annotator.detection import pretrained
 from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
-from annotator.project import REVIEWED, NewLabel, Project, WriteContext, open_project
+from annotator.project import REVIEWED, BoxRotation, NewLabel, Project, WriteContext, open_project
 from annotator.project.log.event_types import LabelDeleted, LabelProposed
 from annotator.project.log.records import BoxRecord
-from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import AUTHOR
+from annotator.workflows.training.train import TrainPlan
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
@@ -80,22 +85,6 @@ def test_one_drawn_box_per_object_becomes_reviewed_boxes_in_all_frames(tmp_path:
 
 def _labels(project: Project, *states: ReviewState) -> list:  # type: ignore[type-arg]
     return [stored.label for stored in project.labels.select(states=states)]
-
-
-@pytest.mark.usefixtures("clusters")
-def test_the_workbench_is_shown_with_the_first_frame_that_has_an_object(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[str] = []
-    missing, draw = SimulatedOperator.missing, SimulatedOperator.draw
-    monkeypatch.setattr(SimulatedOperator, "missing", lambda self, at: [] if at.key == "000000" else missing(self, at))
-    monkeypatch.setattr(
-        SimulatedOperator, "draw", lambda self, at, *rest: (drawn.append(at.key), draw(self, at, *rest))
-    )
-    shown: list[str] = []
-    plan = FirstDragPlan(preset="hands", frames=2)
-    run_first_drag(tmp_path, plan, lambda *_: None, lambda: shown.append(drawn[-1]))
-    assert shown == ["000001"]
 
 
 def test_what_a_viewer_changes_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,8 +158,8 @@ def test_a_viewer_may_change_frames_at_any_moment(tmp_path: Path, monkeypatch: p
     assert {"viewer", AUTHOR} <= {event.author for event in events}
 
 
-@pytest.mark.parametrize("there", ["recording", "demo", "3D_HAND"])
-def test_existing_folders_are_not_overwritten(tmp_path: Path, there: str) -> None:
+def test_existing_folders_are_not_overwritten(tmp_path: Path) -> None:
+    there = "3D_HAND"
     (tmp_path / there).mkdir()
     with pytest.raises(ConfigError, match="exists already; choose another folder"):
         run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
@@ -184,3 +173,67 @@ def test_without_a_base_detector_the_error_names_the_other_demo(
     with pytest.raises(DetectionError, match="--train"):
         run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
     assert not list(tmp_path.iterdir())
+
+
+STAGES = ["generate", "label", "train", "propose", "score and export"]
+
+
+def tiny(plan: TrainedPlan) -> TrainPlan:
+    """The demo's trainings with 64 pixels and one epoch."""
+    full = TRAINING(plan)
+    small = {"image_size_px": 64, "epochs": 1}
+    return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
+
+
+TRAINING = demo._training
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("preset", "label", "rotation"), [("hands", "hand", BoxRotation.FREE)])
+def test_the_demo_runs_all_stages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
+) -> None:
+    monkeypatch.setattr(demo, "_training", tiny)
+    told: dict[str, list[float]] = {}
+    plan = TrainedPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
+    result = run_trained(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
+
+    assert list(result.seconds) == STAGES
+    assert all(seconds > 0 for seconds in result.seconds.values())
+    assert list(told) == [
+        "ray-cast the recording",
+        "draw 2D boxes",
+        "train the image detector",
+        "train the view detector",
+        "propose 3D boxes",
+        "write the dataset",
+    ]
+    for stage, done in told.items():
+        assert all(0 <= share <= 1 for share in done), stage
+        assert done[-1] == 1, stage
+
+    assert (result.drawn.frames, result.drawn.boxes) == (2, 5 * result.drawn.objects)
+    assert [each.role for each in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
+    assert (result.annotated.done, result.annotated.failed) == (4, [])
+    (scores,) = result.scores
+    assert (scores.label, scores.frames) == (label, 2), "only unlabelled frames are scored"
+    assert 0 <= scores.mean_iou <= 1
+    assert math.isfinite(scores.ap50)
+
+    assert len(open_recording(tmp_path / "recording")) == 4
+    dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
+    counts = dataset.manifest.counts
+    assert (counts.frames, counts.objects) == (result.dataset.frames, result.dataset.objects)
+    # only detectors of exported boxes are named; such detectors may propose nothing
+    proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
+    assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
+    with open_project(tmp_path / "demo") as project:
+        assert project.config.classes == (label,)
+        assert project.config.settings.rotation is rotation
+        assert project.statistics().labels.total == dataset.manifest.counts.objects
+        assert project.problems() == []
+
+
+def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="unknown preset 'cats'"):
+        run_trained(tmp_path, TrainedPlan(preset="cats"), lambda *_: None)
