@@ -122,7 +122,7 @@ def run_interpolate(
         chosen = opened.recordings.find(recording).id
         fit = _box_fitter(opened) if refit else None
         done = interpolate(opened, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
-    print_line(f"track {done.track_id}: {amount(len(done.filled), 'frame')} filled with proposals")
+    print_line(f"track {track}: {amount(len(done.filled), 'frame')} filled with proposals")
     if done.finalised or done.covered:
         finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")
         print_line(f"unchanged: {finalised}, {covered} where the object is already labelled")

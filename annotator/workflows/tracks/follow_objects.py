@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Project, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig, Followed, Look, follow_object
 from annotator.tracking.link import predicted
 from annotator.types import Detector, Frame, Label, OrientedBox, Proposal
-from annotator.types.errors import ConfigError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.interpolate import KeyFrame
-from annotator.workflows.tracks.link import times_of
+from annotator.workflows.tracks.timeline import KeyFrame, Moment
 
 # Number of last boxes from which the motion is estimated.
 MOTION_BOXES = 3
 DEFAULTS = FollowConfig()
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """A frame and its time, in any unit; times decrease if an object is followed backward."""
-
-    index: int
-    frame: Frame
-    time: float
 
 
 class Follower:
@@ -41,7 +28,6 @@ class Follower:
         label: str,
         view: Detector | None,
         settings: Callable[[Frame], RcvConfig],
-        limits: FollowConfig = DEFAULTS,
     ) -> None:
         """
         Args:
@@ -50,7 +36,7 @@ class Follower:
             view: view detector that was trained on the class, or None.
             settings: the recursion's settings for a frame and this detector.
         """
-        self._label, self._view, self._settings, self._limits = label, view, settings, limits
+        self._label, self._view, self._settings = label, view, settings
         self._reviewed = self._last = Look.of(first.frame.cloud.xyz_m, start)
         self._boxes, self._times = [start], [first.time]
 
@@ -60,58 +46,14 @@ class Follower:
 
     def step(self, moment: Moment) -> Followed:
         """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
-        guess = self.expected(moment)
-        config = self._settings(moment.frame)
-        followed = follow_object(
-            moment.frame, guess, self._reviewed, self._last, self._label, self._view, config, self._limits
-        )
+        guess, config = self.expected(moment), self._settings(moment.frame)
+        looks = self._reviewed, self._last
+        followed = follow_object(moment.frame, guess, *looks, self._label, self._view, config, DEFAULTS)
         if followed.proposal is not None:
             self._boxes.append(followed.proposal.box)
             self._times.append(moment.time)
             self._last = Look.of(moment.frame.cloud.xyz_m, followed.proposal.box, followed.kept)
         return followed
-
-
-# Objects that are followed from the same frame need the same frames at about the same time; others read them again.
-FRAMES_KEPT = 4
-
-
-class Timeline:
-    """The frames of a recording that follow each other in time, read when they are needed.
-
-    Attributes:
-        frames: in order, without those that are no longer in the recording.
-    """
-
-    def __init__(self, project: Project, recording_id: int) -> None:
-        """
-        Raises:
-            ConfigError: the recording is not a sequence.
-            NotFoundError: no such recording.
-            RecordingError: the recording cannot be opened.
-        """
-        recording = project.recordings.get(recording_id)
-        if not recording.is_sequence:
-            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
-        self.project, self.recording_id = project, recording_id
-        self.frames: tuple[StoredFrame, ...] = tuple(
-            frame for frame in project.frames.of([recording_id]) if frame.index is not None
-        )
-        self._source = FrameSource(project)
-        self._times = times_of(self._source.recording(recording_id), self.frames)
-        self._read: OrderedDict[int, Frame] = OrderedDict()
-
-    def moment(self, index: int) -> Moment:
-        """Reads a frame.
-
-        Raises:
-            FrameError: it cannot be read.
-        """
-        if index not in self._read:
-            self._read[index] = self._source.read(self.frames[index])
-            while len(self._read) > FRAMES_KEPT:
-                self._read.popitem(last=False)
-        return Moment(index, self._read[index], float(self._times[index]))
 
 
 # Boxes found by following forward and backward are the same with at least this IoU.
@@ -183,16 +125,6 @@ class Walk:
     follower: Follower | None = None
     boxes: dict[int, Proposal] = field(default_factory=dict)
     new: set[int] = field(default_factory=set)
-
-    @property
-    def is_backward(self) -> bool:
-        """Whether the frames still to come are before its reviewed box."""
-        return bool(self.left) and self.left[0] < self.key.index
-
-    def find(self, index: int, proposal: Proposal) -> None:
-        """Adds the box of a frame."""
-        self.boxes[index] = proposal
-        self.new.add(index)
 
     def take(self, index: int) -> Proposal:
         """Returns the box of a frame to be stored."""
@@ -329,16 +261,9 @@ class FollowedObject:
                 del agreed[index]
                 self.doubtful.add(index)
                 self.proposed.pop(index, None)
-            elif own is None or _is_nearer(back, ahead, index):
+            elif own is None or abs(back.key.index - index) < abs(ahead.key.index - index):
                 agreed[index] = back
         return agreed
-
-    def give_up(self, stop: StoppedAt) -> None:
-        """Ends all its walks. Called again, while the boxes of others are being stored, it does nothing."""
-        if stop in self.stops:
-            return
-        self.stops.append(stop)
-        self.end()
 
     def end(self) -> None:
         """Ends all its walks."""
@@ -347,16 +272,6 @@ class FollowedObject:
 
     def result(self) -> FollowedTrack:
         """What became of it so far."""
-        return FollowedTrack(
-            self.label.uid,
-            self.track_id,
-            self.label.label,
-            len(self.proposed),
-            len(self.doubtful),
-            tuple(self.stops),
-            any(part.is_open for part in self.parts),
-        )
-
-
-def _is_nearer(walk: Walk, other: Walk, index: int) -> bool:
-    return abs(walk.key.index - index) < abs(other.key.index - index)
+        counts = len(self.proposed), len(self.doubtful)
+        is_open = any(part.is_open for part in self.parts)
+        return FollowedTrack(self.label.uid, self.track_id, self.label.label, *counts, tuple(self.stops), is_open)

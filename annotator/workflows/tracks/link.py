@@ -12,38 +12,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
-from annotator.recordings import Recording
-from annotator.recordings.frame_times import recorded_times
 from annotator.recordings.kitti import KittiFolder
-from annotator.tracking.link import Seen, Track, TrackingConfig, frame_times, link, numbered
+from annotator.tracking.link import Seen, Track, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.types.label import AttributeValue
-from annotator.workflows.frame_source import FrameSource
-
-
-def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
-    """Returns the times of some frames of a recording in units of the frame interval (`frame_times`), so that dropped
-    frames are gaps. Without recorded times, these are the frames' indices.
-
-    Args:
-        frames: in the order of the recording.
-
-    Raises:
-        FrameError: the recording's times are broken.
-    """
-    times_ns = recorded_times(recording)
-    if times_ns is None:
-        return np.array([float(frame.index or 0) for frame in frames])
-    return frame_times([times_ns.get(frame.key) for frame in frames])
-
+from annotator.workflows.tracks.timeline import Timeline
 
 AUTHOR = "tracks"
 LINKED_STATES = (ReviewState.PROPOSED, *REVIEWED)
@@ -83,7 +63,6 @@ def link_tracks(
     *,
     recordings: Sequence[int] | None = None,
     smooth: bool = True,
-    config: TrackingConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LinkSummary:
     """Links the labels of recordings into tracks, except rejected labels.
@@ -92,7 +71,6 @@ def link_tracks(
         recordings: ids; None = all.
         smooth: give unreviewed proposals the common size and smoothed heading of their track; otherwise restore the
             boxes as proposed.
-        config: how boxes are linked.
         progress: called with (recordings done, recordings to do).
 
     Raises:
@@ -100,14 +78,14 @@ def link_tracks(
         RecordingError: a recording is missing or cannot be read.
     """
     chosen = project.recordings.all() if recordings is None else [project.recordings.get(id) for id in recordings]
-    summary, config = LinkSummary(), config or TrackingConfig()
+    summary = LinkSummary()
     for number, recording in enumerate(chosen, 1):
         if not recording.is_sequence:
             summary.unordered += (recording.name,)
         else:
             summary.recordings += 1
             for _ in range(ATTEMPTS):
-                linked = _Recording(project, recording.id, config, smooth)
+                linked = _Recording(project, recording.id, smooth)
                 if linked.store(summary):
                     break
             else:
@@ -131,13 +109,13 @@ class _Recording:
         left: number of labels in finalised frames without an id.
     """
 
-    def __init__(self, project: Project, recording_id: int, config: TrackingConfig, smooth: bool) -> None:
+    def __init__(self, project: Project, recording_id: int, smooth: bool) -> None:
         self.project = project
         by_frame: dict[int, list[StoredLabel]] = defaultdict(list)
         for stored in project.labels.select(states=LINKED_STATES, recordings=[recording_id]):
             by_frame[stored.frame_id].append(stored)
-        present = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
-        self.frames = [frame for frame in present if frame.id in by_frame]
+        timeline = Timeline(project, recording_id)
+        self.frames = [frame for frame in timeline.frames if frame.id in by_frame]
         self.labels = [by_frame[frame.id] for frame in self.frames]
         self.left = sum(
             stored.label.track_id is None
@@ -146,20 +124,17 @@ class _Recording:
             for stored in labels
         )
         self._proposed = project.proposals.boxes(recording_id)
-        recording = FrameSource(project).recording(recording_id)
-        all_times = times_of(recording, present)
         # KITTI's cameras are on a moving car
-        self._is_still = not isinstance(recording, KittiFolder)
-        times = dict(zip((frame.id for frame in present), all_times.tolist(), strict=True))
-        self._times = [times[frame.id] for frame in self.frames]
+        self._is_still = not isinstance(timeline.recording, KittiFolder)
+        self._times = [float(timeline.times[timeline.index[frame.id]]) for frame in self.frames]
         seen = [
             [Seen(stored.label.label, self._box(stored), _given(stored, frame)) for stored in labels]
             for frame, labels in zip(self.frames, self.labels, strict=True)
         ]
-        self.tracks = link(seen, self._times, config)
+        self.tracks = link(seen, self._times)
         self._values = self._values_along_tracks()
         self.numbers = _numbers(self.tracks, self.labels)
-        self._boxes = {} if not smooth else self._smooth_boxes(config)
+        self._boxes = {} if not smooth else self._smooth_boxes()
 
     def store(self, summary: LinkSummary) -> bool:
         """Writes the changes; returns False if a frame was changed in the meantime."""
@@ -228,7 +203,7 @@ class _Recording:
         """Returns True for unreviewed proposals of the recursion; interpolated ones are smooth already."""
         return stored.label.state is ReviewState.PROPOSED and stored.label.uid in self._proposed
 
-    def _smooth_boxes(self, config: TrackingConfig) -> dict[str, OrientedBox]:
+    def _smooth_boxes(self) -> dict[str, OrientedBox]:
         smoothed_boxes: dict[str, OrientedBox] = {}
         for track in self.tracks:
             members = [self.labels[index][number] for index, number in track.members]
@@ -236,7 +211,7 @@ class _Recording:
                 TrackBox(self._times[index], self._box(each), _weight(each), self._is_fixed(each, self.frames[index]))
                 for (index, _), each in zip(track.members, members, strict=True)
             ]
-            smooth = zip(members, boxes, smoothed(boxes, config, self._is_still), strict=True)
+            smooth = zip(members, boxes, smoothed(boxes, self._is_still), strict=True)
             smoothed_boxes |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
         return smoothed_boxes
 
