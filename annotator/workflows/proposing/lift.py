@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.formats.table import FlatFormat
-from annotator.project import Project, StoredFrame
+from annotator.project import Project
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -136,21 +136,21 @@ def boxes_of_file(
     """
     dataset = read_pictures(format, path)
     images = checked_images(project, dataset, dataset.pictures, recording)
-    chosen = _chosen(project, {image.frame_id: image.boxes for image in images.matched}, names)
-    if not any(chosen.of_frame.values()):
+    classes, other = set(project.config.classes), Counter[str]()
+    of_frame: dict[int, tuple[Box2D, ...]] = {}
+    for image in images.matched:
+        renamed = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
+        of_frame[image.frame_id] = tuple(box for box in renamed if box.label in classes)
+        other.update(box.label for box in renamed if box.label not in classes)
+    if not any(of_frame.values()):
         raise FormatError(
             path,
-            f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(chosen.other_classes)}; "
+            f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(other)}; "
             "map its classes to those of the project",
         )
-    return replace(
-        chosen,
-        origin=f"boxes of {path.name}",
-        unmatched=images.unmatched,
-        unreadable=images.unreadable,
-        renamed=images.renamed,
-        silhouettes=chosen.of_frame if kind is BoxKind.SILHOUETTE else (),
-    )
+    silhouettes = of_frame if kind is BoxKind.SILHOUETTE else ()
+    left_out = images.unmatched, images.unreadable, images.renamed
+    return GivenBoxes(f"boxes of {path.name}", of_frame, other, *left_out, silhouettes)
 
 
 class RenamedDetector:
@@ -209,35 +209,31 @@ def lift(
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
     rotation = project.config.settings.rotation
     configs = {kind: config.for_detector(view.box_kind, view.class_agnostic, kind, view.trained) for kind in BoxKind}
-    kinds = {stored.id: _kind(boxes, stored.id) for stored in frames}
+    kinds = {stored.id: BoxKind.SILHOUETTE if stored.id in boxes.silhouettes else BoxKind.BOX for stored in frames}
     config = configs[BoxKind.SILHOUETTE if BoxKind.SILHOUETTE in kinds.values() else BoxKind.BOX]
     settings = {**config.record(), "rotation": rotation.value, "method": REVISION, LIFTED_FROM: boxes.origin}
+    # in place of an image detector's fingerprint
+    content = [(frame, [(b.label, *b.xyxy, b.score) for b in given]) for frame, given in sorted(boxes.of_frame.items())]
+    fingerprint = hashlib.sha256(json.dumps([boxes.origin, content]).encode()).hexdigest()
     run = project.jobs.start(
-        image_detector=_fingerprint(boxes), view_detector=view.fingerprint, config_json=json.dumps(settings)
+        image_detector=fingerprint, view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
-    batch = Batch(project, run, len(frames), None, AnnotateSummary(frames=len(frames)), config.box_kind)
+    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind)
     source = FrameSource(project)
-
-    def answer(stored: StoredFrame) -> FrameAnswer:
+    for done, stored in enumerate(frames, start=1):
         started = time.perf_counter()
         try:
             given = [replace(box, score=max(box.score, config.min_image_score)) for box in boxes.of_frame[stored.id]]
             (result,) = propose_image_boxes([source.read(stored)], [given], view, configs[kinds[stored.id]], rotation)
+            answer = FrameAnswer(result, None, time.perf_counter() - started)
         except Exception as error:
-            return failure(error, time.perf_counter() - started)
-        return FrameAnswer(result, None, time.perf_counter() - started)
-
-    for done, stored in enumerate(frames, start=1):
-        batch.store(stored, answer(stored))
+            answer = failure(error, time.perf_counter() - started)
+        batch.store(stored, answer)
         if progress is not None:
             progress(done, len(frames))
     project.jobs.finish(run.id)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
-
-
-def _kind(boxes: GivenBoxes, frame_id: int) -> BoxKind:
-    return BoxKind.SILHOUETTE if frame_id in boxes.silhouettes else BoxKind.BOX
 
 
 def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
@@ -247,26 +243,6 @@ def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
         raise ConfigError(
             f"the project's view detector was not trained on {', '.join(unknown)}; train it on them first"
         )
-
-
-def _chosen(project: Project, boxes: Mapping[int, Sequence[Box2D]], names: Mapping[str, str]) -> GivenBoxes:
-    """Keeps the boxes of the project's classes, under the project's names."""
-    classes = set(project.config.classes)
-    chosen: dict[int, tuple[Box2D, ...]] = {}
-    other: dict[str, int] = {}
-    for frame_id, given in boxes.items():
-        renamed = [replace(box, label=names.get(box.label, box.label)) for box in given]
-        chosen[frame_id] = tuple(box for box in renamed if box.label in classes)
-        for box in renamed:
-            if box.label not in classes:
-                other[box.label] = other.get(box.label, 0) + 1
-    return GivenBoxes("", chosen, other)
-
-
-def _fingerprint(boxes: GivenBoxes) -> str:
-    """Hash of the boxes, in place of an image detector's fingerprint."""
-    content = [(frame, [(b.label, *b.xyxy, b.score) for b in given]) for frame, given in sorted(boxes.of_frame.items())]
-    return hashlib.sha256(json.dumps([boxes.origin, content]).encode()).hexdigest()
 
 
 def _listed(names: Mapping[str, int] | Sequence[str]) -> str:

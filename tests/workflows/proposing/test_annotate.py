@@ -17,7 +17,6 @@ from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Im
 from annotator.types.errors import ConfigError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing import annotate as batch_book
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import GivenDetectors
@@ -246,11 +245,7 @@ def test_missing_frames_are_neither_processed_nor_counted(
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
 
 
-def test_frames_without_proposals_are_counted_also_over_several_pages(
-    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batch_book, "PAGE_FRAMES", 2)
-
+def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
     class Blind(Wrapped):
         def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
             return [[] for _ in images]

@@ -22,9 +22,7 @@ from annotator.workflows.proposing.pool import (
     MAX_FAILED_STARTS,
     TASKS_PER_WORKER,
     Died,
-    Done,
-    Ready,
-    Refused,
+    Fault,
     Report,
     WorkerPool,
 )
@@ -62,17 +60,17 @@ class FakeWorker:
         self.is_ended = True
 
     def ready(self) -> FakeWorker:
-        self.tell(Ready(self.number, SAME))
+        self.tell(self.number, SAME)
         return self
 
     def do(self) -> None:
         task = self.tasks.pop(0)
         answers = tuple(FrameAnswer(FrameProposals(frame.key, (), ()), None, 1.0) for frame in task.frames)
-        self.tell(Done(self.number, Answer(task.number, answers)))
+        self.tell(self.number, Answer(task.number, answers))
 
     def die(self) -> None:
         self.tasks.clear()
-        self.tell(Died(self.number, "killed"))
+        self.tell(self.number, Died("killed"))
 
 
 @dataclass(eq=False)
@@ -190,7 +188,7 @@ def test_workers_that_die_during_start_end_the_batch() -> None:
 
 def test_workers_with_other_detectors_are_refused(start_pool: Callable[[int], FakePool]) -> None:
     fake = start_pool(2)
-    fake.made[0].tell(Ready(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX)))
+    fake.made[0].tell(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX))
     with pytest.raises(WorkerError, match="detectors differ"):
         fake.drain()
 
@@ -198,7 +196,7 @@ def test_workers_with_other_detectors_are_refused(start_pool: Callable[[int], Fa
 def test_a_bug_in_a_worker_is_not_an_annotator_error() -> None:
     fake = FakePool(1)
     fake.pool._add()
-    fake.made[0].tell(Refused(1, "Traceback ...", True))
+    fake.made[0].tell(1, Fault("Traceback ...", True))
     with pytest.raises(RuntimeError, match="Traceback"):
         fake.pool.start()
 

@@ -24,7 +24,7 @@ from annotator.types.errors import MissingExtraError, WorkerError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines import local_engine
-from annotator.workflows.proposing.pool import Died, Event, Refused
+from annotator.workflows.proposing.pool import Died, Fault, Message
 from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, Storage
@@ -39,8 +39,6 @@ sys.path.insert(0, sys.argv[1])
 from annotator.project import open_project
 from annotator.rcv.config import RcvConfig
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.runner import Engine
-from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.engines import local_engine
 from annotator.workflows.proposing.tasks import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
@@ -208,7 +206,7 @@ def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
         monkeypatch.setenv(name, value)
     from ray import exceptions
 
-    told: list[Event] = []
+    told: list[Message] = []
     for error in (
         exceptions.OutOfMemoryError("killed, the node was low on memory"),
         exceptions.NodeDiedError("its node died"),
@@ -219,8 +217,8 @@ def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
         future: Future[object] = Future()
         future.set_exception(error)
         call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
-        RayWorker(1, told.append, lambda call=call: SimpleNamespace(identity=call))
-    assert [type(event) for event in told] == [Died, Died, Died, Died, Refused]
+        RayWorker(1, lambda _, message: told.append(message), lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Fault]
 
 
 def test_the_number_of_workers_is_limited_per_machine() -> None:
