@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -192,7 +193,7 @@ def test_write_errors_are_raised_and_earlier_frames_are_kept(
     assert recorder.finish() == 1
     assert len(open_recording(tmp_path / "full")) == 1
     recorder.close()
-    with Recorder(tmp_path / "nothing") as nothing:
+    with closing(Recorder(tmp_path / "nothing")) as nothing:
         assert nothing.finish() == 0
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
@@ -325,7 +326,7 @@ def test_the_recording_of_a_killed_process_is_rescued(generated: Path, tmp_path:
         file.write("999999,12")
     empty = tmp_path / ".cut [off].recording-empty"
     empty.mkdir()
-    with Recorder(out, lines.append) as again:
+    with closing(Recorder(out, lines.append)) as again:
         again.finish()
     assert [path.name for path in tmp_path.iterdir()] == ["cut [off]-rescued-1"]
     rescued = open_recording(tmp_path / "cut [off]-rescued-1")

@@ -190,7 +190,7 @@ def test_a_dense_frustum_is_thinned_and_gives_the_same_box(
     monkeypatch.setattr(refit_module, "propose_from_boxes", counted)
     inside, boxes = int(opened.frustum(image_box).sum()), []
     for most in (inside, inside - inside // 3):
-        opened._results.clear()
+        opened._results._results.clear()
         monkeypatch.setattr(refit_module, "MOST_POINTS", most)
         boxes.append(find_box(opened, image_box, config, view).box)
     assert seen == [len(opened.frame.cloud), inside - inside // 3]
