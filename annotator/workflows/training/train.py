@@ -6,6 +6,7 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
@@ -61,26 +62,21 @@ class Ran:
     manifest: DatasetManifest
 
 
-@dataclass(frozen=True, eq=False)
 class Run:
-    """A run of one detector's training.
+    """A run of one detector's training."""
 
-    Attributes:
-        classes: of the detector.
-        kind: what its boxes measure.
-        holds_out: whether held-out frames only validate; False: all frames train.
-    """
-
-    project: Project
-    role: DetectorKind
-    classes: tuple[str, ...]
-    kind: BoxKind
-    holds_out: bool = True
-    _since_ns: int = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(
+        self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind, holds_out: bool = True
+    ) -> None:
+        """
+        Args:
+            classes: of the detector.
+            kind: what its boxes measure.
+            holds_out: whether held-out frames only validate; False: all frames train.
+        """
+        self.project, self.role, self.classes, self.kind, self.holds_out = project, role, classes, kind, holds_out
         # classes that are renamed from now on are translated
-        object.__setattr__(self, "_since_ns", self.project.store.clock())
+        self._since_ns = project.store.clock()
 
     @property
     def _folder(self) -> Path:
@@ -97,7 +93,9 @@ class Run:
         Raises:
             ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
         """
-        dataset, out = self._folder / DATASET, self._folder / run_name(manifest, config)
+        # depends on the labels and settings only
+        out = self._folder / f"{manifest.sha256[:12]}-{settings_hash(config)}"
+        dataset = self._folder / DATASET
         try:
             result = train_detector(dataset, out, config, report, self.role, stop)
         except TrainingStoppedError:
@@ -129,17 +127,14 @@ class Run:
         )
 
 
-@dataclass(eq=False)
-class LeftOut:
-    """Collects messages on data left out."""
-
-    lines: list[str] = field(default_factory=list)
+class LeftOut(list[str]):
+    """Messages on data left out."""
 
     def skip(self, stored: StoredFrame, error: FrameError) -> None:
         """Adds a frame that cannot be read, once."""
         line = f"frame {stored.key}: {error}"
-        if line not in self.lines:
-            self.lines.append(line)
+        if line not in self:
+            self.append(line)
 
 
 def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], None]) -> Iterator[TrainingSample]:
@@ -155,23 +150,12 @@ def remove_leftovers(project: Project, role: DetectorKind) -> None:
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
     leftovers = list(folder.glob(f".{DATASET}.part-*"))
     for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
-        if run.resolve() not in registered and _is_timed(run):
-            leftovers.append(run)
+        with suppress(FormatError):  # reported by a training that would continue it
+            record = read_run(run)
+            if record is not None and record.is_timed and run.resolve() not in registered:
+                leftovers.append(run)
     for path in leftovers:
         shutil.rmtree(path, ignore_errors=True)
-
-
-def _is_timed(folder: Path) -> bool:
-    try:
-        run = read_run(folder)
-    except FormatError:  # reported by a training that would continue it
-        return False
-    return run is not None and run.is_timed
-
-
-def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
-    """Returns the folder name of a training, which depends on the labels and settings only."""
-    return f"{manifest.sha256[:12]}-{settings_hash(config)}"
 
 
 def settings_hash(config: TrainingConfig) -> str:
@@ -311,7 +295,7 @@ def _train_image(
     begin = time.perf_counter()
     left_out = LeftOut()
     if material.unreviewed_images:
-        left_out.lines.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
+        left_out.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
     real = image_samples(project, material, left_out.skip)
     written = run.write(unless_stopped(real, partial(_check_stop, stop)))
@@ -319,37 +303,33 @@ def _train_image(
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
-    return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))
+    return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out))
 
 
-@dataclass(eq=False)
 class _ViewTraining:
     """A training of the view detector in parts; each part starts from the training's best detector so far."""
 
-    project: Project
-    material: Material
-    plan: TrainPlan
-    report: Report | None
-    stop: Stop | None
-    left_out: LeftOut = field(default_factory=LeftOut)
-    view_px: int = field(init=False)
-    rcv: RcvConfig = field(init=False)
-    paused_s: float = 0.0
+    def __init__(
+        self, project: Project, material: Material, plan: TrainPlan, report: Report | None, stop: Stop | None
+    ) -> None:
+        self.project, self.material, self.plan, self.report, self.stop = project, material, plan, report, stop
+        self.left_out = LeftOut()
+        self.paused_s = 0.0
 
     def run(self) -> Trained:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
         begin = time.perf_counter()
         project, plan = self.project, self.plan
-        labels = self.material.labels_of_kind if plan.decides else {}
+        labels = self.material.labels_of(self.material.kind) if plan.decides else {}
         held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
         start = choose_start(project, held_out, plan.view, plan.decides)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
         if other_kind and (start.model is None or not start.model.class_agnostic):
             kind = self.material.kind
-            self.left_out.lines.append(
+            self.left_out.append(
                 f"{amount(other_kind, 'pseudo-view')} whose boxes are not of the majority kind, {kind}"
             )
-        self.left_out.lines += start.left_out
+        self.left_out += start.left_out
         self.view_px = start.view_px(plan.view)
         self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
         choice = Choice(project, held_out, start, plan.decides)
@@ -367,7 +347,7 @@ class _ViewTraining:
         used = [part for part in parts if active is not None and part[0].model.id == active.id]
         ran, decision = (used or parts)[-1]
         model, seconds = project.models.get(ran.model.id), time.perf_counter() - begin
-        lines = tuple(self.left_out.lines)
+        lines = tuple(self.left_out)
         return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
 
     def _part(
@@ -382,9 +362,12 @@ class _ViewTraining:
         """
         plan = self.plan
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
-        agnostic = origin is not None and origin.class_agnostic
-        samples = self._samples(origin, drawing)
-        classes = AGNOSTIC if agnostic else self.project.config.classes
+        given = self.project, self.material, self.rcv, drawing
+        if origin is None or not origin.class_agnostic:
+            classes, samples = self.project.config.classes, view_samples(*given, self.left_out.skip)
+        else:  # with generated views, so that what the base detector knows is kept
+            own = agnostic_samples(*given, load_detector(origin.path), self.left_out.skip)
+            classes, samples = AGNOSTIC, with_generated(own, plan.generated_share, self.view_px, drawing.seed)
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
         written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))
         seconds = None
@@ -403,15 +386,6 @@ class _ViewTraining:
         begin = time.perf_counter()
         _check_stop(self.stop)
         self.paused_s += time.perf_counter() - begin
-
-    def _samples(self, origin: UsedModel | None, drawing: SampleConfig) -> Iterator[TrainingSample]:
-        """The project's views, and generated ones if the detector at the start is class-agnostic."""
-        project, material, rcv, skip = self.project, self.material, self.rcv, self.left_out.skip
-        agnostic = origin is not None and origin.class_agnostic
-        if origin is None or not agnostic:
-            return view_samples(project, material, rcv, drawing, skip)
-        own = agnostic_samples(project, material, rcv, drawing, load_detector(origin.path), skip)
-        return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
 def _check_stop(stop: Stop | None) -> None:

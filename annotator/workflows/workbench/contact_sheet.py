@@ -231,8 +231,7 @@ class SheetPictures:
         self._frames, self._most, self._pictures = frames, most, Memo(most)
         self._lock = threading.Lock()
         self._executor = ThreadPoolExecutor(1, "sheets")
-        self._drawing: set[tuple[Project, int]] = set()
-        # boxes to draw before the others of their recording
+        # for each recording that is being drawn: the boxes to draw before its others
         self._first: dict[tuple[Project, int], deque[tuple[StoredFrame, list[Label]]]] = {}
         self._closed = threading.Event()
 
@@ -260,11 +259,10 @@ class SheetPictures:
         """Draws pictures in the background: those of a track first, then of a recording's open proposals."""
         job = project, recording_id
         with self._lock:
+            is_drawing = job in self._first
             self._first[job] = deque((stored, [label]) for stored, label in track if stored.index is not None)
-            if job in self._drawing or self._closed.is_set():
-                return
-            self._drawing.add(job)
-        self._executor.submit(self._prepare, project, recording_id)
+        if not is_drawing and not self._closed.is_set():
+            self._executor.submit(self._prepare, project, recording_id)
 
     def _prepare(self, project: Project, recording_id: int) -> None:
         job = project, recording_id
@@ -281,7 +279,6 @@ class SheetPictures:
             LOG.info("the contact sheets were not drawn ahead: %s", error)
         finally:
             with self._lock:
-                self._drawing.discard(job)
                 self._first.pop(job, None)
 
     def _open_proposals(self, project: Project, recording_id: int) -> deque[tuple[StoredFrame, list[Label]]]:

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,7 +32,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.geometry.outline import visible_edges
-from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
+from annotator.project import Project, StoredFrame, ViewBoxes
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import fit_box
@@ -46,7 +45,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import drawn_objects, taught_by_drags
-from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_cache import Memo, OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
 
@@ -363,7 +362,7 @@ class WholeBoxes:
         self.project = project
         self._read_frame = read or FrameSource(project).read
         self._lock = threading.Lock()
-        self._seen: OrderedDict[tuple[int, BoxRotation, int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
+        self._seen = Memo(MOST_FRAMES)
 
     def of(self, frame: Frame, stored: StoredFrame, image_box: Box2D, detector: ReadyDetector | None) -> list[Offered]:
         """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
@@ -413,17 +412,16 @@ class WholeBoxes:
         key = stored.id, rotation, adjusted, tuple(view.event_id for views in drawn for view in views)
         if not drawn:
             return []
-        # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
-        with self._lock:
-            if key not in self._seen:
-                try:
-                    self._seen[key] = self._read(self._read_frame(stored) if frame is None else frame, drawn)
-                except FrameError:
-                    return []  # another frame; the operator sees the problem when it is opened
-                while len(self._seen) > MOST_FRAMES:
-                    self._seen.popitem(last=False)
-            self._seen.move_to_end(key)
-            return self._seen[key]
+
+        def read() -> list[SeenObject]:
+            # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
+            with self._lock:
+                return self._read(self._read_frame(stored) if frame is None else frame, drawn)
+
+        try:
+            return self._seen.get(key, read)
+        except FrameError:
+            return []  # another frame; the operator sees the problem when it is opened
 
     def _read(self, frame: Frame, drawn: Sequence[tuple[ViewBoxes, ...]]) -> list[SeenObject]:
         up = held_direction(frame.up, frame_config(self.project, frame))

@@ -26,22 +26,15 @@ from annotator.project.review import By, Formula, Signal, ValueFilter
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
-# The bad values. In order, they are: share of the box's size, share of points, 1 - IoU (twice), 1 - score, 1 - IoU.
-BAD_DISAGREEMENT = 0.25
-BAD_LOST_SHARE = 0.9
-BAD_CHANGE = 0.3
-BAD_IMAGE = 0.6
-BAD_SCORE = 1.0
-BAD_IOU_LOSS = 0.5
-
+# The good and the bad value of each signal: shares of the box's size and of points, 1 - IoU (twice), score, 1 - IoU.
 FORMULA = Formula(
     (
-        Signal("view_disagreement", 0.0, BAD_DISAGREEMENT),
-        Signal("kept_share", 1.0, 1.0 - BAD_LOST_SHARE),
-        Signal("last_change", 0.0, BAD_CHANGE),
-        Signal("image_agreement", 1.0, 1.0 - BAD_IMAGE),
-        Signal("score", 1.0, 1.0 - BAD_SCORE),
-        Signal("expected_iou_loss", 0.0, BAD_IOU_LOSS),
+        Signal("view_disagreement", 0.0, 0.25),
+        Signal("kept_share", 1.0, 0.1),
+        Signal("last_change", 0.0, 0.3),
+        Signal("image_agreement", 1.0, 0.4),
+        Signal("score", 1.0, 0.0),
+        Signal("expected_iou_loss", 0.0, 0.5),
     ),
     MAX_DOUBT,
 )

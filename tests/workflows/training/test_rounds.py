@@ -31,7 +31,8 @@ from annotator.workflows.detectors import (
 )
 from annotator.workflows.training import held_out
 from annotator.workflows.training import train as workflow
-from annotator.workflows.training.held_out import Decision, HeldOut, read_decision
+from annotator.workflows.training.held_out import Decision, HeldOut
+from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.training.rounds import Choice, choose_start, part_seconds
 from annotator.workflows.training.samples import agnostic_samples, gather
 from annotator.workflows.training.train import Ran, Run, train
@@ -154,7 +155,7 @@ def test_a_new_detector_is_used_only_if_it_is_better(labelled: Project, ious: di
         assert now is not None
         used.append(now.fingerprint)
         model = labelled.models.all(DetectorKind.VIEW)[-1]
-        assert read_decision(model.path.parent) == decision
+        assert decision_of(model) == decision
         assert (decision.mean_iou, decision.objects, decision.frames) == (ious[name], choice.held_out.objects, 2)
         assert [(rival.name, rival.mean_iou) for rival in decision.compared] == [("base detector", 0.5)]
     assert used == ["base detector", "better", "better"]

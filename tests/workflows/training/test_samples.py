@@ -370,7 +370,7 @@ def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
     material = gather(people)
     assert material.kind is BoxKind.SILHOUETTE
     assert not material.whole
-    assert {len(labels) for labels in material.labels_of_kind.values()} == {3}
+    assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
 
 
 def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
