@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.tracking.link import (
     Seen,
-    Track,
     frame_times,
     link,
     numbered,
@@ -120,11 +119,6 @@ def test_track_ids_are_kept_where_possible(given: list[int | None], before: list
     assert numbered(given, before) == wanted
     # applied again, nothing changes
     assert numbered(given, [[number] for number in wanted]) == wanted
-
-
-def test_frames_without_boxes_have_no_tracks() -> None:
-    assert link([[], []], [0.0, 1.0]) == []
-    assert isinstance(link([[seen(0.0)]], [0.0])[0], Track)
 
 
 CAR = (4.0, 1.0, 1.5)

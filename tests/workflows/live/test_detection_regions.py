@@ -91,15 +91,6 @@ def test_new_objects_are_found_when_the_whole_image_is_searched_again() -> None:
     assert known.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
 
 
-def test_after_a_lost_object_the_whole_image_is_searched() -> None:
-    known = KnownBoxes(outline(seed(0.0)))
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
-    image_detection.lost()
-    image_detection.boxes(frame(), (seed(0.0),), CONFIG)
-    assert known.regions == [False, False]
-
-
 @pytest.mark.parametrize(
     "seen",
     [

@@ -52,19 +52,6 @@ def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: li
     assert wanted._left_s() < 0
 
 
-@pytest.mark.parametrize("wake", ["detection_begins", "close"])
-def test_a_waiting_thread_is_woken(wake: str) -> None:
-    wanted = Demand()
-    wanted.frame_read(read_s=0.01)
-    waits = threading.Thread(target=wanted.wait)
-    waits.start()
-    waits.join(0.05)
-    assert waits.is_alive()
-    getattr(wanted, wake)()
-    waits.join(30.0)
-    assert not waits.is_alive()
-
-
 NEVER = threading.Event()
 # A limit for waits, which only a failure should reach.
 PATIENCE_S = 240.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from annotator.geometry.iou import iou_3d_matrix
-from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext, open_project
+from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
@@ -75,10 +75,6 @@ class Interfering(Wrapped):
             self.act()
 
 
-class Killed(BaseException):
-    """Like a signal: not caught by handlers of ordinary errors."""
-
-
 def keys(project: Project, status: Status) -> list[str]:
     return sorted(project.frames.get(result.frame_id).key for result in project.jobs.results(status=status))
 
@@ -93,13 +89,6 @@ def bump(project: Project, index: int) -> None:
     """An operator changes something on a frame."""
     stored = project.frames.of()[index]
     project.boxes.set_on_image(stored.id, [], BoxKind.BOX, WriteContext(project.frames.get(stored.id).revision, "me"))
-
-
-@pytest.mark.parametrize("kind", BoxKind)
-def test_proposals_enclose_what_the_view_detector_measures(people: Project, knowing: Knowing, kind: BoxKind) -> None:
-    annotate(people, knowing("people", kind), FAST, limit=1)
-    stored = people.labels.select()
-    assert stored and {one.label.box_kind for one in stored} == {kind}
 
 
 def test_stored_proposals_match_the_true_boxes(people: Project, knowing: Knowing) -> None:
@@ -255,26 +244,6 @@ def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing)
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
-def test_a_finalised_frame_is_not_changed(people: Project, knowing: Knowing) -> None:
-    stored = people.frames.of()[2]
-    people.frames.finalise(stored.id, WriteContext(0, "me"))
-    done = annotate(people, knowing("people"), FAST)
-    assert (done.frames, done.done, done.skipped) == (4, 4, 1)
-    assert people.labels.of_frame(stored.id) == ()
-    assert people.frames.get(stored.id).revision == 1
-
-
-def test_reviewed_labels_stay_and_are_not_proposed_again(people: Project, knowing: Knowing) -> None:
-    recording = open_recording(people.recordings.all()[0].path)
-    truth = load_truth(recording, 0, recording.frame(0))[0]
-    stored = people.frames.of()[0]
-    (uid,) = people.labels.create(stored.id, [NewLabel(truth.label, truth.box)], WriteContext(0, "me")).uids
-    annotate(people, knowing("people"), CONFIG, limit=1)
-    states = {label.uid: label.state for label in people.labels.of_frame(stored.id)}
-    assert states.pop(uid) is ReviewState.ACCEPTED
-    assert list(states.values()) == [ReviewState.PROPOSED] * 2
-
-
 def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:
     recording = open_recording(people.recordings.all()[0].path)
     truths = load_truth(recording, 0, recording.frame(0))
@@ -352,23 +321,6 @@ def test_a_frame_finalised_between_two_write_attempts_is_skipped(
     monkeypatch.setattr(type(people.proposals), "replace", interrupted)
     done = annotate(people, knowing("people"), FAST, limit=2)
     assert (done.frames, done.done, done.skipped, done.failed) == (1, 1, 1, [])
-
-
-def test_a_killed_batch_can_be_continued(people: Project, knowing: Knowing) -> None:
-    def kill() -> None:
-        raise Killed
-
-    image = Interfering(knowing("people"), "000004", kill)
-    with pytest.raises(Killed):
-        annotate(people, image.pair(knowing("people")), FAST)
-    people.close()
-    with open_project(people.path) as again:
-        assert keys(again, Status.DONE) == [f"{n:06d}" for n in range(4)]
-        assert again.jobs.all()[0].finished_ns is None
-        done = annotate(again, knowing("people"), FAST)
-        assert (done.frames, done.done, done.skipped) == (1, 1, 4)
-        assert all(len(again.labels.of_frame(stored.id)) == 3 for stored in again.frames.of())
-        assert again.problems() == []
 
 
 def test_a_store_that_cannot_be_written_ends_the_batch(

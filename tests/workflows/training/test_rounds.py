@@ -34,8 +34,8 @@ from annotator.workflows.training import train as workflow
 from annotator.workflows.training.held_out import Decision, HeldOut
 from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.training.rounds import Choice, choose_start, part_seconds
-from annotator.workflows.training.samples import agnostic_samples, gather
-from annotator.workflows.training.train import Ran, Run, train
+from annotator.workflows.training.samples import gather
+from annotator.workflows.training.train import Ran, train
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
@@ -63,23 +63,6 @@ def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
     start = choose_start(labelled, held(labelled), CONFIG)
     assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
     assert choose_start(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).model is None
-
-
-def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
-    labelled: Project, ious: dict[str, float]
-) -> None:
-    install_base()
-    model = register(labelled, "a", active=True)
-    manifest = Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
-        agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
-    )
-    assert {e.group for e in manifest.entries if e.split == "train"} & held_out.held_out_groups(labelled)
-    labelled.models.register(
-        DetectorKind.VIEW, model.path, labels=AGNOSTIC, box_kind=BoxKind.BOX, metrics={}, fingerprint="a",
-        manifest=labelled.models_folder / "view" / "dataset" / "manifest.json",
-    )  # fmt: skip
-    ious.update({"base detector": 0.2, "a": 0.9})
-    assert choose_start(labelled, held(labelled), CONFIG).model == base_model()
 
 
 @pytest.mark.parametrize("learned", [HELD_OUT[0], None])

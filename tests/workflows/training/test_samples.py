@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +16,7 @@ from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteConte
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
-from annotator.types.errors import DetectionError, FrameError, RecordingError
-from annotator.workflows.add_recordings import add_recordings
+from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
@@ -34,7 +31,6 @@ from annotator.workflows.training.samples import (
     drawn_pictures,
     gather,
     image_samples,
-    known_objects,
     taught_by_drags,
     view_samples,
     with_generated,
@@ -285,15 +281,6 @@ def test_views_of_deep_frustums_have_the_size_used_in_detection(people: Project)
         assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
 
 
-def test_views_without_a_frame_are_separate_groups(people: Project) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(2):
-        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
-        people.boxes.set_on_view(view, [SOME], BoxKind.BOX, WriteContext(0, "me"))
-    samples = views(people, gather(people, [DetectorKind.VIEW]))
-    assert len({sample.group for sample in samples}) == 2
-
-
 @pytest.mark.parametrize(("asked", "draws"), [(1, 1), (6, 1), (24, 4), (10**6, 20)])
 def test_few_objects_are_drawn_more_often_up_to_a_limit(people: Project, asked: int, draws: int) -> None:
     accept(people, 0)
@@ -373,17 +360,6 @@ def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
     assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
 
 
-def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE, every=5)
-    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
-    accept(people, 1)
-    material = replace(gather(people), kind=BoxKind.BOX)
-    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
-    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
-    # 24 views of the 3 objects that are taught
-    assert {one.draws for one in known} == {4}
-
-
 def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:
     material = simulate(people, BoxKind.SILHOUETTE, every=5)
     frame = FrameSource(people).read(people.frames.of()[0])
@@ -393,41 +369,6 @@ def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project
 
 
 # --- frames that cannot be read --------------------------------------------------------------------------------------
-
-
-def test_unreadable_frames_are_skipped(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    for index in range(3):
-        accept(project, index)
-    (folder / "depth" / "000000.png").write_bytes(b"\x89PNG")
-    for path in (folder / "color" / "000001.jpg", folder / "depth" / "000001.png"):
-        path.unlink()
-    add_recordings(project, [folder])
-    material, skipped = gather(project), []
-
-    def skip(stored: StoredFrame, error: FrameError) -> None:
-        skipped.append(f"{stored.key} {error}")
-
-    samples = [
-        *image_samples(project, material, skip),
-        *view_samples(project, material, CONFIG, SampleConfig(views=18), skip),
-    ]
-    assert {(sample.origin, sample.group) for sample in samples} == {(PROJECTED, "1/000002"), (TAUGHT, "1/000002")}
-    assert [text.split()[0] for text in skipped] == ["000000", "000001"] * 2
-    assert "depth/000000.png" in skipped[0]
-    assert "no longer exists" in skipped[1]
-
-
-def test_a_recording_that_was_moved_is_an_error(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    accept(project, 0)
-    folder.rename(folder.with_name("elsewhere"))
-    with pytest.raises(RecordingError, match="people: no such file or folder"):
-        list(image_samples(project, gather(project), never))
 
 
 def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:

@@ -129,20 +129,6 @@ def test_a_finished_training_does_not_need_its_initial_weights(
     assert again.model.id == first.model.id
 
 
-def test_other_labels_or_settings_give_another_run(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
-    train(drawn, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
-    stored = drawn.frames.of()[1]
-    box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
-    (last,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
-    assert len({call[2] for call in trainings}) == 3
-    assert drawn.models.active(DetectorKind.IMAGE) == last.model
-    assert drawn.models.active(DetectorKind.VIEW) is None
-    back = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))[0]
-    assert back.model.id == last.model.id
-
-
 def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
         (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))

@@ -16,13 +16,11 @@ from annotator.project import Origin, Project, WriteContext
 from annotator.project.log.events import Effort
 from annotator.project.progress.action_log import draft_id
 from annotator.rcv.known_objects import Span, draw_object
-from annotator.rcv.measure import box_iou
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source, Suggestion
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.simulate import _draw, image_box_of, visible_objects
-from annotator.workflows.training.samples import gather
 from annotator.workflows.workbench.drawing_steps import (
     LABEL_VIEW_PX,
     Fit,
@@ -178,14 +176,6 @@ def test_after_the_image_box_all_views_have_a_suggestion_and_these_give_the_foun
         accepted = label_steps(desk.opened, desk.image_box(), suggested, desk.config, kind, axes=axes)
         assert [view is same for view, same in zip(accepted.views, found.views, strict=True)] == [True] * 4
         assert accepted.box is not None and same_box(accepted.box, found.box)
-
-
-def test_suggested_silhouettes_are_close_to_the_drawn_ones(desk: Desk) -> None:
-    fit = desk.fit(desk.objects[0].box, [])
-    found = label_steps(desk.opened, desk.image_box(), [], desk.config, BoxKind.SILHOUETTE, fit=fit)
-    for view, box in zip(found.views, (box for step in found.steps for box in step.suggested), strict=True):
-        # all points in the true box count, including those of the floor
-        assert box is not None and box_iou(box, desk.draw(view)) > 0.6
 
 
 def test_the_fit_knows_the_drawn_boxes_and_only_the_other_views_have_suggestions(desk: Desk) -> None:
@@ -352,27 +342,6 @@ def test_effort_is_kept_when_the_image_box_of_a_draft_changes(desk: Desk) -> Non
     desk.save([image_box], desk.object(image_box, desk.four()))
     numbers = desk.project.statistics().effort
     assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
-
-
-def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: Desk) -> None:
-    objects = [desk.object(desk.image_box(number), desk.four(number)) for number in range(2)]
-    given = Suggestion("base detector", "f00d")
-    objects = [replace(drawn, suggestion=given) for drawn in objects]
-    image_boxes = [drawn.image_box for drawn in objects]
-    for drawn in objects:
-        desk.save(image_boxes, drawn)
-    before = [stored.label for stored in desk.project.labels.select()]
-    desk.kind = BoxKind.BOX
-    desk.save(image_boxes, objects[0])
-    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.BOX] * 8
-    material = gather(desk.project)
-    assert material.views_of_kind == material.views
-    now = [stored.label for stored in desk.project.labels.select()]
-    assert [label.box_kind for label in now] == [BoxKind.BOX] * 2
-    assert not same_box(before[1].box, now[1].box)
-    assert [label.suggestion for label in now] == [given] * 2, "measured anew, not corrected"
-    desk.project.history.undo("ann")
-    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
 
 
 def test_one_undo_reverts_one_drag(desk: Desk) -> None:

@@ -66,14 +66,6 @@ def test_a_frame_is_read_once_and_the_next_ahead(project: Project, reads: list[s
     assert cache.read(project, 5).key == "000004", "after the end frames are still read, but not ahead"
 
 
-def test_only_the_latest_frames_are_cached(project: Project, reads: list[str]) -> None:
-    cache = FrameCache(2, kept_bytes=0)
-    cache.close()
-    for frame in (1, 2, 3, 1):
-        cache.read(project, frame)
-    assert reads == ["000000", "000001", "000002", "000000"]
-
-
 def test_more_frames_are_cached_as_long_as_memory_allows(project: Project, reads: list[str]) -> None:
     size = OpenFrame(FrameSource(project).read(project.frames.get(1))).memory_bytes
     reads.clear()

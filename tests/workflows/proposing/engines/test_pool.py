@@ -201,13 +201,6 @@ def test_a_bug_in_a_worker_is_not_an_annotator_error() -> None:
         fake.pool.start()
 
 
-def test_closing_ends_all_workers(start_pool: Callable[[int], FakePool]) -> None:
-    fake = start_pool(3)
-    fake.pool.close()
-    fake.pool.close()
-    assert all(worker.is_ended for worker in fake.made)
-
-
 @pytest.mark.parametrize(
     ("name", "cores", "gpus", "options", "workers"),
     [
