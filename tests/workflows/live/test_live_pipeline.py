@@ -9,7 +9,9 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -354,37 +356,19 @@ def test_a_pause_at_the_moment_of_a_stop_does_not_block(frame: Frame) -> None:
     assert made.wait(PATIENCE_S)
 
 
-class Unplugged:
-    """A camera that is unplugged after two frames."""
-
-    name, skipped, gives_newest = "camera", 0, False
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame, self.left, self.closed = frame, 2, 0
-
-    def read(self, stop: threading.Event) -> Taken | None:
-        if not self.left:
-            raise DeviceError("camera: was unplugged")
-        self.left -= 1
-        return Taken(self.frame, time.perf_counter(), 0.0)
-
-    def resume(self) -> None: ...
-
-    def close(self) -> None:
-        self.closed += 1
-
-
 def fails(detected: Detected) -> None:
     raise ValueError("no display")
 
 
 def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> None:
-    gone = Unplugged(frame)
+    taken = Taken(frame, time.perf_counter(), 0.0)
+    gone = SimpleNamespace(name="camera", skipped=0, gives_newest=False, resume=Mock(), close=Mock())
+    gone.read = Mock(side_effect=[taken, taken, DeviceError("camera: was unplugged")])
     made = Pipeline(gone, FakeDetection(), Shown())
     made.start()
     with pytest.raises(DeviceError, match="unplugged"):
         made.wait(PATIENCE_S)
-    assert gone.closed == 1
+    gone.close.assert_called_once()
     endless = Playback(FakeRecording(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
     made = Pipeline(endless, FakeDetection(), fails)
     made.start()

@@ -98,21 +98,18 @@ def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
 
 
 def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
-    active = register(labelled, "a", active=True)
+    register(labelled, "a", active=True)
     ious.update(a=0.6, worse=0.3, better=0.7)
     choice = choice_of(labelled, pretrained="never")
     assert choice.start.model is None
-    outcomes = []
-    for name in ("worse", "better"):
+    for name, outcome in (
+        ("worse", "no better on held-out frames: the project's detector a stayed in use"),
+        ("better", "the best one on held-out frames: put into use"),
+    ):
         new = register(labelled, name)
-        outcomes.append(choice.add(new, "").outcome)
+        assert choice.add(new, "").outcome == outcome
         # the next part goes on from the training's own result
         assert choice.origin == own_model(labelled, new)
-    assert outcomes == [
-        "no better on held-out frames: the project's detector a stayed in use",
-        "the best one on held-out frames: put into use",
-    ]
-    assert not labelled.models.get(active.id).active
 
 
 def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
@@ -155,27 +152,23 @@ def test_the_base_detector_comes_back_if_it_is_better_than_the_active_one(
     assert used_model(labelled, DetectorKind.VIEW) == base_model()
 
 
-@pytest.mark.parametrize("has_base", [True, False])
-def test_below_five_held_out_objects_the_base_detector_stays(
-    labelled: Project, ious: dict[str, float], has_base: bool
+@pytest.mark.parametrize(
+    ("has_base", "own", "used"), [(True, False, "base detector"), (True, True, "own"), (False, False, "new")]
+)
+def test_below_five_held_out_objects_what_was_in_use_stays(
+    labelled: Project, ious: dict[str, float], has_base: bool, own: bool, used: str
 ) -> None:
     if has_base:
         install_base()
+    if own:
+        register(labelled, "own", active=True)
     choice = choice_of(labelled, 0)
     assert not choice.held_out.decides
     decision = choice.add(register(labelled, "new"), "")
-    used = used_model(labelled, DetectorKind.VIEW)
-    assert used is not None
-    assert used.fingerprint == ("base detector" if has_base else "new")
+    now = used_model(labelled, DetectorKind.VIEW)
+    assert now is not None and now.fingerprint == used
     assert decision.mean_iou is None
     assert "fewer than 5 reviewed objects" in decision.outcome
-
-
-def test_below_five_held_out_objects_an_own_detector_stays_in_use(labelled: Project, ious: dict[str, float]) -> None:
-    install_base()
-    active = register(labelled, "a", active=True)
-    assert choice_of(labelled, 0).add(register(labelled, "new"), "").outcome.endswith("what was in use stayed in use")
-    assert labelled.models.get(active.id).active
 
 
 def test_parts_double_and_none_is_too_short() -> None:

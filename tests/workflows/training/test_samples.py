@@ -86,13 +86,6 @@ def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
     assert len(gather(people).views) == 1
 
 
-def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
-    accept(people, 0)
-    material = gather(people)
-    assert (material.kind, material.image_kind) == (BoxKind.BOX, BoxKind.BOX)
-    assert [len(labels) for labels in material.labels.values()] == [3]
-
-
 def test_proposed_and_rejected_boxes_are_not_samples(people: Project) -> None:
     uids = accept(people, 0)
     stored = people.frames.of()[0]
@@ -304,6 +297,9 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
     truths = visible_objects(recording, 0, frame, ["person"])
     ((_, objects),) = drawn_objects(material.views).items()
     assert len(objects) == 3
+    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
+    empty = [replace(view, geometry=geometry) for view, geometry in zip(objects[0], far, strict=True)]
+    assert taught_by_drags(frame, empty) is None, "there are no points in these boxes"
     for truth, drags in zip(truths, objects, strict=True):
         taught = taught_by_drags(frame, drags)
         assert taught is not None
@@ -330,17 +326,24 @@ def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project)
         assert apart.min() > 3, "two boxes around one object"
 
 
-def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> None:
+def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> list[Box2D | None]:
     """Gives drawn objects of the first frame a label with their true box, as if an operator had confirmed it."""
     stored = project.frames.of()[0]
     frame = FrameSource(project).read(stored)
     recording = open_recording(project.recordings.all()[0].path)
     objects = visible_objects(recording, 0, frame, ["person"])[:count]
-    new = []
-    for one in objects:
-        image_box = image_box_of(frame, one, BoxKind.SILHOUETTE)
-        new.append(NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind))
+    drawn = [image_box_of(frame, one, BoxKind.SILHOUETTE) for one in objects]
+    new = [
+        NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind)
+        for one, image_box in zip(objects, drawn, strict=True)
+    ]
     project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
+    return drawn
+
+
+def agnostic(project: Project, given: Fixed) -> list[TrainingSample]:
+    """The samples of a class-agnostic detector that starts from one with given boxes."""
+    return list(agnostic_samples(project, gather(project), CONFIG, SampleConfig(views=24), given, never))
 
 
 def test_an_object_whose_whole_box_is_known_counts_as_whole_although_its_silhouettes_are_drawn(people: Project) -> None:
@@ -360,24 +363,13 @@ def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
     assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
 
 
-def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:
-    material = simulate(people, BoxKind.SILHOUETTE, every=5)
-    frame = FrameSource(people).read(people.frames.of()[0])
-    ((_, objects),) = drawn_objects(material.views).items()
-    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
-    assert taught_by_drags(frame, [replace(v, geometry=g) for v, g in zip(objects[0], far, strict=True)]) is None
-
-
 # --- frames that cannot be read --------------------------------------------------------------------------------------
 
 
 def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
-    recording = people.recordings.all()[0].id
-    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+    simulate(people, BoxKind.SILHOUETTE)
     given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(WHOLE, 3.0, 3.0, 9.0, 9.0, 0.8)))
-    samples = list(
-        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
-    )
+    samples = agnostic(people, given)
     assert {sample.origin for sample in samples} == {"drawn", "taught"}
     with_boxes = [sample for sample in samples if sample.boxes]
     assert len(with_boxes) > 0.7 * len(samples)
@@ -387,21 +379,11 @@ def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_k
 
 
 def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:
-    recording = people.recordings.all()[0].id
-    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=5)
-    drawn = people.boxes.on_views()
-    image_boxes = [view.geometry.image_box for view in drawn if view.geometry is not None]
-    frame_id = people.frames.of()[0].id
-    frame = FrameSource(people).read(people.frames.get(frame_id))
-    truth = visible_objects(open_recording(people.recordings.all()[0].path), 0, frame, ["person"])[0]
-    image_box = image_box_of(frame, truth, BoxKind.SILHOUETTE)
-    assert image_box in image_boxes
-    new = NewLabel("person", truth.box, origin=Origin.DRAWN, image_box=image_box)
-    people.labels.create(frame_id, [new], WriteContext(people.frames.get(frame_id).revision, "me"))
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    image_boxes = [view.geometry.image_box for view in people.boxes.on_views() if view.geometry is not None]
+    (image_box,) = whole_boxes_known(people, count=1)
     given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(SEEN, 2.0, 2.0, 50.0, 50.0, 0.9)))
-    samples = list(
-        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
-    )
+    samples = agnostic(people, given)
     of_drawn = [sample for sample in samples if sample.origin == "drawn"]
     assert len(of_drawn) == len(image_boxes) == 12
     guessed = [given.boxes[0] in sample.boxes for sample in of_drawn]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -15,13 +14,12 @@ import numpy as np
 import pytest
 from live_server import wait_until
 
-from annotator.project import NewLabel, Project, WriteContext, create_project
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.project import overview as overview_module
 from annotator.recordings import open_recording
 from annotator.recordings.rgbd_folder import RgbdFolder
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox
 from annotator.types.errors import FrameError, NotFoundError
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench import frame_cache
 from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache, OpenFrame
@@ -29,10 +27,8 @@ from annotator.workflows.workbench.frame_state import show_frame
 
 
 @pytest.fixture
-def project(tmp_path: Path, generated: Path) -> Iterator[Project]:
-    with create_project(tmp_path, "room", ("person",)) as project:
-        register_recording(project, open_recording(generated / "people"))
-        yield project
+def project(people: Project) -> Project:
+    return people
 
 
 @pytest.fixture
@@ -171,9 +167,8 @@ def test_frames_that_are_only_looked_at_are_read_side_by_side_where_the_reader_c
 
 
 def test_labels_without_new_events_are_not_read_again(
-    make_project: Callable[..., Project], generated: Path, monkeypatch: pytest.MonkeyPatch
+    project: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    project = make_project(generated / "people")
     opened = OpenFrame(open_recording(generated / "people").frame(0))
     frame = project.frames.of()[0].id
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.6, 1.7]))

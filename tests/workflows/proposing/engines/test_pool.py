@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -87,13 +86,14 @@ class FakePool:
         self.made.append(FakeWorker(number, tell))
         return self.made[-1]
 
-    def start(self) -> None:
+    def start(self) -> FakePool:
         while len(self.made) < self.workers:
             self.pool._add()
         for worker in self.made:
             worker.ready()
         self.pool.start()
         self.drain()
+        return self
 
     def drain(self) -> list[Answer]:
         answers = []
@@ -110,18 +110,8 @@ def keys(worker: FakeWorker) -> list[tuple[str, ...]]:
     return [tuple(frame.key for frame in held.frames) for held in worker.tasks]
 
 
-@pytest.fixture
-def start_pool() -> Callable[[int], FakePool]:
-    def start(workers: int) -> FakePool:
-        made = FakePool(workers)
-        made.start()
-        return made
-
-    return start
-
-
-def test_each_worker_gets_a_task_and_one_in_advance(start_pool: Callable[[int], FakePool]) -> None:
-    fake = start_pool(2)
+def test_each_worker_gets_a_task_and_one_in_advance() -> None:
+    fake = FakePool(2).start()
     for number in range(6):
         fake.pool.submit(task(number, str(number)))
     assert [len(worker.tasks) for worker in fake.made] == [TASKS_PER_WORKER, TASKS_PER_WORKER]
@@ -130,8 +120,8 @@ def test_each_worker_gets_a_task_and_one_in_advance(start_pool: Callable[[int], 
     assert keys(fake.made[1])[-1] == ("4",)
 
 
-def test_tasks_of_a_dead_worker_are_repeated_one_by_one(start_pool: Callable[[int], FakePool]) -> None:
-    fake = start_pool(1)
+def test_tasks_of_a_dead_worker_are_repeated_one_by_one() -> None:
+    fake = FakePool(1).start()
     for number in range(4):
         fake.pool.submit(task(number, f"{number}a", f"{number}b"))
     fake.made[0].die()
@@ -151,10 +141,8 @@ def test_tasks_of_a_dead_worker_are_repeated_one_by_one(start_pool: Callable[[in
     assert all(frame.result is not None for answer in answers for frame in answer.frames)
 
 
-def test_a_frame_that_kills_workers_repeatedly_fails_and_the_others_of_its_task_are_done(
-    start_pool: Callable[[int], FakePool],
-) -> None:
-    fake = start_pool(1)
+def test_a_frame_that_kills_workers_repeatedly_fails_and_the_others_of_its_task_are_done() -> None:
+    fake = FakePool(1).start()
     fake.pool.submit(task(7, "good", "deadly", "fine"))
     answers: list[Answer] = []
     for _ in range(20):
@@ -186,8 +174,8 @@ def test_workers_that_die_during_start_end_the_batch() -> None:
         fake.pool.start()
 
 
-def test_workers_with_other_detectors_are_refused(start_pool: Callable[[int], FakePool]) -> None:
-    fake = start_pool(2)
+def test_workers_with_other_detectors_are_refused() -> None:
+    fake = FakePool(2).start()
     fake.made[0].tell(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX))
     with pytest.raises(WorkerError, match="detectors differ"):
         fake.drain()
