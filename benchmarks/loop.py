@@ -34,7 +34,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES
-from annotator.workflows.proposing.lift import propose_frames
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
@@ -305,7 +305,9 @@ def _propose_all(
             except FrameError as error:
                 QUIET.print(f"counted as a frame without a proposal: {error}")
                 scores.frames += 1
-        results = propose_frames(list(read.values()), detectors, config, rotation)
+        frames, settings = list(read.values()), detectors.settings(config)
+        boxes = detectors.image.detect(frames) if frames else []
+        results = propose_image_boxes(frames, boxes, detectors.view, settings, rotation)
         for (index, frame), proposed in zip(read.items(), results, strict=True):
             scores.add(index, frame, proposed)
 

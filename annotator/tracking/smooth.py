@@ -229,9 +229,6 @@ def between(
 
     Args:
         times: strictly between `first_time` and `last_time`.
-
-    Raises:
-        GeometryError: a time is not between the two.
     """
     if any(not first_time < time < last_time for time in times):
         raise GeometryError(

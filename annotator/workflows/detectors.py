@@ -81,11 +81,6 @@ def load_detector(
             its training found.
         threads: processor threads; None = all cores that the process may use.
         names: as in `UsedModel`.
-
-    Raises:
-        ConfigError: invalid size or number of threads.
-        DetectionError: missing or unreadable weights, or an unusable backend.
-        FormatError: the files beside the weights are missing or damaged.
     """
     settings: dict[str, Any] = {"image_size_px": image_size_px, "names": dict(names)}
     if image_size_px is None:

@@ -37,9 +37,6 @@ class KinectSource:
         """
         Args:
             which: as for `KinectDevice`.
-
-        Raises:
-            DeviceError: there is no such device, or it cannot be used.
         """
         self._device = KinectDevice(which)
 
@@ -138,12 +135,7 @@ class Playback:
         return 1 / max(float(np.median(np.abs(np.diff(self._times_s)))), 1e-9)
 
     def read(self, stop: threading.Event) -> Taken | None:
-        """As `Source.read`.
-
-        Raises:
-            FrameError: this frame cannot be read.
-            RecordingError: none of the recording's frames can be read.
-        """
+        """As `Source.read`."""
         due = self._wait_for_next(stop)
         if due is None:
             return None
@@ -212,12 +204,6 @@ def open_source(
         rate: as for `Playback`.
         loop: start again after the last frame.
         to_record: refuse a recording that cannot be recorded again.
-
-    Raises:
-        ConfigError: `rate` or `loop` for a device, an invalid rate, a recording that cannot be recorded again, or a
-            path of several recordings of the project.
-        RecordingError: there is no such recording.
-        DeviceError: there is no such device, or it cannot be used.
     """
     kind, _, which = name.partition(":")
     if kind == KINECT and not Path(name).exists():

@@ -209,11 +209,6 @@ def annotate_with(
         from_reviewed: if the previous frame is reviewed when a frame's task is made, the recursion starts from its
             boxes. Frames annotated with and without this setting count as different.
         progress: called after each stored task, and at intervals in between.
-
-    Raises:
-        ConfigError: a limit below 1.
-        ProjectError: the store refuses even the record of a failed frame.
-        WorkerError: the engine's workers keep dying.
     """
     require_limit(limit)
     begin = time.perf_counter()

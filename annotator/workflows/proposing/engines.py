@@ -242,10 +242,6 @@ def make_engine(
         threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
         address: of a Ray cluster; None = one on this machine.
         storage: where workers read recordings.
-
-    Raises:
-        ConfigError: numbers below 1, or contradicting options.
-        MissingExtraError, WorkerError: Ray is not installed, or the cluster cannot be reached.
     """
     storage = storage or Storage()
     for option, value in (("workers", workers), ("threads", threads)):

@@ -23,7 +23,7 @@ from annotator.rcv.propose import propose_from_boxes
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import MOST_LISTED, first_few
-from annotator.workflows.detectors import LIFTED_FROM, Detectors
+from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
 from annotator.workflows.importing.placing import Renamed
@@ -33,20 +33,6 @@ from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
-def propose_frames(
-    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
-) -> list[FrameProposals]:
-    """Returns the proposals of each frame, in the given order.
-
-    Args:
-        config: its orientation and box kind are set here.
-        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
-    """
-    image_boxes = detectors.image.detect(frames) if frames else []
-    config = detectors.settings(config)
-    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation)
-
-
 def propose_image_boxes(
     frames: Sequence[Frame],
     image_boxes: Sequence[Sequence[Box2D]],
@@ -54,7 +40,12 @@ def propose_image_boxes(
     config: RcvConfig,
     rotation: BoxRotation,
 ) -> list[FrameProposals]:
-    """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
+    """Returns the proposals of each frame from its boxes on the image, in the given order.
+
+    Args:
+        config: with the settings of the detector; the orientation is set here.
+        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
+    """
     groups: dict[Orientation, list[int]] = defaultdict(list)
     for index, frame in enumerate(frames):
         groups[orientation_for(rotation, frame)].append(index)
@@ -130,9 +121,6 @@ def boxes_of_file(
         recording: name of the recording of the images, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
         kind: what the boxes enclose.
-
-    Raises:
-        FormatError: the dataset is invalid, or has no box of a class of the project.
     """
     dataset = read_pictures(format, path)
     images = checked_images(project, dataset, dataset.pictures, recording)

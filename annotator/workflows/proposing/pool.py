@@ -148,12 +148,7 @@ class WorkerPool:
         return self._workers * (TASKS_PER_WORKER + 1)
 
     def start(self) -> Identity:
-        """Starts the workers, and returns when the first is ready. Logs a warning if that takes long.
-
-        Raises:
-            AnnotatorError: the detectors cannot be loaded.
-            WorkerError: workers die before they are ready.
-        """
+        """Starts the workers, and returns when the first is ready. Logs a warning if that takes long."""
         while len(self._slots) < self._workers:
             self._add()
         begin = time.monotonic()

@@ -131,11 +131,6 @@ class RayEngine(WorkerPool):
             threads: processor threads of each, reserved with Ray.
             storage: where actors read recordings.
             address: of a cluster ("auto", or HOST:PORT of its head); None = start one on this machine.
-
-        Raises:
-            ConfigError: the cluster is too small for so many workers.
-            MissingExtraError: Ray is not installed.
-            WorkerError: the cluster cannot be reached or started.
         """
         self._ray = _connect(address, None if workers is None else workers * threads)
         try:

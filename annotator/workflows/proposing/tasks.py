@@ -175,12 +175,7 @@ class Storage:
         return str(path)
 
     def open(self, recording: RecordingSpec) -> OpenedRecording:
-        """Opens a recording at the workers' path or URL.
-
-        Raises:
-            RecordingError: it is missing or cannot be read.
-            MissingExtraError: its URL needs a package that is not installed.
-        """
+        """Opens a recording at the workers' path or URL."""
         place = self.place(recording.path)
         if not is_url(place):
             return open_stored(

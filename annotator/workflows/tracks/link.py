@@ -18,7 +18,7 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
 from annotator.recordings.kitti import KittiFolder
-from annotator.tracking.link import Seen, Track, link, numbered
+from annotator.tracking.link import Seen, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
@@ -72,10 +72,6 @@ def link_tracks(
         smooth: give unreviewed proposals the common size and smoothed heading of their track; otherwise restore the
             boxes as proposed.
         progress: called with (recordings done, recordings to do).
-
-    Raises:
-        NotFoundError: no such recording.
-        RecordingError: a recording is missing or cannot be read.
     """
     chosen = project.recordings.all() if recordings is None else [project.recordings.get(id) for id in recordings]
     summary = LinkSummary()
@@ -133,7 +129,9 @@ class _Recording:
         ]
         self.tracks = link(seen, self._times)
         self._values = self._values_along_tracks()
-        self.numbers = _numbers(self.tracks, self.labels)
+        members = [[self.labels[index][number].label.track_id for index, number in t.members] for t in self.tracks]
+        previous = [[number for number in numbers if number is not None] for numbers in members]
+        self.numbers = numbered([track.given for track in self.tracks], previous)
         self._boxes = {} if not smooth else self._smooth_boxes()
 
     def store(self, summary: LinkSummary) -> bool:
@@ -207,31 +205,16 @@ class _Recording:
         smoothed_boxes: dict[str, OrientedBox] = {}
         for track in self.tracks:
             members = [self.labels[index][number] for index, number in track.members]
-            boxes = [
-                TrackBox(self._times[index], self._box(each), _weight(each), self._is_fixed(each, self.frames[index]))
-                for (index, _), each in zip(track.members, members, strict=True)
-            ]
+            boxes = []
+            for (index, _), each in zip(track.members, members, strict=True):
+                score = 1.0 if each.label.score is None else float(np.clip(each.label.score, MIN_WEIGHT, 1.0))
+                is_fixed = self.frames[index].finalised or not self._may_move(each)
+                boxes.append(TrackBox(self._times[index], self._box(each), score, is_fixed))
             smooth = zip(members, boxes, smoothed(boxes, self._is_still), strict=True)
             smoothed_boxes |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
         return smoothed_boxes
-
-    def _is_fixed(self, stored: StoredLabel, frame: StoredFrame) -> bool:
-        return frame.finalised or not self._may_move(stored)
 
 
 def _given(stored: StoredLabel, frame: StoredFrame) -> int | None:
     """Returns a track id that must stay: given by an operator or a file, or in a finalised frame; else None."""
     return None if stored.track_linked and not frame.finalised else stored.label.track_id
-
-
-def _weight(stored: StoredLabel) -> float:
-    score = stored.label.score
-    return 1.0 if score is None else float(np.clip(score, MIN_WEIGHT, 1.0))
-
-
-def _numbers(tracks: Sequence[Track], labels: Sequence[Sequence[StoredLabel]]) -> list[int]:
-    previous = [
-        [known for index, number in track.members if (known := labels[index][number].label.track_id) is not None]
-        for track in tracks
-    ]
-    return numbered([track.given for track in tracks], previous)

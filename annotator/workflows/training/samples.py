@@ -102,9 +102,6 @@ def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)
 
     Args:
         roles: the detectors to be trained.
-
-    Raises:
-        DetectionError: one of them has nothing to learn from; the message says what to do.
     """
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()

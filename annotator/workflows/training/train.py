@@ -18,7 +18,6 @@ from annotator.detection.pretrained import check_start
 from annotator.detection.trained import MODEL_NAME, RUN_NAME, TrainedModel, read_run
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
-from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.types.messages import amount
@@ -214,8 +213,6 @@ class TrainPlan:
     Attributes:
         image, view: settings of each detector.
         samples: how many pseudo-views are generated.
-        rcv: how pseudo-views are drawn; None = the project's settings, with views of the detector's input size unless
-            they set a size.
         minutes: length of the view detector's training; None: three minutes if it starts from a detector, else as
             many pictures as `view` says.
         generated_share: share of generated views among those that continue a class-agnostic detector.
@@ -226,7 +223,6 @@ class TrainPlan:
     image: TrainingConfig = IMAGE_DEFAULTS
     view: TrainingConfig = VIEW_DEFAULTS
     samples: SampleConfig = field(default_factory=SampleConfig)
-    rcv: RcvConfig | None = None
     minutes: float | None = None
     generated_share: float = GENERATED_SHARE
     decides: bool = True
@@ -331,7 +327,7 @@ class _ViewTraining:
             )
         self.left_out += start.left_out
         self.view_px = start.view_px(plan.view)
-        self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
+        self.rcv = rcv_config(project, view_px=self.view_px)
         choice = Choice(project, held_out, start, plan.decides)
         ends: list[float | None] = [None]
         anew = None

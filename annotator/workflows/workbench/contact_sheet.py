@@ -186,13 +186,7 @@ class SeenBox:
 def accept_boxes(
     project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None
 ) -> tuple[tuple[int, Receipt], ...]:
-    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt.
-
-    Raises:
-        ConfigError: there is no box, or one of them is no proposal (any more).
-        NotFoundError: no such frame or label.
-        StaleRevisionError: a frame was changed since the operator saw it.
-    """
+    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt."""
     if not boxes:
         raise ConfigError("no box is chosen, so there is nothing to accept; click on those that are right")
     by_frame: dict[int, list[SeenBox]] = {}
@@ -245,9 +239,6 @@ class SheetPictures:
 
         Args:
             frame: the frame, if it is read already.
-
-        Raises:
-            FrameError, RecordingError: the frame cannot be read.
         """
 
         def draw() -> bytes:

@@ -184,12 +184,7 @@ class Alignment:
 
 
 def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
-    """Reads the alignment of a frame.
-
-    Raises:
-        NotFoundError: no such frame.
-        FrameError, RecordingError: it cannot be read.
-    """
+    """Reads the alignment of a frame."""
     stored = project.frames.get(frame_id)
     recording = project.recordings.get(stored.recording_id)
     frame, up = cache.recorded(project, frame_id), cache.read(project, frame_id).up
@@ -198,7 +193,7 @@ def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
         frame,
         frame.cloud.xyz_m if keep is None else frame.cloud.xyz_m[keep],
         recording,
-        None if up is None else _vector(up),
+        None if up is None else (float(up[0]), float(up[1]), float(up[2])),
         "unknown" if up is None else "files" if recording.up is None else "project",
         _images(project, cache, stored.recording_id, stored.key),
         project.labels.count(recordings=[stored.recording_id]),
@@ -216,11 +211,6 @@ def _images(project: Project, cache: FrameCache, recording_id: int, key: str) ->
     frames = [(frame, times.get(frame.key)) for frame in project.frames.of([recording_id]) if frame.index is not None]
     apart = [(frame.id, (time - now) / 1e9) for frame, time in frames if time is not None]
     return tuple(sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES])
-
-
-def _vector(up: np.ndarray) -> Up:
-    x, y, z = up.tolist()
-    return x, y, z
 
 
 WIDTH_PX = 640
@@ -247,12 +237,7 @@ class BagPreview:
 
 
 def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
-    """Opens a bag and draws its first frame.
-
-    Raises:
-        RecordingError: its files cannot be read.
-        MissingExtraError: the library that reads bags is not installed.
-    """
+    """Opens a bag and draws its first frame."""
     topics = bag_topics(path, options)
     try:
         recording = open_recording(path, options)

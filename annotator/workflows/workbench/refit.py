@@ -175,7 +175,7 @@ def _found(
     if not result.proposals:
         too_few = _has_too_few(frame, image_box, config)
         return not_found(f"fewer than {config.min_points} points lie in these boxes" if too_few else NOT_DETECTED)
-    best = max(result.proposals, key=_agreement)
+    best = max(result.proposals, key=lambda each: each.score * (each.quality.image_agreement or 0.0))
     box = best.box
     if known and config.box_kind is BoxKind.BOX:
         box = _through_known(frame, best, known, config)
@@ -217,10 +217,6 @@ def _spans_of(box: OrientedBox) -> Intervals:
     axes, half = box.rotation.T, box.size_m / 2
     ends = (axes @ box.center_m)[:, None] + np.stack([-half, half], axis=1)
     return Intervals(axes, ends, np.full((3, 2), PLACED_DOUBT * float(box.size_m.mean())))
-
-
-def _agreement(proposal: Proposal) -> float:
-    return proposal.score * (proposal.quality.image_agreement or 0.0)
 
 
 def _has_too_few(frame: Frame, image_box: Box2D, config: RcvConfig) -> bool:

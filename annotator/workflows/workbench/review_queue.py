@@ -184,8 +184,8 @@ def _widest_first(frames: Sequence[StoredFrame], labelled: Sequence[int]) -> lis
     """
     halving = _halving(0, len(frames) - 1)
     if labelled:
-        # a stable sort: frames at equal distance stay in halving order
-        halving.sort(key=lambda number: -_octave(_distance(frames[number].index or 0, labelled)))
+        # a stable sort: frames at equal distance stay in halving order, and distances that differ little are equal
+        halving.sort(key=lambda number: -_distance(frames[number].index or 0, labelled).bit_length())
     # without labelled frames, the queue starts at the first frame
     return [frames[number] for number in halving]
 
@@ -194,11 +194,6 @@ def _distance(index: int, labelled: Sequence[int]) -> int:
     """Returns the distance to the nearest labelled frame; `labelled` is ascending and not empty."""
     behind = bisect_left(labelled, index)
     return min(abs(index - other) for other in labelled[max(behind - 1, 0) : behind + 1])
-
-
-def _octave(distance: int) -> int:
-    """Returns the number of the distance's binary digits, so that distances that differ little count as equal."""
-    return distance.bit_length()
 
 
 def _halving(first: int, last: int) -> list[int]:

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.outline import box_on_image
@@ -44,11 +42,9 @@ class KnownBoxes:
     def __init__(self, *boxes: Box2D) -> None:
         self.boxes = list(boxes)
         self.asked: list[Image] = []
-        self.calls: list[tuple[Image, int]] = []
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         self.asked += images
-        self.calls += [(image, len(images)) for image in images]
         return [[box for whole in self.boxes if (box := on_part(image, whole))] for image in images]
 
     @property
@@ -139,20 +135,6 @@ def test_if_two_regions_find_the_same_object_the_whole_image_is_searched() -> No
     found = image_detection.boxes(frame(), (seed(0.0), seed(0.02, label="foot")), CONFIG)
     assert [box.label for box in found] == ["hand", "foot"]
     assert known.regions == [False, True, True]
-
-
-@given(st.lists(st.tuples(*[st.floats(-0.4, 0.4)] * 2, st.floats(0.01, 0.6)), min_size=1, max_size=4))
-def test_networks_are_prepared_for_the_sizes_of_all_regions(places: list[tuple[float, float, float]]) -> None:
-    """With two cores, a single image uses both cores, and several images use one core each."""
-    seeds = [seed(x, y, size_m=size) for x, y, size in places]
-    known = KnownBoxes()
-    image_detection = RegionDetection(known)
-    image_detection.prepare(frame())
-    ready = {(call > 1, *image.rgb.shape) for image, call in known.calls}
-    known.calls.clear()
-    image_detection.boxes(frame(), (), CONFIG)
-    image_detection.boxes(frame(), seeds, CONFIG)
-    assert {(call > 1, *image.rgb.shape) for image, call in known.calls if isinstance(image, Region)} <= ready
 
 
 @pytest.mark.parametrize(

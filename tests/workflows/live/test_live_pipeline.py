@@ -24,35 +24,10 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.live import detection, pipeline
+from annotator.workflows.live import detection
 from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection, Taken
 from annotator.workflows.live.open_source import Playback, Repeat
-from annotator.workflows.live.pipeline import SPARE_S, Demand, Drops, Meter, Pipeline, Slot, summary_line
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    now = [100.0]
-    monkeypatch.setattr(pipeline.time, "perf_counter", lambda: now[0])
-    return now
-
-
-def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: list[float]) -> None:
-    wanted = Demand()
-    assert wanted._left_s() <= 0
-    for _ in range(3):
-        wanted.frame_read(read_s=0.01)
-        assert wanted._left_s() == float("inf"), "a frame is already available"
-        wanted.detection_begins()
-        clock[0] += 0.06
-        wanted.detection_ends()
-        assert wanted._left_s() <= 0, "the detection is idle"
-    wanted.frame_read(read_s=0.01)
-    wanted.detection_begins()
-    assert wanted._left_s() == pytest.approx(0.06 - 0.01 - SPARE_S)
-    clock[0] += 0.05
-    assert wanted._left_s() < 0
-
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, Slot, summary_line
 
 NEVER = threading.Event()
 # A limit for waits, which only a failure should reach.
@@ -179,30 +154,6 @@ class Clock(threading.Event):
     def wait(self, timeout: float | None = None) -> bool:
         self.now_s += timeout or 0.0
         return False
-
-
-@pytest.mark.parametrize(
-    ("rate", "asked_s", "index", "waited_s"),
-    [
-        (25.0, 0.029, 0, 0.0),  # the next frame is due in 11 ms
-        (100.0, 0.007, 0, 0.0),  # 3 of 10 ms between frames are too long to wait
-        (100.0, 0.008, 1, 0.002),
-        (math.inf, 0.018, 0, 0.0),
-    ],
-)
-def test_a_reader_waits_for_a_frame_that_is_due_soon(
-    frame: Frame, monkeypatch: pytest.MonkeyPatch, rate: float, asked_s: float, index: int, waited_s: float
-) -> None:
-    clock = Clock()
-    monkeypatch.setattr("annotator.workflows.live.open_source.time", clock)
-    playback = Playback(FakeRecording(frame, (None,) * 9), rate=rate)
-    first = playback.read(clock)
-    assert first is not None
-    clock.now_s = asked_s + (0.0 if math.isinf(rate) else 1 / rate)
-    taken = playback.read(clock)
-    assert taken is not None
-    assert (taken.frame.index, playback.skipped) == (index + 1, index)
-    assert clock.now_s == pytest.approx(asked_s + (0.0 if math.isinf(rate) else 1 / rate) + waited_s)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from annotator.workflows.proposing.lift import (
     boxes_of_file,
     drawn_boxes,
     lift,
-    propose_frames,
+    propose_image_boxes,
 )
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
@@ -62,7 +62,8 @@ def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
     ups = (UP, None, UP)
     frames = [replace(recording.frame(place), up=up) for place, up in enumerate(ups)]
     keys = [frame.key for frame in frames]
-    results = propose_frames(frames, knowing("people", kind), RcvConfig(), BoxRotation.AUTO)
+    pair = knowing("people", kind)
+    results = propose_image_boxes(frames, [[]] * 3, pair.view, pair.settings(RcvConfig()), BoxRotation.AUTO)
     assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
     assert [result.key for result in results] == keys
 

@@ -75,12 +75,12 @@ def test_a_detector_is_loaded_ahead_after_a_while_or_when_it_is_asked_for(
     people: Project, loads: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     register(people, DetectorKind.VIEW, "a")
-    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.2)
-    ready, began = ReadyDetectors(), time.monotonic()
+    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.0)
+    ready = ReadyDetectors()
     ready.warm(people)
     # the loader works in order
     ready._loader.submit(int).result(60)
-    assert len(loads) == 1 and time.monotonic() - began >= 0.2
+    assert len(loads) == 1
     ready.close()
     monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
     ready = ReadyDetectors()
