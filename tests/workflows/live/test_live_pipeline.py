@@ -6,7 +6,7 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import Box2D, Detector, Frame, Image, Region
+from annotator.types import Detector, Frame, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection
@@ -366,24 +366,16 @@ def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowin
     assert found[0].detect_s > 0
 
 
-@dataclass
-class Recorded:
-    """A detector that records for each call whether it was on regions."""
+def recorded(detector: Detector) -> Any:
+    """A detector whose calls are recorded."""
+    return Mock(wraps=detector, labels=detector.labels, fingerprint=detector.fingerprint)
 
-    detector: Detector
-    calls: list[bool] = field(default_factory=list)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self.detector.labels
-
-    @property
-    def fingerprint(self) -> str:
-        return self.detector.fingerprint
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        self.calls.append(isinstance(images[0], Region))
-        return self.detector.detect(images)
+def were_regions(image: Any) -> list[bool]:
+    """For each call since the last one: whether it was on regions."""
+    asked = [isinstance(call.args[0][0], Region) for call in image.detect.call_args_list]
+    image.detect.reset_mock()
+    return asked
 
 
 @pytest.mark.parametrize("warm_start", [False, True])
@@ -392,7 +384,7 @@ def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
 ) -> None:
     monkeypatch.setattr(detection, "MAX_SHARE", 2.0)  # two hands cover most of this image
     known = knowing("hands")
-    image = Recorded(known.image)
+    image = recorded(known.image)
     detectors = replace(known, image=image)
     live = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=warm_start)
     frame = hands.frame(0)
@@ -400,8 +392,7 @@ def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
     for number in range(WHOLE_EVERY + 1):
         found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
         assert len(found.proposals) == 2
-        asked.append(image.calls[:] if number else image.calls[-1:])  # the first call also prepares the networks
-        image.calls.clear()
+        asked.append(were_regions(image)[0 if number else -1 :])  # the first call also prepares the networks
     followed = [[warm_start]] * (WHOLE_EVERY - 1)
     assert asked == [[False], *followed, [False]]
 
@@ -411,7 +402,7 @@ def test_after_a_lost_object_the_next_detection_uses_the_whole_image(
 ) -> None:
     monkeypatch.setattr(detection, "MAX_SHARE", 2.0)
     known = knowing("hands")
-    image, frame = Recorded(known.image), hands.frame(0)
+    image, frame = recorded(known.image), hands.frame(0)
     live = LiveDetection(replace(known, image=image), SHORT, BoxRotation.AUTO, warm_start=True)
     asked = []
     for number in range(4):
@@ -420,7 +411,7 @@ def test_after_a_lost_object_the_next_detection_uses_the_whole_image(
                 patch.setattr(detection, "propose_from_boxes", losing_one)
             found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
         assert len(found.proposals) == (1 if number == 1 else 2)
-        asked.append(image.calls[-1])
+        asked.append(were_regions(image)[-1])
     assert asked == [False, True, False, True]
 
 

@@ -169,9 +169,9 @@ def listening() -> set[tuple[str, str]]:
 
 @pytest.mark.slow
 def test_results_are_bitwise_equal_even_with_a_killed_actor(
-    new_people: Callable[[str], Project],
+    new_people: NewPeople,
     expected: list[str],
-    knowing: Callable[..., Detectors],
+    knowing: Knowing,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -189,17 +189,13 @@ def test_results_are_bitwise_equal_even_with_a_killed_actor(
     assert opened and {address for address, _ in opened} <= set(LOOPBACK)
 
 
-def test_without_ray_the_error_says_what_to_install(
-    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
 
 
-def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     if find_spec("ray") is None:
         pytest.skip("ray is not installed")
     for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # must be set before the import
