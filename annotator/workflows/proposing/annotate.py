@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
+from annotator.project import StoredRecording
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
@@ -31,7 +32,6 @@ from annotator.workflows.proposing.tasks import (
     FrameAnswer,
     FrameSpec,
     GivenDetectors,
-    RecordingSpec,
     Task,
     pickle_exactly,
 )
@@ -83,22 +83,20 @@ class Batch:
     run: Run
     summary: AnnotateSummary
     box_kind: BoxKind
-    specs: dict[int, RecordingSpec] = field(default_factory=dict)
+    recordings: dict[int, StoredRecording] = field(default_factory=dict)
 
     @cached_property
     def rigs(self) -> Rigs:
         """The project's rigs."""
         return Rigs(self.project)
 
-    def spec(self, recording_id: int) -> RecordingSpec:
-        """Returns a recording as a worker needs it."""
-        if recording_id not in self.specs:
+    def recording(self, recording_id: int) -> StoredRecording:
+        """Returns a recording as it was when the batch began with it."""
+        if recording_id not in self.recordings:
             stored = self.project.recordings.get(recording_id)
             self.project.recordings.require_readable(stored)
-            self.specs[recording_id] = RecordingSpec(
-                stored.path, stored.name, self.project.path.name, stored.up, stored.options, stored.correction
-            )
-        return self.specs[recording_id]
+            self.recordings[recording_id] = stored
+        return self.recordings[recording_id]
 
     def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:
         """Stores the result or the failure of a frame."""
@@ -143,7 +141,7 @@ class Batch:
 
     def _require_unadjusted(self, recording_id: int) -> None:
         """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
-        stored, used = self.project.recordings.get(recording_id), self.spec(recording_id)
+        stored, used = self.project.recordings.get(recording_id), self.recording(recording_id)
         if (stored.up, stored.correction) != (used.up, used.correction):
             raise ProjectError(
                 f"the up direction or the calibration of {stored.name} was changed during the run; annotate it again"
@@ -255,11 +253,11 @@ def _tasks(
         frames = tuple(pending[first : first + TASK_FRAMES])
         specs = tuple(
             FrameSpec(
-                batch.spec(frame.recording_id), frame.key, seeds_of(batch.project, frame) if from_reviewed else ()
+                batch.recording(frame.recording_id), frame.key, seeds_of(batch.project, frame) if from_reviewed else ()
             )
             for frame in frames
         )
-        yield Task(number, specs, config, rotation), frames
+        yield Task(number, batch.project.path.name, specs, config, rotation), frames
 
 
 def _run_tasks(engine: Engine, tasks: Iterator[_SentTask], batch: Batch, progress: Progress | None) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from annotator.project import StoredRecording
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.propose import propose
 from annotator.types import Frame
@@ -23,7 +24,6 @@ from annotator.workflows.proposing.tasks import (
     FrameAnswer,
     FrameSpec,
     Identity,
-    RecordingSpec,
     Storage,
     Task,
     pickle_exactly,
@@ -77,7 +77,7 @@ class TaskRunner:
         # answers may be pickled for another process, which must not change them
         pickle_exactly()
         self.detectors, self._storage = detectors, storage
-        self._opened: OrderedDict[RecordingSpec, OpenedRecording] = OrderedDict()
+        self._opened: OrderedDict[StoredRecording, OpenedRecording] = OrderedDict()
         self._reading, self._proposing = threading.Lock(), threading.Lock()
 
     @property
@@ -104,16 +104,16 @@ class TaskRunner:
         for index, spec in enumerate(task.frames):
             begin = time.perf_counter()
             try:
-                frame = self._opened_at(spec.recording).read(spec.key)
+                frame = self._opened_at(spec.recording, task.project).read(spec.key)
             except Exception as error:
                 answers[index] = failure(error, time.perf_counter() - begin)
             else:
                 read.append((index, spec, frame, time.perf_counter() - begin))
         return read
 
-    def _opened_at(self, recording: RecordingSpec) -> OpenedRecording:
+    def _opened_at(self, recording: StoredRecording, project: str) -> OpenedRecording:
         if recording not in self._opened:
-            self._opened[recording] = self._storage.open(recording)
+            self._opened[recording] = self._storage.open(recording, project)
             if len(self._opened) > MAX_OPEN:
                 self._opened.popitem(last=False)
         self._opened.move_to_end(recording)

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,8 @@ import numpy as np
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
 from annotator.project.log.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
-from annotator.rcv.config import RcvConfig
 from annotator.tracking.link import overlap_at_place
-from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.follow_objects import (
     FollowedObject,
@@ -175,7 +175,8 @@ class FollowRun:
                 start, label, view = self._timeline.moment(reading), walk.key.label, self._view
                 if view is not None and not (label.label in view.labels and view.box_kind is label.box_kind):
                     view = None
-                walk.follower = Follower(start, label.box, label.label, view, self._settings)
+                settings = partial(frame_config, self._timeline.project, detector=self._view)
+                walk.follower = Follower(start, label.box, label.label, view, settings)
                 reading = index
             moment = self._timeline.moment(index)
             expected = walk.follower.expected(moment)
@@ -242,9 +243,6 @@ class FollowRun:
         frame = self._timeline.frames[index]
         item.stops.append(StoppedAt(frame.id, frame.key, reason))
 
-    def _settings(self, frame: Frame) -> RcvConfig:
-        return frame_config(self._timeline.project, frame, self._view)
-
     def _store(self, *, ended: bool = False) -> _Stored:
         """Proposes the boxes that were found.
 
@@ -301,7 +299,9 @@ class FollowRun:
                 payloads[key.index] += self._given_track(key, track_id)
             for index, events in self._without_stale(item, track_id, read).items() if ended else ():
                 payloads[index] += events
-        changes = [(read[index], _once(events)) for index, events in sorted(payloads.items()) if events]
+        # a label may be replaced for two reasons, but is deleted once
+        unique = {index: {(type(event), event.uid): event for event in events} for index, events in payloads.items()}
+        changes = [(read[index], list(events.values())) for index, events in sorted(unique.items()) if events]
         if not changes:
             return (), ()
         changed = write(project, changes, self._author, self._effort, action=self.action, new_tracks=given)
@@ -381,12 +381,6 @@ class FollowRun:
                 return None
             first = first or label
         return first
-
-
-def _once(events: Sequence[Payload]) -> list[Payload]:
-    """Returns the events without repeated deletions of one label."""
-    gone = [event.uid if isinstance(event, LabelDeleted) else None for event in events]
-    return [event for n, event in enumerate(events) if gone[n] is None or gone[n] not in gone[:n]]
 
 
 def _is_same(a: Label, b: Label) -> bool:

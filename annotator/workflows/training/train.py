@@ -53,12 +53,24 @@ Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True)
-class Ran:
-    """A finished run: the registered model, which may be inactive, the trained network and its training set."""
+class Trained:
+    """A trained detector.
 
+    Attributes:
+        seconds: duration of the training.
+        left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
+        decision: how held-out frames decided; None for an image detector.
+        learned: messages on up directions that reviewed boxes gave before (`learn_up`).
+    """
+
+    role: DetectorKind
     model: StoredModel
     result: TrainedModel
     manifest: DatasetManifest
+    seconds: float = 0.0
+    left_out: tuple[str, ...] = ()
+    decision: Decision | None = None
+    learned: tuple[str, ...] = ()
 
 
 class Run:
@@ -86,7 +98,9 @@ class Run:
         held_out = held_out_groups(self.project) if self.holds_out else frozenset()
         return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
 
-    def train(self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None) -> Ran:
+    def train(
+        self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None
+    ) -> Trained:
         """Trains on the written set, and registers the model without activating it.
 
         Raises:
@@ -106,7 +120,8 @@ class Run:
         shutil.copyfile(dataset / MANIFEST_NAME, model_manifest)
         detector = load_detector(result.weights)
         write_validation_pictures(dataset, manifest, detector, out)
-        return Ran(self._registered(result, model_manifest, detector.fingerprint), result, manifest)
+        model = self._registered(result, model_manifest, detector.fingerprint)
+        return Trained(self.role, model, result, manifest)
 
     def _registered(self, result: TrainedModel, manifest: Path, fingerprint: str) -> StoredModel:
         """Registers the model, unless it is registered already."""
@@ -183,27 +198,6 @@ def image_defaults(minutes: float | None = None) -> TrainingConfig:
 
 
 ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A trained detector.
-
-    Attributes:
-        seconds: duration of the training.
-        left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
-        decision: how held-out frames decided; None for an image detector.
-        learned: messages on up directions that reviewed boxes gave before (`learn_up`).
-    """
-
-    role: DetectorKind
-    model: StoredModel
-    result: TrainedModel
-    manifest: DatasetManifest
-    seconds: float
-    left_out: tuple[str, ...] = ()
-    decision: Decision | None = None
-    learned: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -299,7 +293,7 @@ def _train_image(
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
-    return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out))
+    return replace(ran, model=model, seconds=seconds, left_out=tuple(left_out))
 
 
 class _ViewTraining:
@@ -340,15 +334,13 @@ class _ViewTraining:
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
             parts.append(self._part(choice, None if number == anew else choice.origin, number, end, report))
         active = project.models.active(DetectorKind.VIEW)
-        used = [part for part in parts if active is not None and part[0].model.id == active.id]
-        ran, decision = (used or parts)[-1]
-        model, seconds = project.models.get(ran.model.id), time.perf_counter() - begin
-        lines = tuple(self.left_out)
-        return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
+        last = ([part for part in parts if active is not None and part.model.id == active.id] or parts)[-1]
+        model, seconds = project.models.get(last.model.id), time.perf_counter() - begin
+        return replace(last, model=model, seconds=seconds, left_out=tuple(self.left_out))
 
     def _part(
         self, choice: Choice, origin: UsedModel | None, number: int, end_s: float | None, report: Report | None
-    ) -> tuple[Ran, Decision]:
+    ) -> Trained:
         """One part, with views of its own.
 
         Args:
@@ -375,7 +367,8 @@ class _ViewTraining:
             sized = plan.view.model_copy(update={"image_size_px": self.view_px})
             config = starting_config(sized, origin, seconds, drawing.seed)
         ran = run.train(written, config, report, self.stop)
-        return ran, choice.add(ran.model, ran.result.note if origin is None else f"starts from the {origin.described}")
+        note = ran.result.note if origin is None else f"starts from the {origin.described}"
+        return replace(ran, decision=choice.add(ran.model, note))
 
     def _check_stop(self) -> None:
         """Blocks during a pause; adds its length to `paused_s`."""

@@ -31,11 +31,11 @@ from annotator.workflows.detectors import (
 )
 from annotator.workflows.training import held_out
 from annotator.workflows.training import train as workflow
-from annotator.workflows.training.held_out import Decision, HeldOut
+from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.training.rounds import Choice, choose_start, part_seconds
 from annotator.workflows.training.samples import gather
-from annotator.workflows.training.train import Ran, train
+from annotator.workflows.training.train import Trained, train
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
@@ -219,11 +219,12 @@ def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
     install_base()
     origins: list[UsedModel | None] = []
 
-    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> tuple[Ran, Decision]:
+    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> Trained:
         origins.append(origin)
         model = register(labelled, f"part{number}")
         folder = model.path.parent
-        return Ran(model, read_trained(folder), read_manifest(folder)), choice.add(model, "")
+        decision = choice.add(model, "")
+        return Trained(DetectorKind.VIEW, model, read_trained(folder), read_manifest(folder), decision=decision)
 
     monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
     monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from engine_samples import Unloadable
 
-from annotator.project import BoxRotation
+from annotator.project import BoxRotation, StoredRecording
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
@@ -32,7 +32,6 @@ from annotator.workflows.proposing.tasks import (
     FrameSpec,
     Identity,
     PackedDetectors,
-    RecordingSpec,
     Storage,
     Task,
     parse_elsewhere,
@@ -40,7 +39,7 @@ from annotator.workflows.proposing.tasks import (
 )
 
 SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
-ROOM = RecordingSpec(Path("room"), "room", "project", None)
+ROOM = StoredRecording(1, Path("room"), "rgbd_folder", "room", True, None, 0, 5)
 
 
 @dataclass(eq=False)
@@ -103,7 +102,7 @@ class FakePool:
 
 
 def task(number: int, *keys: str) -> Task:
-    return Task(number, tuple(FrameSpec(ROOM, key) for key in keys), RcvConfig(), BoxRotation.FREE)
+    return Task(number, "project", tuple(FrameSpec(ROOM, key) for key in keys), RcvConfig(), BoxRotation.FREE)
 
 
 def keys(worker: FakeWorker) -> list[tuple[str, ...]]:
