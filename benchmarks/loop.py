@@ -305,9 +305,9 @@ def _propose_all(
             except FrameError as error:
                 QUIET.print(f"counted as a frame without a proposal: {error}")
                 scores.frames += 1
-        frames, settings = list(read.values()), detectors.settings(config)
-        boxes = detectors.image.detect(frames) if frames else []
-        results = propose_image_boxes(frames, boxes, detectors.view, settings, rotation)
+        present, settings = list(read.values()), detectors.settings(config)
+        boxes = detectors.image.detect(present) if present else []
+        results = propose_image_boxes(present, boxes, detectors.view, settings, rotation)
         for (index, frame), proposed in zip(read.items(), results, strict=True):
             scores.add(index, frame, proposed)
 

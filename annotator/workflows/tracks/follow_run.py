@@ -299,9 +299,7 @@ class FollowRun:
                 payloads[key.index] += self._given_track(key, track_id)
             for index, events in self._without_stale(item, track_id, read).items() if ended else ():
                 payloads[index] += events
-        # a label may be replaced for two reasons, but is deleted once
-        unique = {index: {(type(event), event.uid): event for event in events} for index, events in payloads.items()}
-        changes = [(read[index], list(events.values())) for index, events in sorted(unique.items()) if events]
+        changes = [(read[index], _once(events)) for index, events in sorted(payloads.items()) if events]
         if not changes:
             return (), ()
         changed = write(project, changes, self._author, self._effort, action=self.action, new_tracks=given)
@@ -381,6 +379,12 @@ class FollowRun:
                 return None
             first = first or label
         return first
+
+
+def _once(events: Sequence[Payload]) -> list[Payload]:
+    """Returns the events without repeated deletions of one label."""
+    gone = [event.uid if isinstance(event, LabelDeleted) else None for event in events]
+    return [event for n, event in enumerate(events) if gone[n] is None or gone[n] not in gone[:n]]
 
 
 def _is_same(a: Label, b: Label) -> bool:

@@ -158,16 +158,15 @@ def _chosen(
 ) -> list[KeyFrame]:
     """Returns the key frames from `first` to `last`."""
     by_key = {frame.key: index for index, frame in enumerate(frames)}
-    ends = []
-    for name in (first, last):
+    ends = [0, len(frames)]
+    for place, name in enumerate((first, last)):
         if name is not None and name not in by_key:
             raise NotFoundError(f"the recording has no frame {name!r}")
         if name is not None and by_key[name] not in {key.index for key in keys}:
             raise ConfigError(f"frame {name} has no reviewed box of track {track_id}")
-        ends.append(None if name is None else by_key[name])
-    low = 0 if ends[0] is None else ends[0]
-    high = len(frames) if ends[1] is None else ends[1]
-    chosen = [key for key in keys if low <= key.index <= high]
+        if name is not None:
+            ends[place] = by_key[name]
+    chosen = [key for key in keys if ends[0] <= key.index <= ends[1]]
     if len(chosen) < 2:
         raise ConfigError(f"track {track_id} has {len(chosen)} reviewed boxes there; interpolation needs at least two")
     return chosen

@@ -15,7 +15,6 @@ from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_agnostic_views
 from annotator.synthetic.snapshots import snapshot
-from annotator.types import Frame, OrientedBox
 
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
 UPRIGHT_RAD = 0.06
@@ -42,8 +41,9 @@ def generated_views(seed: int, draws: int, size_px: int) -> Iterator[TrainingSam
     objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
     config = RcvConfig(view=ViewConfig(size_px=size_px))
     for index, item in enumerate(objects):
+        level = shot.frame.up is not None and np.abs(shot.frame.up @ item.box.rotation).max() > np.cos(UPRIGHT_RAD)
         for _ in range(draws):
-            upright = random.random() < 0.5 and _is_upright(item.box, shot.frame)
+            upright = random.random() < 0.5 and level
             orientation = Orientation.UPRIGHT if upright else Orientation.FREE
             up = held_direction(shot.frame.up, config.model_copy(update={"orientation": orientation}))
             for taught in teach_agnostic_views(shot.frame, objects, [index], 1, config, up, random):
@@ -53,7 +53,3 @@ def generated_views(seed: int, draws: int, size_px: int) -> Iterator[TrainingSam
 def views_of(seeds: range, draws: int, size_px: int) -> list[TrainingSample]:
     """The views of several generated frames: the task of a worker process."""
     return [sample for seed in seeds for sample in generated_views(seed, draws, size_px)]
-
-
-def _is_upright(box: OrientedBox, frame: Frame) -> bool:
-    return frame.up is not None and bool(np.abs(frame.up @ box.rotation).max() > np.cos(UPRIGHT_RAD))
