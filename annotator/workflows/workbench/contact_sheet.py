@@ -38,16 +38,24 @@ MAX_SPLAT_PX = 9
 MAX_INSIDE, MAX_AROUND = 40_000, 25_000
 
 
-# The views, and the box's axes that point right, down and into each: (axis, sign).
+@dataclass(frozen=True)
+class Axis:
+    """The name of a view, and the box's axes that point right, down and into it: (axis, sign) each."""
+
+    name: str
+    right: tuple[int, int]
+    down: tuple[int, int]
+    depth: tuple[int, int]
+
+
 # x length (its positive end is the front), y width (positive: left), z height. In the top view, the heading is up. In
 # the others, height is up: in the front view, the object's left is on the right, as of a person who faces you; in the
 # side view, which shows the right side, the heading is on the right.
-Axes = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
-AXES: dict[str, Axes] = {
-    "top": ((1, -1), (0, -1), (2, -1)),
-    "front": ((1, 1), (2, -1), (0, -1)),
-    "side": ((0, 1), (2, -1), (1, 1)),
-}
+AXES = (
+    Axis("top", (1, -1), (0, -1), (2, -1)),
+    Axis("front", (1, 1), (2, -1), (0, -1)),
+    Axis("side", (0, 1), (2, -1), (1, 1)),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +95,7 @@ def views_of_points(
         colors = colors.copy()
         colors[~is_inside] = dim.astype(np.uint8)
     local = (cloud.xyz_m - box.center_m.astype(np.float32)) @ box.rotation.astype(np.float32)
-    return [OrthoView(name, _view(axes, box, cloud, local, colors, size_px)) for name, axes in AXES.items()]
+    return [OrthoView(axis.name, _view(axis, box, cloud, local, colors, size_px)) for axis in AXES]
 
 
 def _near(
@@ -109,21 +117,22 @@ def _shown(box: OrientedBox, margin_m: float) -> Float64[np.ndarray, "3"]:
 
 
 def _view(
-    axes: Axes,
+    axis: Axis,
     box: OrientedBox,
     cloud: PointCloud,
     local: Float[np.ndarray, "n 3"],
     colors: UInt8[np.ndarray, "n 3"] | None,
     size_px: int,
 ) -> PseudoView:
+    axes = axis.right, axis.down, axis.depth
     rows = np.stack([sign * box.rotation[:, which] for which, sign in axes])
     center = rows @ box.center_m
-    sides = box.size_m[[axes[0][0], axes[1][0]]]
+    sides = box.size_m[[axis.right[0], axis.down[0]]]
     scale = float(sides.max() * (1 + 2 * MARGIN)) / size_px
     origin = center[:2] - (size_px - 1) / 2 * scale
     along = np.stack([sign * local[:, which] for which, sign in axes])
     half = (size_px - 0.5) / 2 * scale
-    depth = box.size_m[axes[2][0]]
+    depth = box.size_m[axis.depth[0]]
     shown = (np.abs(along[0]) < half) & (np.abs(along[1]) < half) & (np.abs(along[2]) < depth * (0.5 + DEPTH_MARGIN))
     rgb = np.full((size_px, size_px, 3), BACKGROUND, np.uint8)
     if shown.any():
