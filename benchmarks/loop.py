@@ -305,11 +305,17 @@ def _propose_all(
             except FrameError as error:
                 QUIET.print(f"counted as a frame without a proposal: {error}")
                 scores.frames += 1
-        present, settings = list(read.values()), detectors.settings(config)
-        boxes = detectors.image.detect(present) if present else []
-        results = propose_image_boxes(present, boxes, detectors.view, settings, rotation)
+        results = propose_frames(list(read.values()), detectors, config, rotation)
         for (index, frame), proposed in zip(read.items(), results, strict=True):
             scores.add(index, frame, proposed)
+
+
+def propose_frames(
+    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> list[FrameProposals]:
+    """The proposals of each frame, in the given order."""
+    boxes = detectors.image.detect(frames) if frames else []
+    return propose_image_boxes(frames, boxes, detectors.view, detectors.settings(config), rotation)
 
 
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:

@@ -155,9 +155,9 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
     return TrainedDetectors(image_model(project), view_model(project), backend)
 
 
-def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
-    """Loads the project's active detectors; `backend` and `threads` as for `load_detector`."""
-    return trained_detectors(project, backend).load(threads)
+def active_detectors(project: Project, *, backend: Backend = "auto") -> Detectors:
+    """Loads the project's active detectors; `backend` as for `load_detector`."""
+    return trained_detectors(project, backend).load()
 
 
 def own_model(project: Project, model: StoredModel) -> UsedModel:

@@ -19,7 +19,6 @@ from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, Frame
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.lift import propose_frames
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import loop
@@ -183,7 +182,7 @@ def test_false_proposals_reduce_average_precision(own_copy: Callable[[str], Path
     frame = recording.frame(0)
     scene = Scene.of(frame, load_truth(recording, 0, frame))
     perfect = PerfectDetector([scene], min_points=50)
-    (proposed,) = propose_frames([frame], Detectors(perfect, perfect), RcvConfig(), BoxRotation.AUTO)
+    (proposed,) = loop.propose_frames([frame], Detectors(perfect, perfect), RcvConfig(), BoxRotation.AUTO)
     assert len(proposed.proposals) == 3
     file.write_text(json.dumps({**content, recording.keys[1]: []}))
     other = replace(frame, key=recording.keys[1], index=1)

@@ -96,9 +96,6 @@ PROGRAM = (
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-NVIDIA_DEVICES = "nvidia[0-9]*"
-
-
 class LocalWorker:
     """A worker process. It ends by itself when this process ends, even by a crash."""
 
@@ -194,12 +191,12 @@ def local_engine(
     )
 
 
-def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
+def cuda_devices() -> tuple[str, ...]:
     """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`.
 
     Torch takes seconds to import, so it is imported only if the system has an NVIDIA device.
     """
-    if not any(devices.glob(NVIDIA_DEVICES)):
+    if not any(Path("/dev").glob("nvidia[0-9]*")):
         return ()
     from annotator.detection.ultralytics_api import api
 

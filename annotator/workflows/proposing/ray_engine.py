@@ -92,24 +92,21 @@ class RayWorker:
         if self._is_over:  # every pending call fails; the first has reported it
             return
         self._is_over = True
-        if isinstance(error, _loss_errors()) and CREATION not in str(error):
+        from ray import exceptions
+
+        # for a lost actor, machine or answer; they have no common base class
+        lost = (
+            exceptions.RayActorError,
+            exceptions.OutOfMemoryError,  # Ray kills actors before the system runs out of memory
+            exceptions.NodeDiedError,
+            exceptions.WorkerCrashedError,
+            exceptions.ObjectLostError,  # the machine was lost after the task was done
+        )
+        if isinstance(error, lost) and CREATION not in str(error):
             self._report(self._number, Died("lost: " + _cause_of_death(str(error))))
         else:
             # every actor would fail, e.g. for a missing package
             self._report(self._number, Fault(str(error), True))
-
-
-def _loss_errors() -> tuple[type[Exception], ...]:
-    """Returns Ray's exceptions for a lost actor, machine or answer; they have no common base class."""
-    from ray import exceptions
-
-    return (
-        exceptions.RayActorError,
-        exceptions.OutOfMemoryError,  # Ray kills actors before the system runs out of memory
-        exceptions.NodeDiedError,
-        exceptions.WorkerCrashedError,
-        exceptions.ObjectLostError,  # the machine was lost after the task was done
-    )
 
 
 def _cause_of_death(reason: str) -> str:

@@ -224,7 +224,6 @@ def test_all_stages_process_frames_and_end_with_the_source(hands: Recording, kno
     figures = made.figures()
     assert (figures.read, figures.detected, figures.shown) == (3, 3, 3)
     assert [len(each.found.proposals) for each in shown] == [2, 2, 2]
-    assert [each.seeded for each in shown] == [0, 0, 0]
     assert list(figures.stages_ms) == ["read", "image", "views", "geometry", "show"]
     assert all(took >= 0 for took in figures.stages_ms.values())
     assert figures.latency_ms is not None
@@ -359,7 +358,6 @@ def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowin
     frames = [hands.frame(index) for index in range(3)]
     moments = (10.0, 10.1, 10.1 + 2 * MAX_SEED_AGE_S)
     found = [detection.detect(Taken(f, at, 0.01)) for f, at in zip(frames, moments, strict=True)]
-    assert [each.seeded for each in found] == [0, 2, 0]
     assert [any(map(is_warm, each.found.proposals)) for each in found] == [False, True, False]
     assert all(len(each.found.proposals) == 2 for each in found)
     assert found[0].stages_s["read"] == 0.01
