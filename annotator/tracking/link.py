@@ -51,8 +51,6 @@ def predicted(boxes: Sequence[OrientedBox], times: Sequence[float], time: float)
 
     Args:
         boxes: one or more boxes of the object, in order of time; a line is fitted to their centres.
-        times: times of the boxes.
-        time: time of the prediction.
     """
     last = boxes[-1]
     passed = np.asarray(times) - np.mean(times)
@@ -112,9 +110,7 @@ class Track:
     """The track of one object.
 
     Attributes:
-        label: class name.
         members: index of the frame, and of the box within the frame, in order of time.
-        boxes, times: boxes and times of the members.
         given: track id of one of the boxes from an operator or a file, or None.
     """
 

@@ -169,7 +169,6 @@ class Detected:
     """A frame with its detected boxes.
 
     Attributes:
-        found: the proposals.
         taken_s: as in `Taken`.
         stages_s: durations of reading, both detectors and the geometry between them, seconds.
         is_first: True for the first frame, which takes longer because the detectors are prepared.

@@ -34,10 +34,6 @@ class KinectSource:
     gives_newest = False
 
     def __init__(self, which: str | None = None) -> None:
-        """
-        Args:
-            which: as for `KinectDevice`.
-        """
         self._device = KinectDevice(which)
 
     @property
@@ -84,9 +80,7 @@ class Playback:
     """A `Source` that plays a recording. A frame is left out if the next one is due or nearly due.
 
     Attributes:
-        recording: the recording.
         gives_newest: True, since late frames are left out.
-        skipped: number of frames left out.
     """
 
     gives_newest = True
@@ -202,7 +196,6 @@ def open_source(
         name: `kinect`, `kinect:` with a serial number or device index, the path of a recording, or the name of one of
             the project.
         rate: as for `Playback`.
-        loop: start again after the last frame.
         to_record: refuse a recording that cannot be recorded again.
     """
     kind, _, which = name.partition(":")

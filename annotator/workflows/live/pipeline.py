@@ -295,7 +295,6 @@ class Pipeline:
 
     Attributes:
         source: of the frames; closed at the end.
-        meter: the measurements.
         ended: set once all threads have ended.
     """
 
@@ -312,7 +311,6 @@ class Pipeline:
         """
         Args:
             show: the display; called by a thread of its own.
-            record: receives all detected frames.
             max_frames: end after this number of frames of the source; None = when the source ends.
             report: called with a message for each frame that cannot be read.
         """

@@ -57,7 +57,6 @@ class Recorder:
     """Records detected frames until `finish`; holds their proposals until `close`.
 
     Attributes:
-        out: path of the finished recording.
         dropped: number of frames not recorded because the disk was too slow.
     """
 

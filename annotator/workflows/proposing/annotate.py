@@ -48,13 +48,7 @@ class AnnotateSummary:
     """Counts of a batch.
 
     Attributes:
-        frames: frames to do.
         skipped: frames left out: done before with the same detectors and settings, or finalised.
-        done: frames whose proposals are stored.
-        proposals: number of all proposals.
-        without: processed frames without proposals.
-        failed: key and reason of each failed frame.
-        seconds: duration of the batch.
         backends: of the image and the view detector, e.g. ("openvino", "openvino").
         learned: messages on up directions that reviewed boxes gave (`learn_up`).
     """
@@ -203,7 +197,6 @@ def annotate_with(
             frame from `rotation`.
         recordings: ids; None = all.
         rotation: None = the project's setting.
-        limit: maximum number of frames.
         from_reviewed: if the previous frame is reviewed when a frame's task is made, the recursion starts from its
             boxes. Frames annotated with and without this setting count as different.
         progress: called after each stored task, and at intervals in between.

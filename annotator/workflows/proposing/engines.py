@@ -108,7 +108,6 @@ class LocalWorker:
     ) -> None:
         """
         Args:
-            start: the first message.
             gpu: its GPU, as named in `CUDA_VISIBLE_DEVICES`; None = all.
         """
         self.number, self._report = number, report
@@ -179,10 +178,7 @@ def local_engine(
     """Makes an engine of worker processes on this machine.
 
     Args:
-        source: of each worker's detectors.
-        workers: number of workers.
         threads: processor threads of each worker; None = all cores.
-        storage: where recordings are read.
         gpus: names of the machine's GPUs, assigned to the workers in turn.
     """
     start = source, threads, storage
@@ -233,12 +229,9 @@ def make_engine(
     """Makes an engine. Detectors are loaded when it is started; a Ray cluster is connected now.
 
     Args:
-        source: of the detectors.
-        frames: maximum number of frames to do.
         workers: number of workers; None = one per GPU, or one per core without GPUs (of the cluster, with Ray).
         threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
         address: of a Ray cluster; None = one on this machine.
-        storage: where workers read recordings.
     """
     storage = storage or Storage()
     for option, value in (("workers", workers), ("threads", threads)):

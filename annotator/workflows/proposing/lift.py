@@ -147,7 +147,6 @@ class RenamedDetector:
     def __init__(self, detector: Detector, classes: Sequence[str], names: Mapping[str, str]) -> None:
         """
         Args:
-            classes: of the project.
             names: as for `boxes_of_file`.
         """
         self._detector = detector
@@ -190,7 +189,6 @@ def lift(
 
     Args:
         view: the project's view detector or the base detector.
-        config: the project's settings.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})

@@ -130,7 +130,6 @@ class WorkerPool:
         """
         Args:
             make: starts a worker, which begins to load its detectors.
-            workers: number of workers.
         """
         self._make, self._workers = make, workers
         self._events: queue.SimpleQueue[tuple[int, Message]] = queue.SimpleQueue()

@@ -62,9 +62,7 @@ class RayWorker:
     def __init__(self, number: int, report: Report, make: Callable[[], Any]) -> None:
         """
         Args:
-            number: the worker's number in its events.
             report: receives the events, from Ray's threads.
-            make: creates the actor.
         """
         self._number, self._report = number, report
         self._actor = make()
@@ -126,7 +124,6 @@ class RayEngine(WorkerPool):
             source: of each actor's detectors; the weights of trained ones are sent once to each machine.
             workers: number of actors; None = one per GPU of the cluster, or as many as fit its cores without GPUs.
             threads: processor threads of each, reserved with Ray.
-            storage: where actors read recordings.
             address: of a cluster ("auto", or HOST:PORT of its head); None = start one on this machine.
         """
         self._ray = _connect(address, None if workers is None else workers * threads)

@@ -68,9 +68,6 @@ class TaskRunner:
     """Runs tasks with a pair of detectors.
 
     Two threads may share it: one reads the next task's frames while the other one proposes.
-
-    Attributes:
-        detectors: the pair.
     """
 
     def __init__(self, detectors: Detectors, storage: Storage) -> None:
@@ -153,9 +150,7 @@ class InlineEngine:
     def __init__(self, source: DetectorSource, threads: int | None = None, storage: Storage | None = None) -> None:
         """
         Args:
-            source: of the detectors.
             threads: processor threads of each detector; None = all cores.
-            storage: where recordings are read.
         """
         self._source, self._threads, self._storage = source, threads, storage or Storage()
         self._runner: TaskRunner | None = None

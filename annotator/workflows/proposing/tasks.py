@@ -58,11 +58,8 @@ class Task:
     bits.
 
     Attributes:
-        number: of the task in its engine.
         project: the project's name, for messages.
-        frames: one or more.
         config: settings; the orientation is replaced for each frame.
-        rotation: gives the orientation.
     """
 
     number: int
@@ -99,7 +96,6 @@ class Identity:
 
     Attributes:
         image, view: fingerprints of the detectors.
-        backends: their backends, e.g. ("openvino", "openvino").
         box_kind: what the boxes of the view detector measure.
         class_agnostic: whether it measures objects of any class.
         image_kind: what the boxes of the image detector enclose.

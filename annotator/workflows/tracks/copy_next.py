@@ -128,10 +128,6 @@ def carry_correction(
 ) -> Changed:
     """Changes the open proposals of a track after a reviewed box, up to its next reviewed one, as that box was changed.
 
-    Args:
-        uid: the reviewed label.
-        was: its box before it was corrected.
-
     Raises:
         StaleRevisionError: a frame was changed in the meantime.
         ConfigError: the label is not reviewed, has no track, or is as it was; or no proposal of the track follows.

@@ -31,7 +31,6 @@ class Follower:
     ) -> None:
         """
         Args:
-            first: the frame of the reviewed box.
             start: the reviewed box, camera frame.
             view: view detector that was trained on the class, or None.
             settings: the recursion's settings for a frame and this detector.
@@ -74,10 +73,7 @@ class FollowedTrack:
     """What became of one object.
 
     Attributes:
-        uid: of its first reviewed label.
         track_id: None while it has no track.
-        label: its class.
-        boxes: number of new proposals.
         doubtful: number of frames left out because following forward and backward gave different boxes.
         stops: where it was lost before the next reviewed box or the end of the recording.
         is_open: whether it was to be followed to an end of the recording, not only to its next reviewed box.
@@ -146,7 +142,6 @@ class Part:
 
     Attributes:
         is_joined: the object was found at one of these boxes when it was followed from the other one.
-        is_taken: its boxes are taken.
     """
 
     walks: list[Walk]

@@ -51,8 +51,6 @@ class Following:
 
     Attributes:
         done, total: numbers of frames; a frame counts once for each object and direction.
-        tracks: one entry per object.
-        changed: the frames changed since the last report.
         proposed: the labels proposed since the last report: (frame id, uid) each.
     """
 
@@ -69,11 +67,7 @@ _Stored = tuple[Changed, tuple[tuple[int, str], ...]]
 
 
 class FollowRun:
-    """Objects that are followed through one recording. All their boxes are one action, which can be undone.
-
-    Attributes:
-        action: id of the action.
-    """
+    """Objects that are followed through one recording. All their boxes are one action, which can be undone."""
 
     def __init__(
         self,
@@ -86,7 +80,6 @@ class FollowRun:
     ) -> None:
         """
         Args:
-            objects: the stretches of each object.
             view: the project's view detector, if any; it is used for the classes that it was trained on, and for boxes
                 of the kind that it measures.
         """
@@ -115,7 +108,6 @@ class FollowRun:
 
         Args:
             progress: called after each round, in which objects have moved on by one frame.
-            stopped: asked before each frame.
 
         After a stop or an error the boxes found so far are stored, between two reviewed boxes also those that were
         found from one of them only.

@@ -59,7 +59,6 @@ class Interpolated:
     """The result of an interpolation.
 
     Attributes:
-        filled: the frames with a new proposal.
         finalised: number of frames not changed because they are finalised.
         covered: number of frames not changed because they have a reviewed or rejected box of this object.
     """

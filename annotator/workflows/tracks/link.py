@@ -40,9 +40,6 @@ class LinkSummary:
     """Counts of linking.
 
     Attributes:
-        recordings: number of linked recordings.
-        boxes: number of labels in their tracks.
-        tracks: number of tracks.
         changed: number of labels with a new track id or box.
         left: number of labels without a track id in finalised frames, which are not changed.
         unordered: names of recordings left out because their frames are not a sequence.
@@ -98,9 +95,6 @@ class _Recording:
     """A recording and the result of linking it.
 
     Attributes:
-        frames: the frames with labels, in order.
-        labels: of each of these frames.
-        tracks: the linked tracks.
         numbers: the id of each track's labels without a given one.
         left: number of labels in finalised frames without an id.
     """

@@ -39,11 +39,9 @@ class NewProposal:
     """A box to propose.
 
     Attributes:
-        label: class name.
         box: in the camera frame.
         track_id: of its object, if known.
         proposal: with its trace, if the recursion found the box.
-        box_kind: what the box encloses.
         attributes: values of the object in the frame that the box comes from.
         origin: how an operator made it, if one did.
         said: what other software says of the object, if the box takes the place of its proposal.

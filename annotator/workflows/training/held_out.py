@@ -56,8 +56,6 @@ class Decision(BaseModel):
     Attributes:
         objects, frames: number of reviewed objects measured, and of their frames.
         mean_iou: of the new detector; None with fewer than `MIN_OBJECTS` objects.
-        compared: the other detectors.
-        started_from: what the training started from.
         outcome: which detector the project used from then on, and why, in words.
         reviewed: number of the project's reviewed boxes when the training began.
     """

@@ -34,13 +34,7 @@ COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), 
 
 
 def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
-    """Draws a detector's boxes on validation images, and writes these beside the model.
-
-    Args:
-        dataset: the folder of its dataset.
-        manifest: of that dataset.
-        model: the folder of the model.
-    """
+    """Draws a detector's boxes on validation images, and writes these beside the model."""
     pictures = [_read(dataset / name) for name in _chosen(manifest)]
     detections = detector.detect(pictures)
     folder = model / FOLDER
@@ -141,7 +135,6 @@ class ModelFacts:
     Attributes:
         boxes: number of boxes it was trained on; None if unknown.
         pictures: validation images with its detections.
-        curves: measurements by epoch.
         decision: how held-out frames decided about it; None if they did not.
     """
 

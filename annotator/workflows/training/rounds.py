@@ -94,7 +94,6 @@ def image_config(project: Project, config: TrainingConfig, dataset_sha256: str, 
     images. A finished training on the same images with the same settings is not continued, but found again.
 
     Args:
-        dataset_sha256: of the training set.
         decides: as `choose_start`.
     """
     models = project.models.all(DetectorKind.IMAGE)
@@ -162,7 +161,6 @@ class Choice:
     def __init__(self, project: Project, held_out: HeldOut, start: Start, decides: bool = True) -> None:
         """
         Args:
-            start: what the training starts from.
             decides: False: each new detector is used, whatever the held-out objects say.
         """
         self.project, self.held_out, self.start, self.decides = project, held_out, start, decides

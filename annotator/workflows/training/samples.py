@@ -98,11 +98,7 @@ class Material:
 
 
 def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)) -> Material:
-    """Returns the labels that the project's detectors can learn from now.
-
-    Args:
-        roles: the detectors to be trained.
-    """
+    """Returns the labels that the project's detectors can learn from now."""
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()
     stored = project.labels.select(states=REVIEWED)
@@ -243,8 +239,6 @@ class KnownObjects:
     Attributes:
         labels: reviewed labels, which are the first objects.
         untaught: reviewed labels whose boxes are not of the kind that is taught.
-        draws: number of view pairs per object.
-        rcv: the settings for this frame.
         up: the direction that views keep, if any.
         rng: of the random axes and crops.
     """

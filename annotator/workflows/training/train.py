@@ -57,7 +57,6 @@ class Trained:
     """A trained detector.
 
     Attributes:
-        seconds: duration of the training.
         left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
         decision: how held-out frames decided; None for an image detector.
         learned: messages on up directions that reviewed boxes gave before (`learn_up`).
@@ -81,7 +80,6 @@ class Run:
     ) -> None:
         """
         Args:
-            classes: of the detector.
             kind: what its boxes measure.
             holds_out: whether held-out frames only validate; False: all frames train.
         """
@@ -205,7 +203,6 @@ class TrainPlan:
     """The settings of a training.
 
     Attributes:
-        image, view: settings of each detector.
         samples: how many pseudo-views are generated.
         minutes: length of the view detector's training; None: three minutes if it starts from a detector, else as
             many pictures as `view` says.
@@ -241,7 +238,6 @@ def train(
     training on the same labels continues. Labelled frames that cannot be read are left out and reported.
 
     Args:
-        progress: called after each step of a training.
         stop: returns True to end the training early; asked after each sample, batch and measured frame.
 
     Raises:

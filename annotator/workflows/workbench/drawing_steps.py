@@ -161,7 +161,6 @@ class Labelling:
         outline: (k, 2, 2) its visible edges on the image, pixels.
         points: number of points in the box; in the frustum while there is no box.
         stop: why no further step is possible, or None.
-        note: why boxes are not suggested, or None.
     """
 
     steps: tuple[Step, ...]
@@ -222,11 +221,7 @@ def label_object(
     axes: Axes | None,
     detector: ReadyDetector | None,
 ) -> Labelling:
-    """As `label_steps` with the project's settings; a detector that fails gives a note instead of suggestions.
-
-    Args:
-        detector: suggests boxes, or None.
-    """
+    """As `label_steps` with the project's settings; a detector that fails gives a note instead of suggestions."""
     fit = None
     if detector is not None:
         settings = frame_config(project, opened.frame, detector, kind, kind)
@@ -368,8 +363,6 @@ class WholeBoxes:
         """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
 
         Args:
-            frame, stored: its frame.
-            image_box: drawn on the camera image.
             detector: for pseudo-views; used if it knows whole boxes.
         """
         views = [one for one in self._drawn(stored.id) if _image_box(one) == image_box]

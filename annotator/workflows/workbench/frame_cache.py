@@ -69,7 +69,6 @@ class OpenFrame:
     """An open frame. Thread-safe.
 
     Attributes:
-        frame: the frame.
         adjusted: id of the event that adjusted its recording last, when the frame was read; 0 = none.
         is_prepared: its results were computed ahead, and its neighbours read ahead.
         page: the stored state as read last; None before the first read.

@@ -36,9 +36,7 @@ class ShownLabel:
     """A label as the page shows it.
 
     Attributes:
-        stored: the label.
         outline: (k, 2, 2) its visible edges on the image, pixels.
-        points: number of points in its box.
         doubt: in 0..1, for boxes from an automatic pass; else None.
     """
 
@@ -61,7 +59,6 @@ class ShownObject:
     """An object drawn with 2D boxes, finished or not.
 
     Attributes:
-        image_box: on the camera image.
         views: the drawn views: front and side of each step.
         uid: of the object's label, or None while it is unfinished.
     """
@@ -111,7 +108,6 @@ def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opene
 
     Args:
         others: their boxes are in this frame's camera.
-        own: the frame's labels.
     """
     present = [other for other in others if other.label.state is not ReviewState.REJECTED]
     if not present:
@@ -167,7 +163,6 @@ class Alignment:
         up: unit vector against gravity in the corrected camera frame.
         up_source: where `up` comes from.
         images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
-        labels: number of labels in the recording.
         drawn_images: number of its frames with boxes on their image.
         is_virtual: the image is drawn from the cloud, so there is no calibration to correct.
     """

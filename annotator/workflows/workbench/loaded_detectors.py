@@ -89,7 +89,6 @@ class Readiness:
 
     Attributes:
         state: none = there is no active model.
-        detector: set if ready.
         problem: why it failed, as shown to the operator.
     """
 

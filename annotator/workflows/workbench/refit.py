@@ -94,9 +94,7 @@ def refit(
     """Refits an existing box.
 
     Args:
-        label: the box's class.
         config: with the orientation for the frame and the box kind of the detector.
-        detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
     """
     reason = _why_no_detector(detector, label, config, problem)
@@ -115,7 +113,6 @@ class FoundBox:
     Attributes:
         box: None if the object was not found.
         outline: (k, 2, 2) its visible edges on the image, pixels.
-        points: number of points in the box.
         score, quality: of the recursion; None if the object was not found.
         note: why the object was not found, or None.
         too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
@@ -143,7 +140,6 @@ def find_box(
     Args:
         image_box: has the object's class.
         config: with the orientation for the frame and the box kind of the detector.
-        detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
         known: the axes of views, and what the boxes drawn on them span.
     """

@@ -75,7 +75,6 @@ class QueueItem:
     """A proposal to review, or a frame to label.
 
     Attributes:
-        frame: the frame.
         uid: of the proposal, or None for a whole frame.
         label: the proposal's class, or None.
         doubt: in 0..1, or None if unknown.
@@ -114,7 +113,6 @@ def queue(
     """Returns the queue. Finalised frames and frames that are no longer in their recording are left out.
 
     Args:
-        recording: only this recording.
         label: only proposals of this class; ignored by TEACH.
         most: number of items to return; None = all.
         attribute: only proposals with these values of an attribute; ignored by TEACH.

@@ -43,8 +43,6 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
     """Returns the edits of those labels whose drawn boxes now give another 3D box, except labels corrected since.
 
     Args:
-        page: the frame before the change.
-        opened: the same frame.
         config: with the orientation for the frame.
         on_image: the new boxes on the image, and what they measure.
     """
@@ -89,9 +87,7 @@ class ObjectDrawn:
     """An object with the boxes drawn so far.
 
     Attributes:
-        image_box: on the camera image.
         boxes: on its views, as for `label_steps`.
-        labelling: what `label_steps` returned for these boxes.
         uid: of the object's label, or None while it has none.
         suggestion: the detector that suggested boxes, if the operator accepted any.
     """
