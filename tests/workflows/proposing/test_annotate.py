@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -48,14 +49,6 @@ class Wrapped:
 
     def pair(self, views: Detectors) -> Detectors:
         return Detectors(self, views.view, views.box_kind)
-
-
-class Raising(Wrapped):
-    """Raises on one frame, like a bug in a library."""
-
-    def before(self, frame: Frame) -> None:
-        if frame.key == "000001":
-            raise ValueError("operands could not be broadcast")
 
 
 class Interfering(Wrapped):
@@ -164,7 +157,10 @@ def test_a_broken_frame_is_stored_with_its_reason_and_the_others_are_processed(
 
 
 def test_an_unexpected_error_affects_only_its_frame(people: Project, knowing: Knowing) -> None:
-    done = annotate(people, Raising(knowing("people")).pair(knowing("people")), FAST)
+    def raising() -> None:
+        raise ValueError("operands could not be broadcast")
+
+    done = annotate(people, Interfering(knowing("people"), "000001", raising).pair(knowing("people")), FAST)
     assert keys(people, Status.DONE) == ["000000", "000002", "000003", "000004"]
     ((key, reason),) = done.failed
     assert key == "000001"
@@ -225,11 +221,9 @@ def test_missing_frames_are_neither_processed_nor_counted(
 
 
 def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
-    class Blind(Wrapped):
-        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            return [[] for _ in images]
-
-    done = annotate(people, Blind(knowing("people")).pair(knowing("people")), FAST)
+    blind = Mock(wraps=knowing("people").image, fingerprint="blind", detect=lambda images: [[] for _ in images])
+    blind.labels = ("person",)
+    done = annotate(people, Detectors(blind, knowing("people").view), FAST)
     assert (done.done, done.proposals, done.without) == (5, 0, 5)
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 

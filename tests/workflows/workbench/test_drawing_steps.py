@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -207,13 +208,8 @@ def test_without_a_found_object_the_reason_is_told_and_boxes_can_be_drawn(desk: 
 
 
 def test_a_detector_that_fails_leaves_drawing_possible(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
-    class Broken:
-        labels, fingerprint = ("person",), "broken"
-
-        def detect(self, images: object) -> list[list[Box2D]]:
-            raise RuntimeError("secret")
-
-    detector = ReadyDetector(Broken(), BoxKind.SILHOUETTE, Lock())
+    broken = Mock(labels=("person",), fingerprint="broken", detect=Mock(side_effect=RuntimeError("secret")))
+    detector = ReadyDetector(broken, BoxKind.SILHOUETTE, Lock())
     found = label_object(desk.project, desk.opened, desk.image_box(), [], desk.kind, None, detector)
     assert len(found.views) == 2 and found.note == "internal error, see the server's log"
     assert "secret" in caplog.text

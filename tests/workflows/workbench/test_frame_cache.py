@@ -120,13 +120,9 @@ def test_frames_are_read_ahead_for_each_operator(project: Project, reads: list[s
 def test_many_threads_read_a_frame_once(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.close()
-    found: list[Frame] = []
-    threads = [threading.Thread(target=lambda: found.append(cache.read(project, 3))) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(found) == 8 and len(set(map(id, found))) == 1
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: cache.read(project, 3), range(8)))
+    assert len(set(map(id, found))) == 1
     assert reads == ["000002"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -156,10 +157,7 @@ def test_calls_of_a_detector_do_not_run_concurrently(
     detector = ready.get(people, DetectorKind.VIEW)
     assert detector is not None
     view = PseudoView(np.zeros((8, 8, 3), np.uint8), np.eye(3), 0.1, np.zeros(2), np.zeros((0, 3), np.float32))
-    threads = [threading.Thread(target=lambda: detector.detect([view])) for _ in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(lambda _: detector.detect([view]), range(6)))
     assert isinstance(detector.detector, Blank) and detector.detector.most == 1
     ready.close()
