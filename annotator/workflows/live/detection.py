@@ -171,6 +171,7 @@ class Detected:
     Attributes:
         taken_s: as in `Taken`.
         stages_s: durations of reading, both detectors and the geometry between them, seconds.
+        seeded: number of boxes of the previous frame that the recursion started from.
         is_first: True for the first frame, which takes longer because the detectors are prepared.
     """
 
@@ -178,6 +179,7 @@ class Detected:
     found: FrameProposals
     taken_s: float
     stages_s: Mapping[str, float]
+    seeded: int = 0
     is_first: bool = False
 
     @property
@@ -243,7 +245,7 @@ class LiveDetection:
         image, view = self._image.seconds, self._view.seconds
         stages = {"read": taken.read_s, "image": image, "views": view, "geometry": total_s - image - view}
         is_first, self._is_first = self._is_first, False
-        return Detected(taken.frame, result, taken.taken_s, stages, is_first)
+        return Detected(taken.frame, result, taken.taken_s, stages, len(seeds), is_first)
 
 
 class _Timed:

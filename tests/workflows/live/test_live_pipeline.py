@@ -358,6 +358,7 @@ def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowin
     frames = [hands.frame(index) for index in range(3)]
     moments = (10.0, 10.1, 10.1 + 2 * MAX_SEED_AGE_S)
     found = [detection.detect(Taken(f, at, 0.01)) for f, at in zip(frames, moments, strict=True)]
+    assert [each.seeded for each in found] == [0, 2, 0]
     assert [any(map(is_warm, each.found.proposals)) for each in found] == [False, True, False]
     assert all(len(each.found.proposals) == 2 for each in found)
     assert found[0].stages_s["read"] == 0.01

@@ -79,6 +79,13 @@ def bump(project: Project, index: int) -> None:
     project.boxes.set_on_image(stored.id, [], BoxKind.BOX, WriteContext(project.frames.get(stored.id).revision, "me"))
 
 
+@pytest.mark.parametrize("kind", BoxKind)
+def test_proposals_enclose_what_the_view_detector_measures(people: Project, knowing: Knowing, kind: BoxKind) -> None:
+    annotate(people, knowing("people", kind), FAST, limit=1)
+    stored = people.labels.select()
+    assert stored and {one.label.box_kind for one in stored} == {kind}
+
+
 def test_stored_proposals_match_the_true_boxes(people: Project, knowing: Knowing) -> None:
     told: list[tuple[int, int]] = []
     done = annotate(people, knowing("people"), CONFIG, progress=lambda k, n: told.append((k, n)))

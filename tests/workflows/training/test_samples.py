@@ -39,6 +39,7 @@ from annotator.workflows.training.samples import (
     drawn_pictures,
     gather,
     image_samples,
+    known_objects,
     taught_by_drags,
     view_samples,
     with_generated,
@@ -403,6 +404,17 @@ def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
     assert 20 < len(samples) - 40 < 80
     assert {sample.origin for sample in samples[40:]} == {"generated"}
     assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}
+
+
+def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
+    accept(people, 1)
+    material = replace(gather(people), kind=BoxKind.BOX)
+    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
+    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
+    # 24 views of the 3 objects that are taught
+    assert {one.draws for one in known} == {4}
 
 
 # --- the base detector, from generated frames ----------------------------------------------------------------------
