@@ -25,7 +25,8 @@ from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_objects import Follower, Moment
+from annotator.workflows.tracks.follow_objects import Follower
+from annotator.workflows.tracks.timeline import Moment
 from annotator.workflows.workbench.review_queue import doubt
 from benchmarks.cold_start import with_up
 from benchmarks.report import BoxOptions, Table, guarded, program

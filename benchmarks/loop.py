@@ -35,7 +35,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES
-from annotator.workflows.proposing.lift import propose_frames
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
@@ -312,6 +312,14 @@ def _propose_all(
         results = propose_frames(list(read.values()), detectors, config, rotation)
         for (index, frame), proposed in zip(read.items(), results, strict=True):
             scores.add(index, frame, proposed)
+
+
+def propose_frames(
+    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> list[FrameProposals]:
+    """The proposals of each frame, in the given order."""
+    boxes = detectors.image.detect(frames) if frames else []
+    return propose_image_boxes(frames, boxes, detectors.view, detectors.settings(config), rotation)
 
 
 def tables(_: Arguments, result: dict[str, Any]) -> list[Table]:

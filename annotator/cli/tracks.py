@@ -123,7 +123,7 @@ def run_interpolate(
         if refit:
             fit = box_fitter(opened, lambda frame: OpenFrame(source.read(frame)), ready_view(opened))
         done = interpolate(opened, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
-    print_line(f"track {done.track_id}: {amount(len(done.filled), 'frame')} filled with proposals")
+    print_line(f"track {track}: {amount(len(done.filled), 'frame')} filled with proposals")
     if done.finalised or done.covered:
         finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")
         print_line(f"unchanged: {finalised}, {covered} where the object is already labelled")

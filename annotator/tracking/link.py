@@ -13,46 +13,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.types import OrientedBox
 
-
-class TrackingConfig(BaseModel):
-    """Settings; lengths are shares of an object's longest side, times are in frames (`frame_times`).
-
-    Attributes:
-        reach: maximum distance from the predicted position, per frame.
-        reach_new: the same for an object with only one box, whose motion is unknown.
-        most_frames: maximum number of missed frames over which `reach` grows.
-        max_gap: a track ends after this many missed frames.
-        max_size_ratio: maximum ratio between a side of two boxes of one object.
-        motion_boxes: number of last boxes from which the motion is estimated.
-        window: boxes within this many frames before and after a box smooth its rotation.
-        change_ratio: if the mean squared successive difference of a side's lengths is below this multiple of their
-            variance (2 for independent values), the side varies in time and gets no common length.
-        least_for_change: minimum number of boxes for this test.
-        reviewed_weight: weight of a reviewed box; a proposal has 1.
-        least_motion: minimum distance travelled, in longest sides, for the motion to determine the front.
-        least_along: minimum mean cosine between motion and length axis to count as moving forward or backward.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    reach: float = Field(0.5, gt=0)
-    reach_new: float = Field(1.0, gt=0)
-    most_frames: float = Field(3.0, ge=1)
-    max_gap: float = Field(5.0, ge=1)
-    max_size_ratio: float = Field(2.5, gt=1)
-    motion_boxes: int = Field(4, ge=2)
-    window: float = Field(2.0, ge=0)
-    change_ratio: float = Field(0.7, ge=0, le=2)
-    least_for_change: int = Field(5, ge=3)
-    reviewed_weight: float = Field(4.0, ge=1)
-    least_motion: float = Field(0.5, gt=0)
-    least_along: float = Field(0.7, gt=0, le=1)
+# Lengths are shares of an object's longest side, times are in frames (`frame_times`).
+# Maximum distance from the expected position, per frame; the same for an object with only one box, whose motion is
+# unknown; number of missed frames over which the distance grows at most.
+REACH, REACH_NEW, MOST_FRAMES = 0.5, 1.0, 3.0
+# A track ends after so many missed frames.
+MAX_GAP = 5.0
+# Maximum ratio between a side of two boxes of one object.
+MAX_SIZE_RATIO = 2.5
+# Number of last boxes from which the motion is estimated.
+MOTION_BOXES = 4
 
 
 def frame_times(times_ns: Sequence[int | None]) -> Float64[np.ndarray, "n"]:
@@ -76,8 +51,6 @@ def predicted(boxes: Sequence[OrientedBox], times: Sequence[float], time: float)
 
     Args:
         boxes: one or more boxes of the object, in order of time; a line is fitted to their centres.
-        times: times of the boxes.
-        time: time of the prediction.
     """
     last = boxes[-1]
     passed = np.asarray(times) - np.mean(times)
@@ -137,9 +110,7 @@ class Track:
     """The track of one object.
 
     Attributes:
-        label: class name.
         members: index of the frame, and of the box within the frame, in order of time.
-        boxes, times: boxes and times of the members.
         given: track id of one of the boxes from an operator or a file, or None.
     """
 
@@ -150,7 +121,7 @@ class Track:
     given: int | None = None
 
 
-def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: TrackingConfig) -> list[Track]:
+def link(frames: Sequence[Sequence[Seen]], times: Sequence[float]) -> list[Track]:
     """The tracks of a recording, in the order of their first boxes; every box belongs to one track.
 
     Args:
@@ -161,7 +132,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
     alive: list[Track] = []
     named: dict[tuple[str, int], Track] = {}
     for frame_index, (boxes, time) in enumerate(zip(frames, times, strict=True)):
-        alive = [track for track in alive if time - track.times[-1] <= config.max_gap + 1]
+        alive = [track for track in alive if time - track.times[-1] <= MAX_GAP + 1]
         owner = {
             number: named[seen.label, seen.given]
             for number, seen in enumerate(boxes)
@@ -169,7 +140,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
         }
         free = [number for number in range(len(boxes)) if number not in owner]
         assigned_tracks = {id(track) for track in owner.values()}
-        owner |= _assigned(free, boxes, [track for track in alive if id(track) not in assigned_tracks], time, config)
+        owner |= _assigned(free, boxes, [track for track in alive if id(track) not in assigned_tracks], time)
         for number, seen in enumerate(boxes):
             key = None if seen.given is None else (seen.label, seen.given)
             # two boxes with the same given id in one frame belong to one track
@@ -188,9 +159,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
     return tracks
 
 
-def _assigned(
-    free: Sequence[int], boxes: Sequence[Seen], waiting: Sequence[Track], time: float, config: TrackingConfig
-) -> dict[int, Track]:
+def _assigned(free: Sequence[int], boxes: Sequence[Seen], waiting: Sequence[Track], time: float) -> dict[int, Track]:
     """The tracks of boxes without a given id; boxes of new objects are left out."""
     assigned: dict[int, Track] = {}
     for label in sorted({boxes[number].label for number in free}):
@@ -198,45 +167,35 @@ def _assigned(
         tracks = [track for track in waiting if track.label == label]
         if not tracks:
             continue
-        cost = _costs(tracks, [boxes[number] for number in numbers], time, config)
+        cost = _costs(tracks, [boxes[number] for number in numbers], time)
         for row, column in zip(*linear_sum_assignment(cost), strict=True):
             if cost[row, column] < NEVER:
                 assigned[numbers[column]] = tracks[row]
     return assigned
 
 
-def _costs(
-    tracks: Sequence[Track], boxes: Sequence[Seen], time: float, config: TrackingConfig
-) -> Float64[np.ndarray, "t n"]:
+def _costs(tracks: Sequence[Track], seen: Sequence[Seen], time: float) -> Float64[np.ndarray, "t n"]:
     """The cost of each box for each track: at most 1 each for distance, overlap and size; `NEVER` out of reach."""
-    count = config.motion_boxes
-    expected = [predicted(track.boxes[-count:], track.times[-count:], time) for track in tracks]
+    boxes = [each.box for each in seen]
+    expected = [predicted(track.boxes[-MOTION_BOXES:], track.times[-MOTION_BOXES:], time) for track in tracks]
     sides = np.array([box.size_m.max() for box in expected])
-    waited = np.minimum([time - track.times[-1] for track in tracks], config.most_frames)
-    reach = np.array([config.reach_new if len(track.boxes) == 1 else config.reach for track in tracks])
-    far = np.linalg.norm(_centers(expected)[:, None] - _centers([seen.box for seen in boxes])[None], axis=2)
-    far /= (reach * sides * waited)[:, None]
-    unlike = _unlike(expected, [seen.box for seen in boxes]) / np.log(config.max_size_ratio)
-    cost = far + unlike + 1.0 - iou_3d_matrix(expected, [seen.box for seen in boxes])
+    waited = np.minimum([time - track.times[-1] for track in tracks], MOST_FRAMES)
+    reach = np.array([REACH_NEW if len(track.boxes) == 1 else REACH for track in tracks])
+    centers, found = (np.array([box.center_m for box in each]) for each in (expected, boxes))
+    far = np.linalg.norm(centers[:, None] - found[None], axis=2) / (reach * sides * waited)[:, None]
+    # the largest absolute logarithm of the ratios of sides, in the order of their lengths
+    own, other = (np.log(np.sort([box.size_m for box in each], axis=1)) for each in (expected, boxes))
+    unlike = np.abs(own[:, None] - other[None]).max(axis=2) / np.log(MAX_SIZE_RATIO)
+    cost: Float64[np.ndarray, "t n"] = far + unlike + 1.0 - iou_3d_matrix(expected, boxes)
     # two different given ids are two objects
     named = np.array(
-        [[t.given is not None and b.given is not None and t.given != b.given for b in boxes] for t in tracks]
+        [[t.given is not None and b.given is not None and t.given != b.given for b in seen] for t in tracks]
     )
     cost[(far > 1) | (unlike > 1) | named] = NEVER
     return cost
 
 
-def _centers(boxes: Sequence[OrientedBox]) -> Float64[np.ndarray, "n 3"]:
-    return np.array([box.center_m for box in boxes])
-
-
-def _unlike(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Float64[np.ndarray, "t n"]:
-    """The largest absolute logarithm of the ratios of sides; sides are compared in the order of their lengths."""
-    a, b = (np.log(np.sort([box.size_m for box in boxes], axis=1)) for boxes in (first, second))
-    return np.abs(a[:, None] - b[None]).max(axis=2)
-
-
-def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first: int = 1) -> list[int]:
+def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]]) -> list[int]:
     """An id for each track, for those of its boxes that have none from an operator or a file; all are unique.
 
     So a box never gets the given id of another object, which may be in the same frame.
@@ -246,7 +205,6 @@ def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first
             person and a chair, is the id of neither.
         before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id. If
             several tracks compete for an id, the one with the most boxes of this id gets it.
-        first: the lowest new id.
     """
     used = {number for number in given if number is not None}
     times = Counter(given)
@@ -262,7 +220,7 @@ def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first
         if -negative_place not in ids and number not in used:
             ids[-negative_place] = number
             used.add(number)
-    fresh = max([first - 1, *used])
+    fresh = max([0, *used])
     for place, given_id in enumerate(given):
         if given_id is not None:
             ids[place] = given_id

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-from annotator.tracking.link import TrackingConfig
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
@@ -64,6 +63,16 @@ def are_upright(boxes: Sequence[OrientedBox]) -> bool:
 FLIP = np.diag([-1.0, -1.0, 1.0])
 # Maximum difference of the logarithms of equal lengths.
 SAME_LENGTH = 1e-6
+# Boxes within this many frames before and after a box smooth its rotation.
+WINDOW = 2.0
+# If the mean squared successive difference of a side's lengths is below this multiple of their variance (2 for
+# independent values), the side varies in time and gets no common length; minimum number of boxes for this test.
+CHANGE_RATIO, LEAST_FOR_CHANGE = 0.7, 5
+# Weight of a reviewed box; a proposal has 1.
+REVIEWED_WEIGHT = 4.0
+# Minimum distance travelled, in longest sides, for the motion to tell the front; minimum mean cosine between motion
+# and length axis to count as moving forward or backward.
+LEAST_MOTION, LEAST_ALONG = 0.5, 0.7
 # Maximum difference between rotations that are averaged, radians.
 ANOTHER_RAD = float(np.deg2rad(60))
 
@@ -85,7 +94,7 @@ class TrackBox:
     is_fixed: bool = False
 
 
-def smoothed(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool = True) -> list[OrientedBox]:
+def smoothed(track: Sequence[TrackBox], is_still: bool = True) -> list[OrientedBox]:
     """The boxes of one object with a common size and smooth rotations; the centres stay as they are.
 
     Args:
@@ -95,18 +104,18 @@ def smoothed(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool =
     Returns:
         one box for each box of the track; fixed boxes are returned unchanged.
     """
-    alike = _relabelled_alike(track, config, is_still)
+    alike = _relabelled_alike(track, is_still)
     times = np.array([each.time for each in track])
-    weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
-    sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in alike]), config)
-    rotations = _smooth_rotations(times, weights, alike, config)
+    weights = np.array([each.weight * (REVIEWED_WEIGHT if each.is_fixed else 1.0) for each in track])
+    sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in alike]))
+    rotations = _smooth_rotations(times, weights, alike)
     return [
         each.box if each.is_fixed else OrientedBox.from_parts(each.box.center_m, rotation.as_matrix(), size_m)
         for each, rotation, size_m in zip(track, rotations, sizes_m, strict=True)
     ]
 
 
-def _relabelled_alike(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool) -> list[OrientedBox]:
+def _relabelled_alike(track: Sequence[TrackBox], is_still: bool) -> list[OrientedBox]:
     """All boxes with their axes relabelled consistently, by the labelling of the whole track."""
     boxes = [each.box for each in track]
     is_upright = are_upright(boxes)
@@ -124,7 +133,7 @@ def _relabelled_alike(track: Sequence[TrackBox], config: TrackingConfig, is_stil
         return alike
     common = _common_change(track, [applied[place] for place in range(len(track))], changes)
     alike = [relabelled(box, common) for box in alike]
-    if is_upright and is_still and _moves_backward(alike, config):
+    if is_upright and is_still and _moves_backward(alike):
         alike = [relabelled(box, FLIP) for box in alike]
     return alike
 
@@ -145,29 +154,28 @@ def _common_change(
     return best
 
 
-def _moves_backward(boxes: Sequence[OrientedBox], config: TrackingConfig) -> bool:
+def _moves_backward(boxes: Sequence[OrientedBox]) -> bool:
     """True if upright boxes move along their length axis, backwards."""
     steps = np.diff([box.center_m for box in boxes], axis=0)
     path = np.linalg.norm(steps, axis=1)
     distance = float(np.linalg.norm(boxes[-1].center_m - boxes[0].center_m))
-    if distance < config.least_motion * max(box.size_m.max() for box in boxes):
+    if distance < LEAST_MOTION * max(box.size_m.max() for box in boxes):
         return False
     headings = np.array([box.rotation[:, 0] for box in boxes])
     along = np.einsum("ij,ij->", steps, (headings[:-1] + headings[1:]) / 2) / path.sum()
-    return bool(along < -config.least_along)
+    return bool(along < -LEAST_ALONG)
 
 
 def _smooth_sizes(
     times: Float64[np.ndarray, "n"],
     weights: Float64[np.ndarray, "n"],
     sizes_m: Float64[np.ndarray, "n 3"],
-    config: TrackingConfig,
 ) -> Float64[np.ndarray, "n 3"]:
     """The weighted median of each side over the track, or over a window if the side varies in time."""
     smooth = np.tile(_median(sizes_m, weights), (len(sizes_m), 1))
     for side in range(3):
-        if _changes_in_time(sizes_m[:, side], config):
-            around = (_around(times, place, config) for place in range(len(times)))
+        if _changes_in_time(sizes_m[:, side]):
+            around = (_around(times, place) for place in range(len(times)))
             smooth[:, side] = [_median(sizes_m[near, side], weights[near]) for near in around]
     return smooth
 
@@ -176,39 +184,38 @@ def _median(values: Float64[np.ndarray, "n *more"], weights: Float64[np.ndarray,
     return np.asarray(np.quantile(values, 0.5, axis=0, method="inverted_cdf", weights=weights))
 
 
-def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig) -> bool:
+def _changes_in_time(lengths_m: Float64[np.ndarray, "n"]) -> bool:
     """True for a side that really varies, such as the length of a walking person; False for measurement noise.
 
     Noise differs between successive lengths as much as between any two. Real variation differs less between successive
     lengths (von Neumann ratio: mean squared successive difference over variance, 2 for independent values).
     """
     logs = np.log(lengths_m)
-    if len(logs) < config.least_for_change or np.ptp(logs) < SAME_LENGTH:
+    if len(logs) < LEAST_FOR_CHANGE or np.ptp(logs) < SAME_LENGTH:
         return False
-    return bool(np.mean(np.diff(logs) ** 2) < config.change_ratio * np.var(logs))
+    return bool(np.mean(np.diff(logs) ** 2) < CHANGE_RATIO * np.var(logs))
 
 
 def _smooth_rotations(
     times: Float64[np.ndarray, "n"],
     weights: Float64[np.ndarray, "n"],
     boxes: Sequence[OrientedBox],
-    config: TrackingConfig,
 ) -> list[Rotation]:
     """The mean rotation over a window around each box, with Gaussian weights."""
     rotations = Rotation.from_matrix(np.array([box.rotation for box in boxes]))
     smooth = []
     for place, time in enumerate(times):
-        near = _around(times, place, config)
+        near = _around(times, place)
         # reviewed boxes with different labellings cannot be averaged
         near = near[(rotations[near] * rotations[place].inv()).magnitude() < ANOTHER_RAD]
-        fading = np.exp(-0.5 * (2 * (times[near] - time) / max(config.window, 1e-9)) ** 2)
+        fading = np.exp(-0.5 * (2 * (times[near] - time) / WINDOW) ** 2)
         smooth.append(rotations[near].mean(weights[near] * fading) if len(near) > 1 else rotations[place])
     return smooth
 
 
-def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig) -> Int[np.ndarray, "k"]:
+def _around(times: Float64[np.ndarray, "n"], place: int) -> Int[np.ndarray, "k"]:
     """The indices of a symmetric window around a box; symmetric so that a uniform change is preserved at the ends."""
-    reach = min(config.window, times[place] - times[0], times[-1] - times[place])
+    reach = min(WINDOW, times[place] - times[0], times[-1] - times[place])
     return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)
 
 
@@ -222,9 +229,6 @@ def between(
 
     Args:
         times: strictly between `first_time` and `last_time`.
-
-    Raises:
-        GeometryError: a time is not between the two.
     """
     if any(not first_time < time < last_time for time in times):
         raise GeometryError(

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -351,7 +351,7 @@ class _Session:
             facts["view detector"] = named
         if options.record is None:
             return LiveResult(self._show(detection, None, facts), None)
-        with Recorder(options.record, report) as recorder:
+        with closing(Recorder(options.record, report)) as recorder:
             stored = None
             try:
                 figures = self._show(detection, recorder, facts | {"recording": recorder.out.name})

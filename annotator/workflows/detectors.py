@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import ValidationError
 
 from annotator.detection.config import Backend, DetectorConfig
@@ -23,9 +24,17 @@ from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 Names = tuple[tuple[str, str | None], ...]
+Model = TypeVar("Model")
 AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
 # Key of a run's settings: where the 2D boxes come from that it lifted to 3D.
 LIFTED_FROM = "lifted from"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An `Image` of nothing but its pixels."""
+
+    rgb: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +81,6 @@ def load_detector(
             its training found.
         threads: processor threads; None = all cores that the process may use.
         names: as in `UsedModel`.
-
-    Raises:
-        ConfigError: invalid size or number of threads.
-        DetectionError: missing or unreadable weights, or an unusable backend.
-        FormatError: the files beside the weights are missing or damaged.
     """
     settings: dict[str, Any] = {"image_size_px": image_size_px, "names": dict(names)}
     if image_size_px is None:
@@ -151,9 +155,9 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
     return TrainedDetectors(image_model(project), view_model(project), backend)
 
 
-def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
-    """Loads the project's active detectors; `backend` and `threads` as for `load_detector`."""
-    return trained_detectors(project, backend).load(threads)
+def active_detectors(project: Project, *, backend: Backend = "auto") -> Detectors:
+    """Loads the project's active detectors; `backend` as for `load_detector`."""
+    return trained_detectors(project, backend).load()
 
 
 def own_model(project: Project, model: StoredModel) -> UsedModel:
@@ -229,7 +233,7 @@ def stand_in(project: Project) -> str | None:
 
 def view_model(project: Project) -> UsedModel:
     """As `used_model` for the view detector."""
-    return used_model(project, DetectorKind.VIEW) or _raise_untrained(project, DetectorKind.VIEW)
+    return _required(used_model(project, DetectorKind.VIEW), project, DetectorKind.VIEW)
 
 
 def image_model(project: Project) -> UsedModel:
@@ -237,15 +241,13 @@ def image_model(project: Project) -> UsedModel:
     return own_model(project, active_model(project, DetectorKind.IMAGE))
 
 
-def _raise_untrained(project: Project, role: DetectorKind) -> NoReturn:
-    raise DetectionError(
-        f"project {project.config.name} has no {role.value} detector yet; run `annotator train {project.config.name}`"
-    )
+def _required(model: Model | None, project: Project, role: DetectorKind) -> Model:
+    if model is None:
+        name = project.config.name
+        raise DetectionError(f"project {name} has no {role.value} detector yet; run `annotator train {name}`")
+    return model
 
 
 def active_model(project: Project, role: DetectorKind) -> StoredModel:
     """Returns the project's active model of a role."""
-    model = project.models.active(role)
-    if model is None:
-        _raise_untrained(project, role)
-    return model
+    return _required(project.models.active(role), project, role)

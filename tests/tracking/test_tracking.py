@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.tracking.link import (
     Seen,
-    Track,
-    TrackingConfig,
     frame_times,
     link,
     numbered,
@@ -25,7 +23,6 @@ from annotator.tracking.smooth import FLIP, TrackBox, are_upright, between, rela
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-CONFIG = TrackingConfig()
 SIZE = (0.8, 0.6, 1.8)
 
 
@@ -38,7 +35,7 @@ def seen(x_m: float, z_m: float = 5.0, label: str = "person", given: int | None 
 
 
 def linked(frames: list[list[Seen]], times: list[float] | None = None) -> list[list[tuple[int, int]]]:
-    found = link(frames, times or [float(n) for n in range(len(frames))], CONFIG)
+    found = link(frames, times or [float(n) for n in range(len(frames))])
     assert sorted(member for track in found for member in track.members) == [
         (place, number) for place, boxes in enumerate(frames) for number in range(len(boxes))
     ], "every box belongs to exactly one object"
@@ -89,14 +86,14 @@ def test_boxes_of_other_classes_sizes_and_positions_are_not_linked() -> None:
 def test_given_ids_take_precedence_over_costs() -> None:
     # the same id, although the object jumped and another box is at its former position
     frames = [[seen(0.0, given=7), seen(4.0)], [seen(0.0), seen(4.0, given=7)], [seen(0.0), seen(4.0)]]
-    by_id = {track.given: track.members for track in link(frames, [0.0, 1.0, 2.0], CONFIG)}
+    by_id = {track.given: track.members for track in link(frames, [0.0, 1.0, 2.0])}
     assert by_id[7][:2] == [(0, 0), (1, 1)]
     # different ids, although they are at the same position
     assert len(linked([[seen(0.0, given=1)], [seen(0.0, given=2)]])) == 2
     # an id given twice in a frame is kept
     assert len(linked([[seen(0.0, given=1), seen(3.0, given=1)], [seen(0.0, given=1)]])) == 1
     # an id that is given later also applies to earlier boxes
-    (track,) = link([[seen(0.0)], [seen(0.1)], [seen(0.2, given=5)]], [0.0, 1.0, 2.0], CONFIG)
+    (track,) = link([[seen(0.0)], [seen(0.1)], [seen(0.2, given=5)]], [0.0, 1.0, 2.0])
     assert track.given == 5
 
 
@@ -122,11 +119,6 @@ def test_track_ids_are_kept_where_possible(given: list[int | None], before: list
     assert numbered(given, before) == wanted
     # applied again, nothing changes
     assert numbered(given, [[number] for number in wanted]) == wanted
-
-
-def test_frames_without_boxes_have_no_tracks() -> None:
-    assert link([[], []], [0.0, 1.0], CONFIG) == []
-    assert isinstance(link([[seen(0.0)]], [0.0], CONFIG)[0], Track)
 
 
 CAR = (4.0, 1.0, 1.5)
@@ -185,10 +177,10 @@ def test_flipped_headings_are_corrected_by_the_motion() -> None:
         found = OrientedBox.from_parts(box.center_m, box.rotation @ turn, size)
         noisy.append(relabelled(found, FLIP) if rng.random() < 0.7 else found)
     assert sum(heading(box) @ heading(own) < 0 for box, own in zip(noisy, true, strict=True)) > 6
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)], CONFIG)
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)])
     assert all(heading(box) @ heading(own) > 0.99 for box, own in zip(better, true, strict=True))
     assert len({tuple(box.size_m) for box in better}) == 1
-    driven = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)], CONFIG, is_still=False)
+    driven = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)], is_still=False)
     assert all(heading(box) @ heading(own) < -0.99 for box, own in zip(driven, true, strict=True)), "the majority"
     before, after = (np.mean([iou_3d(b, t) for b, t in zip(boxes, true, strict=True)]) for boxes in (noisy, better))
     assert after > before + 0.02
@@ -197,7 +189,7 @@ def test_flipped_headings_are_corrected_by_the_motion() -> None:
 def test_a_size_that_changes_over_time_is_not_averaged() -> None:
     strides = [0.7 + 0.3 * np.sin(0.5 * n) for n in range(20)]
     boxes = [car(0.1 * n, 0.0, (2.0, length, 1.5 + 0.02 * (-1) ** n)) for n, length in enumerate(strides)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(boxes)], CONFIG)
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(boxes)])
     # a constant length would have a mean error of 0.19
     assert np.mean(np.abs(np.array([box.size_m[1] for box in better]) - strides)) < 0.04
     assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
@@ -206,7 +198,7 @@ def test_a_size_that_changes_over_time_is_not_averaged() -> None:
 def test_without_motion_the_majority_determines_the_front() -> None:
     still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
     mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)], CONFIG)
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)])
     assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
 
 
@@ -215,7 +207,7 @@ def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:
     boxes = [car(n, 0.0, (4.0 + 0.1 * n, 1.8, 1.5)) for n in range(6)]
     fixed = relabelled(car(3, 0.0, (4.1, 1.7, 1.5)), FLIP)
     track = [TrackBox(float(n), fixed if n == 3 else box, is_fixed=n == 3) for n, box in enumerate(boxes)]
-    better = smoothed(track, CONFIG)
+    better = smoothed(track)
     assert better[3] is fixed
     assert all(heading(box) @ heading(fixed) > 0.999 for box in better)
     assert all(box.size_m[1] == pytest.approx(1.8) and 4.0 <= box.size_m[0] <= 4.2 for box in better[:3])
@@ -229,7 +221,7 @@ def test_permuted_axes_have_no_effect(places: list[int], seed: int) -> None:
     turns = [start * Rotation.from_rotvec([0.05 * n, 0.08 * n, 0.0]) for n in range(5)]
     true = [OrientedBox.from_parts(np.ones(3), turn.as_matrix(), np.array([0.2, 0.1, 0.05])) for turn in turns]
     other = [relabelled(box, relabellings(False)[place]) for box, place in zip(true, places, strict=True)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(other)], CONFIG)
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(other)])
     # a uniform rotation is not treated as noise, and every box keeps its position
     assert min(iou_3d(a, b) for a, b in zip(better, true, strict=True)) > 0.999
     turned = [(a.T_camera_box.rotation.inv() * b.T_camera_box.rotation).magnitude() for a, b in pairwise(better)]

@@ -137,7 +137,7 @@ def test_labels_of_the_other_cameras_lie_at_the_same_place(around: Project):
 def test_an_object_proposed_from_two_cameras_is_one_label(around: Project):
     frames = frames_of(around)
     run = around.jobs.start(image_detector="i", view_detector="v", config_json="{}")
-    batch = Batch(around, run, 8, None, AnnotateSummary(), BoxKind.BOX)
+    batch = Batch(around, run, AnnotateSummary(), BoxKind.BOX)
 
     def propose(camera: str, shift_m: float, score: float) -> None:
         box = car_in(around, frames[camera], shift_m)
@@ -161,7 +161,7 @@ def test_an_object_proposed_from_two_cameras_is_one_label(around: Project):
 def test_an_object_labelled_in_two_cameras_is_exported_once(around: Project, tmp_path: Path):
     frames = frames_of(around)
     run = around.jobs.start(image_detector="i", view_detector="v", config_json="{}")
-    batch = Batch(around, run, 8, None, AnnotateSummary(), BoxKind.BOX)
+    batch = Batch(around, run, AnnotateSummary(), BoxKind.BOX)
     proposal = Proposal(
         "car", 0.5, car_in(around, frames["around-000"]), Box2D("car", 1.0, 1.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0)
     )

@@ -169,7 +169,6 @@ class Detected:
     """A frame with its detected boxes.
 
     Attributes:
-        found: the proposals.
         taken_s: as in `Taken`.
         stages_s: durations of reading, both detectors and the geometry between them, seconds.
         seeded: number of boxes of the previous frame that the recursion started from.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 
@@ -34,13 +34,6 @@ class KinectSource:
     gives_newest = False
 
     def __init__(self, which: str | None = None) -> None:
-        """
-        Args:
-            which: as for `KinectDevice`.
-
-        Raises:
-            DeviceError: there is no such device, or it cannot be used.
-        """
         self._device = KinectDevice(which)
 
     @property
@@ -87,9 +80,7 @@ class Playback:
     """A `Source` that plays a recording. A frame is left out if the next one is due or nearly due.
 
     Attributes:
-        recording: the recording.
         gives_newest: True, since late frames are left out.
-        skipped: number of frames left out.
     """
 
     gives_newest = True
@@ -113,8 +104,12 @@ class Playback:
         self.skipped = 0
         self._read = read
         self._gap_s = None if rate is None else 1 / rate
-        self._times_s = None if rate is not None else times_s(recording)
-        self._order = _order(len(recording), repeat)
+        times_ns: Sequence[int | None] | None = None if rate is not None else getattr(recording, "times_ns", None)
+        # on an arbitrary clock, if all are recorded
+        self._times_s = None if times_ns is None or None in times_ns else [1e-9 * (each or 0) for each in times_ns]
+        frames = range(len(recording))
+        back = frames[-2:0:-1] if repeat is Repeat.BACK else ()
+        self._order = iter(frames) if repeat is Repeat.NO else itertools.cycle([*frames, *back])
         self._next = next(self._order, None)
         self._due_s: float | None = None
         self._broken_in_a_row = 0
@@ -127,24 +122,21 @@ class Playback:
     def rate(self) -> float:
         """Frames per second; with recorded times, from their median gap."""
         if self._times_s is None or len(self._times_s) < 2:
-            gap_s = self._gap_s if self._gap_s is not None else 1 / default_rate(self.recording)
+            gap_s = (
+                self._gap_s if self._gap_s is not None else 1 / RATE_BY_FORMAT.get(self.recording.format, DEFAULT_RATE)
+            )
             return np.inf if gap_s == 0 else 1 / gap_s
         return 1 / max(float(np.median(np.abs(np.diff(self._times_s)))), 1e-9)
 
     def read(self, stop: threading.Event) -> Taken | None:
-        """As `Source.read`.
-
-        Raises:
-            FrameError: this frame cannot be read.
-            RecordingError: none of the recording's frames can be read.
-        """
+        """As `Source.read`."""
         due = self._wait_for_next(stop)
         if due is None:
             return None
         index, taken_s = due
         begin = time.perf_counter()
         try:
-            frame = self._frame(index)
+            frame = self.recording.frame(index) if self._read is None else self._read(self.recording.keys[index])
         except FrameError as error:
             self._broken_in_a_row += 1
             if self._broken_in_a_row >= len(self.recording):
@@ -155,9 +147,6 @@ class Playback:
             raise
         self._broken_in_a_row = 0
         return Taken(frame, taken_s, time.perf_counter() - begin)
-
-    def _frame(self, index: int) -> Frame:
-        return self.recording.frame(index) if self._read is None else self._read(self.recording.keys[index])
 
     def resume(self) -> None:
         """Makes the next frame due now."""
@@ -195,28 +184,6 @@ class Playback:
         return min(abs(self._times_s[following] - self._times_s[index]), MAX_GAP_S)
 
 
-def times_s(recording: Recording) -> Sequence[float] | None:
-    """Returns the time of each frame, seconds on an arbitrary clock; None unless all times are recorded."""
-    times_ns: Sequence[int | None] | None = getattr(recording, "times_ns", None)
-    if times_ns is None or any(each is None for each in times_ns):
-        return None
-    return [1e-9 * each for each in times_ns if each is not None]
-
-
-def default_rate(recording: Recording) -> float:
-    """Returns the frames per second of a recording without times."""
-    return RATE_BY_FORMAT.get(recording.format, DEFAULT_RATE)
-
-
-def _order(frames: int, repeat: Repeat) -> Iterator[int]:
-    indices = range(frames)
-    if repeat is Repeat.NO:
-        return iter(indices)
-    if repeat is Repeat.BACK:
-        return itertools.cycle([*indices, *indices[-2:0:-1]])
-    return itertools.cycle(indices)
-
-
 KINECT = "kinect"
 
 
@@ -229,14 +196,7 @@ def open_source(
         name: `kinect`, `kinect:` with a serial number or device index, the path of a recording, or the name of one of
             the project.
         rate: as for `Playback`.
-        loop: start again after the last frame.
         to_record: refuse a recording that cannot be recorded again.
-
-    Raises:
-        ConfigError: `rate` or `loop` for a device, an invalid rate, a recording that cannot be recorded again, or a
-            path of several recordings of the project.
-        RecordingError: there is no such recording.
-        DeviceError: there is no such device, or it cannot be used.
     """
     kind, _, which = name.partition(":")
     if kind == KINECT and not Path(name).exists():

@@ -25,6 +25,7 @@ import numpy as np
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
 from annotator.workflows.live.detection import Detected, Taken
+from annotator.workflows.live.recorder import Recorder
 
 WINDOW_S = 5.0
 
@@ -69,13 +70,6 @@ class Figures:
     drops: Drops
 
 
-@dataclass(frozen=True)
-class _Shown:
-    at_s: float
-    latency_s: float
-    stages_s: Mapping[str, float]
-
-
 @dataclass(eq=False)
 class Meter:
     """Counts frames and measures durations. Thread-safe.
@@ -89,7 +83,8 @@ class Meter:
     detected: int = 0
     broken: int = 0
     _shown: int = 0
-    _recent: deque[_Shown] = field(default_factory=deque)
+    # when a frame was shown, its latency, and the durations of its stages, seconds
+    _recent: deque[tuple[float, float, Mapping[str, float]]] = field(default_factory=deque)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def shown(self, taken_s: float, stages_s: Mapping[str, float], *, is_first: bool = False) -> None:
@@ -105,7 +100,7 @@ class Meter:
             self._shown += 1
             if is_first:
                 return
-            self._recent.append(_Shown(now, now - taken_s, stages_s))
+            self._recent.append((now, now - taken_s, stages_s))
             self._forget(now)
 
     def figures(self, drops: Drops) -> Figures:
@@ -113,14 +108,16 @@ class Meter:
         with self._lock:
             self._forget(time.perf_counter())
             recent, shown = list(self._recent), self._shown
-        latency_ms = [1e3 * each.latency_s for each in recent]
-        names = dict.fromkeys(name for each in recent for name in each.stages_s)
+        at_s, stages = [at for at, _, _ in recent], [stages_s for _, _, stages_s in recent]
+        latency_ms = [1e3 * latency_s for _, latency_s, _ in recent]
+        names = dict.fromkeys(name for stages_s in stages for name in stages_s)
+        has_rate = len(at_s) > 1 and at_s[-1] > at_s[0]
         return Figures(
-            fps=_rate([each.at_s for each in recent]),
+            fps=(len(at_s) - 1) / (at_s[-1] - at_s[0]) if has_rate else None,
             latency_ms=float(np.median(latency_ms)) if recent else None,
             latency_p95_ms=float(np.percentile(latency_ms, 95)) if recent else None,
             stages_ms={
-                name: 1e3 * float(np.median([each.stages_s[name] for each in recent if name in each.stages_s]))
+                name: 1e3 * float(np.median([stages_s[name] for stages_s in stages if name in stages_s]))
                 for name in names
             },
             read=self.read,
@@ -131,29 +128,20 @@ class Meter:
         )
 
     def _forget(self, now: float) -> None:
-        while self._recent and now - self._recent[0].at_s > self.window_s:
+        while self._recent and now - self._recent[0][0] > self.window_s:
             self._recent.popleft()
-
-
-def _rate(at_s: list[float]) -> float | None:
-    """Returns the rate of events per second, from their times in order."""
-    return None if len(at_s) < 2 or at_s[-1] <= at_s[0] else (len(at_s) - 1) / (at_s[-1] - at_s[0])
 
 
 def summary_line(figures: Figures) -> str:
     """Returns the measurements in one line."""
-    rate = "too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"
-    latency = (
-        ""
-        if figures.latency_ms is None
-        else f", {figures.latency_ms:.0f} ms latency (95 %: {figures.latency_p95_ms:.0f})"
-    )
-    drops = figures.drops
-    counts = [f"{count} {name}" for name, count in vars(drops).items() if count]
-    dropped = f"; dropped: {', '.join(counts)}" if counts else ""
-    return f"{rate}{latency}; {figures.shown} shown{dropped}" + (
-        f"; {figures.broken} unreadable" if figures.broken else ""
-    )
+    counts = [f"{count} {name}" for name, count in vars(figures.drops).items() if count]
+    parts = ["too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"]
+    if figures.latency_ms is not None:
+        parts[0] += f", {figures.latency_ms:.0f} ms latency (95 %: {figures.latency_p95_ms:.0f})"
+    parts.append(f"{figures.shown} shown")
+    parts += [f"dropped: {', '.join(counts)}"] if counts else []
+    parts += [f"{figures.broken} unreadable"] if figures.broken else []
+    return "; ".join(parts)
 
 
 # Time within which all threads end after `stop`, unless one hangs in a call.
@@ -302,24 +290,11 @@ class Detection(Protocol):
         """Detects the boxes of a frame."""
 
 
-@runtime_checkable
-class Sink(Protocol):
-    """Receives detected frames, to record them."""
-
-    @property
-    def dropped(self) -> int:
-        """Number of frames not accepted."""
-
-    def put(self, detected: Detected) -> None:
-        """Receives a frame with its boxes, without waiting."""
-
-
 class Pipeline:
     """Runs from `start` until its source ends, a stage fails, or it is stopped.
 
     Attributes:
         source: of the frames; closed at the end.
-        meter: the measurements.
         ended: set once all threads have ended.
     """
 
@@ -329,14 +304,13 @@ class Pipeline:
         detection: Detection,
         show: Show,
         *,
-        record: Sink | None = None,
+        record: Recorder | None = None,
         max_frames: int | None = None,
         report: Report = lambda line: None,
     ) -> None:
         """
         Args:
             show: the display; called by a thread of its own.
-            record: receives all detected frames.
             max_frames: end after this number of frames of the source; None = when the source ends.
             report: called with a message for each frame that cannot be read.
         """

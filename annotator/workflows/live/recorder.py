@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import glob
+import itertools
 import json
 import os
 import pickle
@@ -19,7 +20,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
-from types import TracebackType
 from typing import IO
 
 from annotator.project import Project
@@ -57,7 +57,6 @@ class Recorder:
     """Records detected frames until `finish`; holds their proposals until `close`.
 
     Attributes:
-        out: path of the finished recording.
         dropped: number of frames not recorded because the disk was too slow.
     """
 
@@ -153,14 +152,6 @@ class Recorder:
         """Deletes the proposals."""
         self._results.close()
 
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _write(self) -> None:
         while (detected := self._waiting.get()) is not None:
             if self._error is not None:
@@ -221,7 +212,9 @@ def rescue(out: Path, report: Report) -> None:
                 rmtree(part)
                 report(f"{part}: removed; it is from an interrupted recording without frames")
                 continue
-            rescued = _rescue_path(out)
+            rescued = next(
+                path for n in itertools.count(1) if not (path := out.with_name(f"{out.name}-rescued-{n}")).exists()
+            )
             part.chmod(0o755)
             part.rename(rescued)
         report(f"{rescued}: {amount(frames, 'frame')} of an interrupted recording; add it with `annotator add`")
@@ -229,13 +222,6 @@ def rescue(out: Path, report: Report) -> None:
 
 def _prefix(out: Path) -> str:
     return f".{out.name}.recording-"
-
-
-def _rescue_path(out: Path) -> Path:
-    number = 1
-    while (path := out.with_name(f"{out.name}-rescued-{number}")).exists():
-        number += 1
-    return path
 
 
 def _lock(part: Path) -> IO[bytes]:

@@ -1,7 +1,7 @@
 """Proposes boxes for whole recordings: a batch that continues after a failed frame, and resumes when interrupted.
 
 An engine does the work. This module sends it tasks, and stores the answers in the order of the frames. The number of
-tasks in flight is limited (`Engine.window`), so memory does not grow with the recording.
+tasks in flight is limited (`Engine.window`), so memory does not grow with the answers.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
+from annotator.project import StoredRecording
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
@@ -31,8 +32,6 @@ from annotator.workflows.proposing.tasks import (
     FrameAnswer,
     FrameSpec,
     GivenDetectors,
-    Identity,
-    RecordingSpec,
     Task,
     pickle_exactly,
 )
@@ -40,12 +39,8 @@ from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
 AUTHOR = "rcv"
-# Frames per query of the store.
-PAGE_FRAMES = 200
 # Attempts to write a frame that is changed concurrently.
 WRITE_ATTEMPTS = 5
-# Maximum number of failures listed in a summary; the store has all of them.
-MAX_LISTED = 1000
 
 
 @dataclass
@@ -53,14 +48,7 @@ class AnnotateSummary:
     """Counts of a batch.
 
     Attributes:
-        frames: frames to do.
         skipped: frames left out: done before with the same detectors and settings, or finalised.
-        done: frames whose proposals are stored.
-        proposals: number of all proposals.
-        without: processed frames without proposals.
-        failed: key and reason of the first failed frames.
-        more_failed: number of further failed frames.
-        seconds: duration of the batch.
         backends: of the image and the view detector, e.g. ("openvino", "openvino").
         learned: messages on up directions that reviewed boxes gave (`learn_up`).
     """
@@ -71,7 +59,6 @@ class AnnotateSummary:
     proposals: int = 0
     without: int = 0
     failed: list[tuple[str, str]] = field(default_factory=list)
-    more_failed: int = 0
     seconds: float = 0.0
     backends: tuple[str, ...] = ()
     learned: tuple[str, ...] = ()
@@ -79,55 +66,31 @@ class AnnotateSummary:
     @property
     def failures(self) -> int:
         """Number of failed frames."""
-        return len(self.failed) + self.more_failed
+        return len(self.failed)
 
 
 @dataclass(eq=False)
 class Batch:
-    """A batch and its access to the store.
-
-    Attributes:
-        frames: number of frames to do.
-        box_kind: what the proposed boxes enclose.
-    """
+    """A batch and its access to the store; `box_kind`: what the proposed boxes enclose."""
 
     project: Project
     run: Run
-    frames: int
-    recordings: Sequence[int] | None
     summary: AnnotateSummary
     box_kind: BoxKind
-    specs: dict[int, RecordingSpec] = field(default_factory=dict)
+    recordings: dict[int, StoredRecording] = field(default_factory=dict)
 
     @cached_property
     def rigs(self) -> Rigs:
         """The project's rigs."""
         return Rigs(self.project)
 
-    def pending(self) -> Iterator[StoredFrame]:
-        """Yields the frames to do, page by page; those finalised since they were counted are skipped."""
-        last: StoredFrame | None = None
-        left = self.frames
-        while left > 0:
-            limit = min(left, PAGE_FRAMES)
-            page = self.project.jobs.pending(self.run.key, self.recordings, after=last, limit=limit)
-            yield from page
-            left -= len(page)
-            if len(page) < limit:
-                break
-            last = page[-1]
-        self.summary.frames -= left
-        self.summary.skipped += left
-
-    def spec(self, recording_id: int) -> RecordingSpec:
-        """Returns a recording as a worker needs it."""
-        if recording_id not in self.specs:
+    def recording(self, recording_id: int) -> StoredRecording:
+        """Returns a recording as it was when the batch began with it."""
+        if recording_id not in self.recordings:
             stored = self.project.recordings.get(recording_id)
             self.project.recordings.require_readable(stored)
-            self.specs[recording_id] = RecordingSpec(
-                stored.path, stored.name, self.project.path.name, stored.up, stored.options, stored.correction
-            )
-        return self.specs[recording_id]
+            self.recordings[recording_id] = stored
+        return self.recordings[recording_id]
 
     def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:
         """Stores the result or the failure of a frame."""
@@ -172,7 +135,7 @@ class Batch:
 
     def _require_unadjusted(self, recording_id: int) -> None:
         """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
-        stored, used = self.project.recordings.get(recording_id), self.spec(recording_id)
+        stored, used = self.project.recordings.get(recording_id), self.recording(recording_id)
         if (stored.up, stored.correction) != (used.up, used.correction):
             raise ProjectError(
                 f"the up direction or the calibration of {stored.name} was changed during the run; annotate it again"
@@ -181,10 +144,7 @@ class Batch:
     def _fail(self, frame: StoredFrame, answer: FrameAnswer) -> None:
         reason = answer.reason or "unknown reason"
         self.project.jobs.record_failure(self.run.id, frame.id, reason, answer.seconds)
-        if len(self.summary.failed) < MAX_LISTED:
-            self.summary.failed.append((frame.key, reason))
-        else:
-            self.summary.more_failed += 1
+        self.summary.failed.append((frame.key, reason))
 
 
 # Frames per task, which go through the recursion together: enough for full detector batches, few enough for memory.
@@ -237,15 +197,9 @@ def annotate_with(
             frame from `rotation`.
         recordings: ids; None = all.
         rotation: None = the project's setting.
-        limit: maximum number of frames.
         from_reviewed: if the previous frame is reviewed when a frame's task is made, the recursion starts from its
             boxes. Frames annotated with and without this setting count as different.
         progress: called after each stored task, and at intervals in between.
-
-    Raises:
-        ConfigError: a limit below 1.
-        ProjectError: the store refuses even the record of a failed frame.
-        WorkerError: the engine's workers keep dying.
     """
     require_limit(limit)
     begin = time.perf_counter()
@@ -256,13 +210,16 @@ def annotate_with(
         learned = learn_up(project, rotation, recordings)  # not if there are no detectors: nothing would say so
         kinds = (identity.box_kind, identity.class_agnostic, identity.image_kind)
         config = config.for_detector(*kinds, identity.trained)
-        run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
-        present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
-        frames = pending if limit is None else min(pending, limit)
-        summary = AnnotateSummary(frames=frames, skipped=present - pending, backends=identity.backends, learned=learned)
-        batch = Batch(project, run, frames, recordings, summary, config.box_kind)
-        tasks = _tasks(batch, config, rotation, from_reviewed)
-        _run_tasks(engine, tasks, batch, progress)
+        # the engine is not part of the description, since it does not affect the result
+        own = {"rotation": rotation.value, "method": REVISION, "from_reviewed": from_reviewed}
+        run = project.jobs.start(
+            image_detector=identity.image, view_detector=identity.view, config_json=json.dumps(config.record() | own)
+        )
+        pending = project.jobs.pending(run.key, recordings)
+        frames, skipped = pending[:limit], project.frames.count_present(recordings) - len(pending)
+        summary = AnnotateSummary(frames=len(frames), skipped=skipped, backends=identity.backends, learned=learned)
+        batch = Batch(project, run, summary, config.box_kind)
+        _run_tasks(engine, _tasks(batch, frames, config, rotation, from_reviewed), batch, progress)
     except BaseException:
         engine.close()
         raise
@@ -277,65 +234,45 @@ def require_limit(limit: int | None) -> None:
         raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 
 
-def _description(identity: Identity, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> dict[str, str]:
-    """Returns a run's detectors and settings. The engine is not part of them, since it does not affect the result."""
-    settings = {
-        **config.record(),
-        "rotation": rotation.value,
-        "method": REVISION,
-        "from_reviewed": from_reviewed,
-    }
-    return {
-        "image_detector": identity.image,
-        "view_detector": identity.view,
-        "config_json": json.dumps(settings),
-    }
+_SentTask = tuple[Task, tuple[StoredFrame, ...]]
+"""A task and its frames."""
 
 
-@dataclass(frozen=True, eq=False)
-class _SentTask:
-    """A task and its frames."""
-
-    task: Task
-    frames: tuple[StoredFrame, ...]
-
-
-def _tasks(batch: Batch, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> Iterator[_SentTask]:
+def _tasks(
+    batch: Batch, pending: Sequence[StoredFrame], config: RcvConfig, rotation: BoxRotation, from_reviewed: bool
+) -> Iterator[_SentTask]:
     """Yields the tasks of a batch, made on demand."""
-    project, number = batch.project, 0
-    frames = batch.pending()
-    while task_frames := tuple(islice(frames, TASK_FRAMES)):
+    for number, first in enumerate(range(0, len(pending), TASK_FRAMES)):
+        frames = tuple(pending[first : first + TASK_FRAMES])
         specs = tuple(
-            FrameSpec(batch.spec(frame.recording_id), frame.key, seeds_of(project, frame) if from_reviewed else ())
-            for frame in task_frames
+            FrameSpec(
+                batch.recording(frame.recording_id), frame.key, seeds_of(batch.project, frame) if from_reviewed else ()
+            )
+            for frame in frames
         )
-        yield _SentTask(Task(number, specs, config, rotation), task_frames)
-        number += 1
+        yield Task(number, batch.project.path.name, specs, config, rotation), frames
 
 
 def _run_tasks(engine: Engine, tasks: Iterator[_SentTask], batch: Batch, progress: Progress | None) -> None:
     """Sends tasks to an engine, and stores their answers in the order of the tasks."""
     in_flight: deque[_SentTask] = deque()
     answers: dict[int, tuple[FrameAnswer, ...]] = {}
-    stored, are_all_sent = 0, False
-    while in_flight or not are_all_sent:
-        while not are_all_sent and len(in_flight) < engine.window:
-            task = next(tasks, None)
-            are_all_sent = task is None
-            if task is not None:
-                engine.submit(task.task)
-                in_flight.append(task)
+    stored, total = 0, batch.summary.frames
+    while True:
+        for sent in islice(tasks, engine.window - len(in_flight)):
+            engine.submit(sent[0])
+            in_flight.append(sent)
         if not in_flight:
-            break
+            return
         answer = engine.wait(HEARTBEAT_S)
         if answer is not None:
             answers[answer.number] = answer.frames
         elif progress is not None:
-            progress(stored, batch.frames)
-        while in_flight and in_flight[0].task.number in answers:
-            oldest = in_flight.popleft()
-            for frame, result in zip(oldest.frames, answers.pop(oldest.task.number), strict=True):
+            progress(stored, total)
+        while in_flight and in_flight[0][0].number in answers:
+            task, frames = in_flight.popleft()
+            for frame, result in zip(frames, answers.pop(task.number), strict=True):
                 batch.store(frame, result)
-            stored += len(oldest.frames)
+            stored += len(frames)
             if progress is not None:
-                progress(stored, batch.frames)
+                progress(stored, total)

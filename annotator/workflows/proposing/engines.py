@@ -1,8 +1,9 @@
 """Engines that process the frames of a batch, by name; and the one of worker processes on this machine.
 
 Each worker has its own detectors and share of the cores, and never accesses the project's database. Its standard input:
-a pickled `Start`, then tasks; it ends when its input is closed, or when the driver dies. Its standard output: a pickled
-`Identity`, then answers; or a `Fault` and nothing else. Output of libraries is redirected to standard error.
+a pickled tuple (source of its detectors, threads, storage), then tasks; it ends when its input is closed, or when the
+driver dies. Its standard output: a pickled `Identity`, then answers; or a `Fault` and nothing else. Output of libraries
+is redirected to standard error.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from typing import BinaryIO
 
 from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError
-from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
+from annotator.workflows.proposing.pool import Died, Report, WorkerPool, fault_of
 from annotator.workflows.proposing.runner import Engine, InlineEngine, TaskRunner
-from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
+from annotator.workflows.proposing.tasks import DetectorSource, Storage, Task
 
 # One thread proposes while the other one reads frames.
 THREADS = 2
@@ -49,8 +50,7 @@ def main() -> int:
     """Runs tasks until the driver closes the standard input or dies."""
     output = _Output()
     try:
-        start: Start = pickle.load(sys.stdin.buffer)
-        runner = _runner(start)
+        runner = make_runner(*pickle.load(sys.stdin.buffer))
         output.send(runner.identity)
     except Exception as error:
         output.send(fault_of(error))
@@ -66,13 +66,14 @@ def main() -> int:
         os._exit(0)
 
 
-def _runner(start: Start) -> TaskRunner:
+def make_runner(source: DetectorSource, threads: int | None, storage: Storage) -> TaskRunner:
+    """Loads a worker's detectors, each with a number of processor threads (None = all cores)."""
     import cv2
 
-    if start.threads is not None:
+    if threads is not None:
         # OpenCV has no environment variable for it
-        cv2.setNumThreads(start.threads)
-    return TaskRunner(start.source.load(start.threads), start.storage)
+        cv2.setNumThreads(threads)
+    return TaskRunner(source.load(threads), storage)
 
 
 def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -> None:
@@ -95,18 +96,18 @@ PROGRAM = (
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-NVIDIA_DEVICES = "nvidia[0-9]*"
-
-
 class LocalWorker:
     """A worker process. It ends by itself when this process ends, even by a crash."""
 
-    def __init__(self, number: int, report: Report, start: Start, gpu: str | None = None) -> None:
+    def __init__(
+        self,
+        number: int,
+        report: Report,
+        start: tuple[DetectorSource, int | None, Storage],
+        gpu: str | None = None,
+    ) -> None:
         """
         Args:
-            number: the worker's number in its events.
-            report: receives the events.
-            start: the first message.
             gpu: its GPU, as named in `CUDA_VISIBLE_DEVICES`; None = all.
         """
         self.number, self._report = number, report
@@ -114,7 +115,7 @@ class LocalWorker:
             [sys.executable, "-P", "-c", PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, **environment(start.threads), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
+            env={**os.environ, **environment(start[1]), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
             # an interrupt at the terminal must reach the driver only, which then ends its workers
             process_group=0 if os.name != "nt" else None,
         )
@@ -152,17 +153,11 @@ class LocalWorker:
                     message = pickle.load(stream)
                 except (EOFError, pickle.UnpicklingError):  # also in the middle of an answer
                     break
-                match message:
-                    case Identity():
-                        self._report(Ready(self.number, message))
-                    case Answer():
-                        self._report(Done(self.number, message))
-                    case Fault():
-                        self._report(Refused(self.number, message.reason, message.is_fault))
+                self._report(self.number, message)
         code = self._process.wait()
         with suppress(BrokenPipeError):
             self._process.stdin.close()
-        self._report(Died(self.number, exit_reason(code)))
+        self._report(self.number, Died(exit_reason(code)))
 
 
 def exit_reason(code: int) -> str:
@@ -183,24 +178,21 @@ def local_engine(
     """Makes an engine of worker processes on this machine.
 
     Args:
-        source: of each worker's detectors.
-        workers: number of workers.
         threads: processor threads of each worker; None = all cores.
-        storage: where recordings are read.
         gpus: names of the machine's GPUs, assigned to the workers in turn.
     """
-    start = Start(source, threads, storage)
+    start = source, threads, storage
     return WorkerPool(
         lambda number, report: LocalWorker(number, report, start, gpus[number % len(gpus)] if gpus else None), workers
     )
 
 
-def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
+def cuda_devices() -> tuple[str, ...]:
     """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`.
 
     Torch takes seconds to import, so it is imported only if the system has an NVIDIA device.
     """
-    if not any(devices.glob(NVIDIA_DEVICES)):
+    if not any(Path("/dev").glob("nvidia[0-9]*")):
         return ()
     from annotator.detection.ultralytics_api import api
 
@@ -237,16 +229,9 @@ def make_engine(
     """Makes an engine. Detectors are loaded when it is started; a Ray cluster is connected now.
 
     Args:
-        source: of the detectors.
-        frames: maximum number of frames to do.
         workers: number of workers; None = one per GPU, or one per core without GPUs (of the cluster, with Ray).
         threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
         address: of a Ray cluster; None = one on this machine.
-        storage: where workers read recordings.
-
-    Raises:
-        ConfigError: numbers below 1, or contradicting options.
-        MissingExtraError, WorkerError: Ray is not installed, or the cluster cannot be reached.
     """
     storage = storage or Storage()
     for option, value in (("workers", workers), ("threads", threads)):

@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.formats.table import FlatFormat
-from annotator.project import Project, StoredFrame
+from annotator.project import Project
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -23,7 +23,7 @@ from annotator.rcv.propose import propose_from_boxes
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import MOST_LISTED, first_few
-from annotator.workflows.detectors import LIFTED_FROM, Detectors
+from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
 from annotator.workflows.importing.placing import Renamed
@@ -33,20 +33,6 @@ from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
-def propose_frames(
-    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
-) -> list[FrameProposals]:
-    """Returns the proposals of each frame, in the given order.
-
-    Args:
-        config: its orientation and box kind are set here.
-        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
-    """
-    image_boxes = detectors.image.detect(frames) if frames else []
-    config = detectors.settings(config)
-    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation)
-
-
 def propose_image_boxes(
     frames: Sequence[Frame],
     image_boxes: Sequence[Sequence[Box2D]],
@@ -54,7 +40,12 @@ def propose_image_boxes(
     config: RcvConfig,
     rotation: BoxRotation,
 ) -> list[FrameProposals]:
-    """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
+    """Returns the proposals of each frame from its boxes on the image, in the given order.
+
+    Args:
+        config: with the settings of the detector; the orientation is set here.
+        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
+    """
     groups: dict[Orientation, list[int]] = defaultdict(list)
     for index, frame in enumerate(frames):
         groups[orientation_for(rotation, frame)].append(index)
@@ -130,27 +121,24 @@ def boxes_of_file(
         recording: name of the recording of the images, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
         kind: what the boxes enclose.
-
-    Raises:
-        FormatError: the dataset is invalid, or has no box of a class of the project.
     """
     dataset = read_pictures(format, path)
     images = checked_images(project, dataset, dataset.pictures, recording)
-    chosen = _chosen(project, {image.frame_id: image.boxes for image in images.matched}, names)
-    if not any(chosen.of_frame.values()):
+    classes, other = set(project.config.classes), Counter[str]()
+    of_frame: dict[int, tuple[Box2D, ...]] = {}
+    for image in images.matched:
+        renamed = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
+        of_frame[image.frame_id] = tuple(box for box in renamed if box.label in classes)
+        other.update(box.label for box in renamed if box.label not in classes)
+    if not any(of_frame.values()):
         raise FormatError(
             path,
-            f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(chosen.other_classes)}; "
+            f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(other)}; "
             "map its classes to those of the project",
         )
-    return replace(
-        chosen,
-        origin=f"boxes of {path.name}",
-        unmatched=images.unmatched,
-        unreadable=images.unreadable,
-        renamed=images.renamed,
-        silhouettes=chosen.of_frame if kind is BoxKind.SILHOUETTE else (),
-    )
+    silhouettes = of_frame if kind is BoxKind.SILHOUETTE else ()
+    left_out = images.unmatched, images.unreadable, images.renamed
+    return GivenBoxes(f"boxes of {path.name}", of_frame, other, *left_out, silhouettes)
 
 
 class RenamedDetector:
@@ -159,7 +147,6 @@ class RenamedDetector:
     def __init__(self, detector: Detector, classes: Sequence[str], names: Mapping[str, str]) -> None:
         """
         Args:
-            classes: of the project.
             names: as for `boxes_of_file`.
         """
         self._detector = detector
@@ -202,42 +189,37 @@ def lift(
 
     Args:
         view: the project's view detector or the base detector.
-        config: the project's settings.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
     rotation = project.config.settings.rotation
     configs = {kind: config.for_detector(view.box_kind, view.class_agnostic, kind, view.trained) for kind in BoxKind}
-    kinds = {stored.id: _kind(boxes, stored.id) for stored in frames}
+    kinds = {stored.id: BoxKind.SILHOUETTE if stored.id in boxes.silhouettes else BoxKind.BOX for stored in frames}
     config = configs[BoxKind.SILHOUETTE if BoxKind.SILHOUETTE in kinds.values() else BoxKind.BOX]
     settings = {**config.record(), "rotation": rotation.value, "method": REVISION, LIFTED_FROM: boxes.origin}
+    # in place of an image detector's fingerprint
+    content = [(frame, [(b.label, *b.xyxy, b.score) for b in given]) for frame, given in sorted(boxes.of_frame.items())]
+    fingerprint = hashlib.sha256(json.dumps([boxes.origin, content]).encode()).hexdigest()
     run = project.jobs.start(
-        image_detector=_fingerprint(boxes), view_detector=view.fingerprint, config_json=json.dumps(settings)
+        image_detector=fingerprint, view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
-    batch = Batch(project, run, len(frames), None, AnnotateSummary(frames=len(frames)), config.box_kind)
+    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind)
     source = FrameSource(project)
-
-    def answer(stored: StoredFrame) -> FrameAnswer:
+    for done, stored in enumerate(frames, start=1):
         started = time.perf_counter()
         try:
             given = [replace(box, score=max(box.score, config.min_image_score)) for box in boxes.of_frame[stored.id]]
             (result,) = propose_image_boxes([source.read(stored)], [given], view, configs[kinds[stored.id]], rotation)
+            answer = FrameAnswer(result, None, time.perf_counter() - started)
         except Exception as error:
-            return failure(error, time.perf_counter() - started)
-        return FrameAnswer(result, None, time.perf_counter() - started)
-
-    for done, stored in enumerate(frames, start=1):
-        batch.store(stored, answer(stored))
+            answer = failure(error, time.perf_counter() - started)
+        batch.store(stored, answer)
         if progress is not None:
             progress(done, len(frames))
     project.jobs.finish(run.id)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
-
-
-def _kind(boxes: GivenBoxes, frame_id: int) -> BoxKind:
-    return BoxKind.SILHOUETTE if frame_id in boxes.silhouettes else BoxKind.BOX
 
 
 def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
@@ -247,26 +229,6 @@ def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
         raise ConfigError(
             f"the project's view detector was not trained on {', '.join(unknown)}; train it on them first"
         )
-
-
-def _chosen(project: Project, boxes: Mapping[int, Sequence[Box2D]], names: Mapping[str, str]) -> GivenBoxes:
-    """Keeps the boxes of the project's classes, under the project's names."""
-    classes = set(project.config.classes)
-    chosen: dict[int, tuple[Box2D, ...]] = {}
-    other: dict[str, int] = {}
-    for frame_id, given in boxes.items():
-        renamed = [replace(box, label=names.get(box.label, box.label)) for box in given]
-        chosen[frame_id] = tuple(box for box in renamed if box.label in classes)
-        for box in renamed:
-            if box.label not in classes:
-                other[box.label] = other.get(box.label, 0) + 1
-    return GivenBoxes("", chosen, other)
-
-
-def _fingerprint(boxes: GivenBoxes) -> str:
-    """Hash of the boxes, in place of an image detector's fingerprint."""
-    content = [(frame, [(b.label, *b.xyxy, b.score) for b in given]) for frame, given in sorted(boxes.of_frame.items())]
-    return hashlib.sha256(json.dumps([boxes.origin, content]).encode()).hexdigest()
 
 
 def _listed(names: Mapping[str, int] | Sequence[str]) -> str:

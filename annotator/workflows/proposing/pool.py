@@ -21,27 +21,12 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import AnnotatorError, WorkerError
-from annotator.workflows.proposing.tasks import Answer, DetectorSource, FrameAnswer, Identity, Storage, Task
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """The driver's first message to a local worker.
-
-    Attributes:
-        source: of its detectors.
-        threads: processor threads; None = all cores.
-        storage: where it reads recordings.
-    """
-
-    source: DetectorSource
-    threads: int | None
-    storage: Storage
+from annotator.workflows.proposing.tasks import Answer, FrameAnswer, Identity, Task
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Why a worker cannot start.
+    """Why a worker cannot start; a replacement would fail, too.
 
     Attributes:
         reason: a message, or a traceback if `is_fault`.
@@ -59,47 +44,22 @@ def fault_of(error: Exception) -> Fault:
     return Fault("".join(traceback.format_exception(error)), True)
 
 
-@dataclass(frozen=True, eq=False)
-class Ready:
-    """The worker has loaded its detectors."""
-
-    worker: int
-    identity: Identity
-
-
-@dataclass(frozen=True, eq=False)
-class Done:
-    """The worker has answered a task."""
-
-    worker: int
-    answer: Answer
-
-
-@dataclass(frozen=True, eq=False)
-class Refused:
-    """The worker cannot start, and a replacement would fail, too. The fields are those of `Fault`."""
-
-    worker: int
-    reason: str
-    is_fault: bool
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Died:
     """The worker has ended unexpectedly."""
 
-    worker: int
     reason: str
 
 
-Event = Ready | Done | Refused | Died
-Report = Callable[[Event], None]
-"""Receives events, from any thread."""
+Message = Identity | Answer | Fault | Died
+"""What a worker tells: the identity of its detectors once it has loaded them, answers, and why it has ended, last."""
+Report = Callable[[int, Message], None]
+"""Receives a worker's number and message, from any thread."""
 
 
 @runtime_checkable
 class Worker(Protocol):
-    """A worker process. It sends its events to the `Report` it was made with, `Died` last."""
+    """A worker process, which tells the `Report` that it was made with."""
 
     def send(self, task: Task) -> None:
         """Sends a task; does nothing if the worker is dead."""
@@ -170,10 +130,9 @@ class WorkerPool:
         """
         Args:
             make: starts a worker, which begins to load its detectors.
-            workers: number of workers.
         """
         self._make, self._workers = make, workers
-        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[tuple[int, Message]] = queue.SimpleQueue()
         self._slots: dict[int, _Slot] = {}
         self._waiting: deque[_Job] = deque()
         self._suspects: deque[_Job] = deque()
@@ -188,18 +147,13 @@ class WorkerPool:
         return self._workers * (TASKS_PER_WORKER + 1)
 
     def start(self) -> Identity:
-        """Starts the workers, and returns when the first is ready. Logs a warning if that takes long.
-
-        Raises:
-            AnnotatorError: the detectors cannot be loaded.
-            WorkerError: workers die before they are ready.
-        """
+        """Starts the workers, and returns when the first is ready. Logs a warning if that takes long."""
         while len(self._slots) < self._workers:
             self._add()
         begin = time.monotonic()
         while self._identity is None:
             try:
-                self._handle(self._events.get(timeout=WARNING_INTERVAL_S))
+                self._handle(*self._events.get(timeout=WARNING_INTERVAL_S))
             except queue.Empty:
                 LOG.warning(
                     "none of the %d workers is ready after %.0f s; a cluster starts them once it has free cores",
@@ -212,7 +166,7 @@ class WorkerPool:
         """As `start`, but returns when all workers are ready."""
         identity = self.start()
         while not all(slot.is_ready for slot in self._slots.values()):
-            self._handle(self._events.get())
+            self._handle(*self._events.get())
         return identity
 
     def submit(self, task: Task) -> None:
@@ -224,7 +178,7 @@ class WorkerPool:
         """Waits for the next answer; returns None after `timeout_s` seconds."""
         if not self._answers:
             try:
-                self._handle(self._events.get(timeout=timeout_s))
+                self._handle(*self._events.get(timeout=timeout_s))
             except queue.Empty:
                 return None
         return self._answers.popleft() if self._answers else None
@@ -237,20 +191,20 @@ class WorkerPool:
 
     # --- events ------------------------------------------------------------------------------------------------------
 
-    def _handle(self, event: Event) -> None:
-        slot = self._slots.get(event.worker)
+    def _handle(self, number: int, message: Message) -> None:
+        slot = self._slots.get(number)
         if slot is None:  # a worker that was dropped
             return
-        match event:
-            case Ready():
-                self._set_ready(slot, event.identity)
-            case Done():
-                self._store(slot.jobs.pop(event.answer.number), event.answer)
-            case Refused():
-                raise RuntimeError(event.reason) if event.is_fault else WorkerError(event.reason)
+        match message:
+            case Identity():
+                self._set_ready(slot, message)
+            case Answer():
+                self._store(slot.jobs.pop(message.number), message)
+            case Fault():
+                raise RuntimeError(message.reason) if message.is_fault else WorkerError(message.reason)
             case Died():
-                del self._slots[event.worker]
-                self._handle_death(slot, event.reason)
+                del self._slots[number]
+                self._handle_death(slot, message.reason)
                 self._add()
         self._distribute()
 
@@ -296,7 +250,8 @@ class WorkerPool:
 
     def _add(self) -> None:
         self._workers_made += 1
-        self._slots[self._workers_made] = _Slot(self._make(self._workers_made, self._events.put))
+        worker = self._make(self._workers_made, lambda number, message: self._events.put((number, message)))
+        self._slots[self._workers_made] = _Slot(worker)
 
     def _distribute(self) -> None:
         for slot in self._slots.values():

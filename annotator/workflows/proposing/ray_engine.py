@@ -14,19 +14,8 @@ from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import TrainedDetectors
-from annotator.workflows.proposing.engines import cuda_devices, environment
-from annotator.workflows.proposing.pool import (
-    TASKS_PER_WORKER,
-    Died,
-    Done,
-    Fault,
-    Ready,
-    Refused,
-    Report,
-    WorkerPool,
-    fault_of,
-)
-from annotator.workflows.proposing.runner import TaskRunner
+from annotator.workflows.proposing.engines import cuda_devices, environment, make_runner
+from annotator.workflows.proposing.pool import TASKS_PER_WORKER, Died, Fault, Report, WorkerPool, fault_of
 from annotator.workflows.proposing.tasks import (
     Answer,
     DetectorSource,
@@ -51,16 +40,10 @@ class RayActor:
     """The actor: a task runner. Ray calls it from two threads, so that one reads while the other one proposes."""
 
     def __init__(self, source: DetectorSource, threads: int, storage: Storage) -> None:
-        """
-        Args:
-            source, threads, storage: as in `Start`. (Ray resolves references to values.)
-        """
-        import cv2
-
-        cv2.setNumThreads(threads)
+        """As `make_runner`; Ray resolves references to values."""
         self._fault: Fault | None = None
         try:
-            self._runner = TaskRunner(source.load(threads), storage)
+            self._runner = make_runner(source, threads, storage)
         except Exception as error:
             self._fault = fault_of(error)
 
@@ -79,18 +62,16 @@ class RayWorker:
     def __init__(self, number: int, report: Report, make: Callable[[], Any]) -> None:
         """
         Args:
-            number: the worker's number in its events.
             report: receives the events, from Ray's threads.
-            make: creates the actor.
         """
         self._number, self._report = number, report
         self._actor = make()
         self._is_over = False
-        self._actor.identity.remote().future().add_done_callback(self._started)
+        self._actor.identity.remote().future().add_done_callback(self._told)
 
     def send(self, task: Task) -> None:
         """Sends a task; the loss of the actor is reported once."""
-        self._actor.do.remote(task).future().add_done_callback(self._answered)
+        self._actor.do.remote(task).future().add_done_callback(self._told)
 
     def end(self) -> None:
         """Kills the actor."""
@@ -99,44 +80,31 @@ class RayWorker:
 
         ray.kill(self._actor)
 
-    def _started(self, future: Any) -> None:
-        if future.exception() is not None:
-            self._lost(future.exception())
-            return
-        message = future.result()
-        if isinstance(message, Fault):
-            self._report(Refused(self._number, message.reason, message.is_fault))
-        else:
-            self._report(Ready(self._number, message))
-
-    def _answered(self, future: Any) -> None:
+    def _told(self, future: Any) -> None:
         if future.exception() is not None:
             self._lost(future.exception())
         else:
-            self._report(Done(self._number, future.result()))
+            self._report(self._number, future.result())
 
     def _lost(self, error: BaseException) -> None:
         if self._is_over:  # every pending call fails; the first has reported it
             return
         self._is_over = True
-        if isinstance(error, _loss_errors()) and CREATION not in str(error):
-            self._report(Died(self._number, "lost: " + _cause_of_death(str(error))))
+        from ray import exceptions
+
+        # for a lost actor, machine or answer; they have no common base class
+        lost = (
+            exceptions.RayActorError,
+            exceptions.OutOfMemoryError,  # Ray kills actors before the system runs out of memory
+            exceptions.NodeDiedError,
+            exceptions.WorkerCrashedError,
+            exceptions.ObjectLostError,  # the machine was lost after the task was done
+        )
+        if isinstance(error, lost) and CREATION not in str(error):
+            self._report(self._number, Died("lost: " + _cause_of_death(str(error))))
         else:
             # every actor would fail, e.g. for a missing package
-            self._report(Refused(self._number, str(error), True))
-
-
-def _loss_errors() -> tuple[type[Exception], ...]:
-    """Returns Ray's exceptions for a lost actor, machine or answer; they have no common base class."""
-    from ray import exceptions
-
-    return (
-        exceptions.RayActorError,
-        exceptions.OutOfMemoryError,  # Ray kills actors before the system runs out of memory
-        exceptions.NodeDiedError,
-        exceptions.WorkerCrashedError,
-        exceptions.ObjectLostError,  # the machine was lost after the task was done
-    )
+            self._report(self._number, Fault(str(error), True))
 
 
 def _cause_of_death(reason: str) -> str:
@@ -156,13 +124,7 @@ class RayEngine(WorkerPool):
             source: of each actor's detectors; the weights of trained ones are sent once to each machine.
             workers: number of actors; None = one per GPU of the cluster, or as many as fit its cores without GPUs.
             threads: processor threads of each, reserved with Ray.
-            storage: where actors read recordings.
             address: of a cluster ("auto", or HOST:PORT of its head); None = start one on this machine.
-
-        Raises:
-            ConfigError: the cluster is too small for so many workers.
-            MissingExtraError: Ray is not installed.
-            WorkerError: the cluster cannot be reached or started.
         """
         self._ray = _connect(address, None if workers is None else workers * threads)
         try:

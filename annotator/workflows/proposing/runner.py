@@ -7,12 +7,11 @@ import time
 import traceback
 from collections import OrderedDict, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from annotator.project import StoredRecording
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError
@@ -25,7 +24,6 @@ from annotator.workflows.proposing.tasks import (
     FrameAnswer,
     FrameSpec,
     Identity,
-    RecordingSpec,
     Storage,
     Task,
     pickle_exactly,
@@ -62,30 +60,21 @@ class Engine(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """A frame in memory, its index in the task, and the time to read it."""
-
-    index: int
-    spec: FrameSpec
-    frame: Frame
-    seconds: float
+_Read = tuple[int, FrameSpec, Frame, float]
+"""A frame in memory, with its index in the task, its description, and the time to read it."""
 
 
 class TaskRunner:
     """Runs tasks with a pair of detectors.
 
     Two threads may share it: one reads the next task's frames while the other one proposes.
-
-    Attributes:
-        detectors: the pair.
     """
 
     def __init__(self, detectors: Detectors, storage: Storage) -> None:
         # answers may be pickled for another process, which must not change them
         pickle_exactly()
         self.detectors, self._storage = detectors, storage
-        self._opened: OrderedDict[RecordingSpec, OpenedRecording] = OrderedDict()
+        self._opened: OrderedDict[StoredRecording, OpenedRecording] = OrderedDict()
         self._reading, self._proposing = threading.Lock(), threading.Lock()
 
     @property
@@ -102,27 +91,26 @@ class TaskRunner:
             read = self._read_all(task, answers)
         with self._proposing:
             for orientation in Orientation:
-                same = [r for r in read if orientation_for(task.rotation, r.frame) is orientation]
+                same = [each for each in read if orientation_for(task.rotation, each[2]) is orientation]
                 if same:
-                    config = task.config.model_copy(update={"orientation": orientation})
-                    self._propose(same, config, answers)
+                    self._propose(same, task.config.model_copy(update={"orientation": orientation}), answers)
         return Answer(task.number, tuple(answers[index] for index in range(len(task.frames))))
 
     def _read_all(self, task: Task, answers: dict[int, FrameAnswer]) -> list[_Read]:
-        read = []
+        read: list[_Read] = []
         for index, spec in enumerate(task.frames):
             begin = time.perf_counter()
             try:
-                frame = self._opened_at(spec.recording).read(spec.key)
+                frame = self._opened_at(spec.recording, task.project).read(spec.key)
             except Exception as error:
                 answers[index] = failure(error, time.perf_counter() - begin)
             else:
-                read.append(_Read(index, spec, frame, time.perf_counter() - begin))
+                read.append((index, spec, frame, time.perf_counter() - begin))
         return read
 
-    def _opened_at(self, recording: RecordingSpec) -> OpenedRecording:
+    def _opened_at(self, recording: StoredRecording, project: str) -> OpenedRecording:
         if recording not in self._opened:
-            self._opened[recording] = self._storage.open(recording)
+            self._opened[recording] = self._storage.open(recording, project)
             if len(self._opened) > MAX_OPEN:
                 self._opened.popitem(last=False)
         self._opened.move_to_end(recording)
@@ -131,27 +119,20 @@ class TaskRunner:
     def _propose(self, read: Sequence[_Read], config: RcvConfig, answers: dict[int, FrameAnswer]) -> None:
         begin = time.perf_counter()
         try:
-            results = self._results(read, config)
+            seeds = [spec.seeds for _, spec, _, _ in read]
+            pair, frames = self.detectors, [frame for _, _, frame, _ in read]
+            results = propose(frames, pair.image, pair.view, config, seeds if any(seeds) else None)
         except Exception as error:
             if len(read) == 1:
-                answers[read[0].index] = failure(error, read[0].seconds + time.perf_counter() - begin)
+                ((index, _, _, seconds),) = read
+                answers[index] = failure(error, seconds + time.perf_counter() - begin)
             else:  # one by one, so that only the faulty frame fails
                 for one in read:
                     self._propose([one], config, answers)
             return
-        seconds = (time.perf_counter() - begin) / len(read)
-        for one, result in zip(read, results, strict=True):
-            answers[one.index] = FrameAnswer(result, None, one.seconds + seconds)
-
-    def _results(self, read: Sequence[_Read], config: RcvConfig) -> list[FrameProposals]:
-        seeds = [one.spec.seeds for one in read]
-        return propose(
-            [one.frame for one in read],
-            self.detectors.image,
-            self.detectors.view,
-            config,
-            seeds if any(seeds) else None,
-        )
+        each_s = (time.perf_counter() - begin) / len(read)
+        for (index, _, _, seconds), result in zip(read, results, strict=True):
+            answers[index] = FrameAnswer(result, None, seconds + each_s)
 
 
 def failure(error: Exception, seconds: float) -> FrameAnswer:
@@ -169,9 +150,7 @@ class InlineEngine:
     def __init__(self, source: DetectorSource, threads: int | None = None, storage: Storage | None = None) -> None:
         """
         Args:
-            source: of the detectors.
             threads: processor threads of each detector; None = all cores.
-            storage: where recordings are read.
         """
         self._source, self._threads, self._storage = source, threads, storage or Storage()
         self._runner: TaskRunner | None = None

@@ -23,35 +23,16 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.detection.trained import MODEL_NAME
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.project import StoredRecording
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.starts import WarmStart
 from annotator.recordings import stored_options
-from annotator.types import NO_CORRECTION, BoxKind, Correction
+from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
 from annotator.workflows.detectors import Detectors, TrainedDetectors
 from annotator.workflows.frame_source import OpenedRecording, open_stored
-
-
-@dataclass(frozen=True)
-class RecordingSpec:
-    """A recording as a worker needs it.
-
-    Attributes:
-        path: on the driver; workers may read it elsewhere (`Storage`).
-        name: in the project.
-        project: the project's name, for messages.
-        up: unit vector against gravity in the camera frame, if the project sets one.
-        options, correction: as in `StoredRecording`.
-    """
-
-    path: Path
-    name: str
-    project: str
-    up: tuple[float, float, float] | None
-    options: str = ""
-    correction: Correction = NO_CORRECTION
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +40,12 @@ class FrameSpec:
     """A frame to process.
 
     Attributes:
+        recording: workers may read it elsewhere (`Storage`).
         key: its name in the recording, which identifies it.
         seeds: boxes of the previous frame, in this frame's camera frame.
     """
 
-    recording: RecordingSpec
+    recording: StoredRecording
     key: str
     seeds: tuple[WarmStart, ...] = ()
 
@@ -76,13 +58,12 @@ class Task:
     bits.
 
     Attributes:
-        number: of the task in its engine.
-        frames: one or more.
+        project: the project's name, for messages.
         config: settings; the orientation is replaced for each frame.
-        rotation: gives the orientation.
     """
 
     number: int
+    project: str
     frames: tuple[FrameSpec, ...]
     config: RcvConfig
     rotation: BoxRotation
@@ -115,7 +96,6 @@ class Identity:
 
     Attributes:
         image, view: fingerprints of the detectors.
-        backends: their backends, e.g. ("openvino", "openvino").
         box_kind: what the boxes of the view detector measure.
         class_agnostic: whether it measures objects of any class.
         image_kind: what the boxes of the image detector enclose.
@@ -174,18 +154,12 @@ class Storage:
                 return other.rstrip("/") + (f"/{below}" if below.parts else "")
         return str(path)
 
-    def open(self, recording: RecordingSpec) -> OpenedRecording:
-        """Opens a recording at the workers' path or URL.
-
-        Raises:
-            RecordingError: it is missing or cannot be read.
-            MissingExtraError: its URL needs a package that is not installed.
-        """
+    def open(self, recording: StoredRecording, project: str) -> OpenedRecording:
+        """Opens a recording at the workers' path or URL."""
         place = self.place(recording.path)
         if not is_url(place):
-            return open_stored(
-                Path(place), recording.name, recording.project, recording.up, recording.options, recording.correction
-            )
+            given = recording.up, recording.options, recording.correction
+            return open_stored(Path(place), recording.name, project, *given)
         from annotator.recordings.mirror import open_mirror
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Project, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import Followed, Look, follow_object
 from annotator.tracking.link import predicted
 from annotator.types import Detector, Frame, Label, OrientedBox, Proposal
-from annotator.types.errors import ConfigError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.interpolate import KeyFrame
-from annotator.workflows.tracks.link import times_of
+from annotator.workflows.tracks.timeline import KeyFrame, Moment
 
 # Number of last boxes from which the motion is estimated.
 MOTION_BOXES = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """A frame and its time, in any unit; times decrease if an object is followed backward."""
-
-    index: int
-    frame: Frame
-    time: float
 
 
 class Follower:
@@ -43,7 +30,6 @@ class Follower:
     ) -> None:
         """
         Args:
-            first: the frame of the reviewed box.
             start: the reviewed box, camera frame.
             view: view detector that was trained on the class, or None.
             settings: the recursion's settings for a frame and this detector.
@@ -58,56 +44,14 @@ class Follower:
 
     def step(self, moment: Moment) -> Followed:
         """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
-        guess = self.expected(moment)
-        config = self._settings(moment.frame)
-        followed = follow_object(moment.frame, guess, self._reviewed, self._last, self._label, self._view, config)
+        guess, config = self.expected(moment), self._settings(moment.frame)
+        looks = self._reviewed, self._last
+        followed = follow_object(moment.frame, guess, *looks, self._label, self._view, config)
         if followed.proposal is not None:
             self._boxes.append(followed.proposal.box)
             self._times.append(moment.time)
             self._last = Look.of(moment.frame.cloud.xyz_m, followed.proposal.box, followed.kept)
         return followed
-
-
-# Objects that are followed from the same frame need the same frames at about the same time; others read them again.
-FRAMES_KEPT = 4
-
-
-class Timeline:
-    """The frames of a recording that follow each other in time, read when they are needed.
-
-    Attributes:
-        frames: in order, without those that are no longer in the recording.
-    """
-
-    def __init__(self, project: Project, recording_id: int) -> None:
-        """
-        Raises:
-            ConfigError: the recording is not a sequence.
-            NotFoundError: no such recording.
-            RecordingError: the recording cannot be opened.
-        """
-        recording = project.recordings.get(recording_id)
-        if not recording.is_sequence:
-            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
-        self.project, self.recording_id = project, recording_id
-        self.frames: tuple[StoredFrame, ...] = tuple(
-            frame for frame in project.frames.of([recording_id]) if frame.index is not None
-        )
-        self._source = FrameSource(project)
-        self._times = times_of(self._source.recording(recording_id), self.frames)
-        self._read: OrderedDict[int, Frame] = OrderedDict()
-
-    def moment(self, index: int) -> Moment:
-        """Reads a frame.
-
-        Raises:
-            FrameError: it cannot be read.
-        """
-        if index not in self._read:
-            self._read[index] = self._source.read(self.frames[index])
-            while len(self._read) > FRAMES_KEPT:
-                self._read.popitem(last=False)
-        return Moment(index, self._read[index], float(self._times[index]))
 
 
 # Boxes found by following forward and backward are the same with at least this IoU.
@@ -128,10 +72,7 @@ class FollowedTrack:
     """What became of one object.
 
     Attributes:
-        uid: of its first reviewed label.
         track_id: None while it has no track.
-        label: its class.
-        boxes: number of new proposals.
         doubtful: number of frames left out because following forward and backward gave different boxes.
         stops: where it was lost before the next reviewed box or the end of the recording.
         is_open: whether it was to be followed to an end of the recording, not only to its next reviewed box.
@@ -180,16 +121,6 @@ class Walk:
     boxes: dict[int, Proposal] = field(default_factory=dict)
     new: set[int] = field(default_factory=set)
 
-    @property
-    def is_backward(self) -> bool:
-        """Whether the frames still to come are before its reviewed box."""
-        return bool(self.left) and self.left[0] < self.key.index
-
-    def find(self, index: int, proposal: Proposal) -> None:
-        """Adds the box of a frame."""
-        self.boxes[index] = proposal
-        self.new.add(index)
-
     def take(self, index: int) -> Proposal:
         """Returns the box of a frame to be stored."""
         self.new.discard(index)
@@ -210,7 +141,6 @@ class Part:
 
     Attributes:
         is_joined: the object was found at one of these boxes when it was followed from the other one.
-        is_taken: its boxes are taken.
     """
 
     walks: list[Walk]
@@ -325,16 +255,9 @@ class FollowedObject:
                 del agreed[index]
                 self.doubtful.add(index)
                 self.proposed.pop(index, None)
-            elif own is None or _is_nearer(back, ahead, index):
+            elif own is None or abs(back.key.index - index) < abs(ahead.key.index - index):
                 agreed[index] = back
         return agreed
-
-    def give_up(self, stop: StoppedAt) -> None:
-        """Ends all its walks. Called again, while the boxes of others are being stored, it does nothing."""
-        if stop in self.stops:
-            return
-        self.stops.append(stop)
-        self.end()
 
     def end(self) -> None:
         """Ends all its walks."""
@@ -343,16 +266,6 @@ class FollowedObject:
 
     def result(self) -> FollowedTrack:
         """What became of it so far."""
-        return FollowedTrack(
-            self.label.uid,
-            self.track_id,
-            self.label.label,
-            len(self.proposed),
-            len(self.doubtful),
-            tuple(self.stops),
-            any(part.is_open for part in self.parts),
-        )
-
-
-def _is_nearer(walk: Walk, other: Walk, index: int) -> bool:
-    return abs(walk.key.index - index) < abs(other.key.index - index)
+        counts = len(self.proposed), len(self.doubtful)
+        is_open = any(part.is_open for part in self.parts)
+        return FollowedTrack(self.label.uid, self.track_id, self.label.label, *counts, tuple(self.stops), is_open)

@@ -6,16 +6,16 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel, new_action
+from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
 from annotator.project.log.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
-from annotator.rcv.config import RcvConfig
 from annotator.tracking.link import overlap_at_place
-from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.follow_objects import (
     FollowedObject,
@@ -24,11 +24,18 @@ from annotator.workflows.tracks.follow_objects import (
     Part,
     StoppedAt,
     Stretch,
-    Timeline,
     Walk,
 )
-from annotator.workflows.tracks.interpolate import KeyFrame, key_frames
-from annotator.workflows.tracks.propose_boxes import NewProposal, blocking, next_track_id, part_of, proposal_events
+from annotator.workflows.tracks.propose_boxes import (
+    Changed,
+    NewProposal,
+    blocking,
+    next_track_id,
+    page_at,
+    proposal_events,
+    write,
+)
+from annotator.workflows.tracks.timeline import KeyFrame, Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
@@ -44,27 +51,23 @@ class Following:
 
     Attributes:
         done, total: numbers of frames; a frame counts once for each object and direction.
-        tracks: one entry per object.
-        changed: the frames changed since the last report: (frame id, receipt) each.
         proposed: the labels proposed since the last report: (frame id, uid) each.
     """
 
     done: int
     total: int
     tracks: tuple[FollowedTrack, ...]
-    changed: tuple[tuple[int, Receipt], ...] = ()
+    changed: Changed = ()
     proposed: tuple[tuple[int, str], ...] = ()
 
 
 _OnWay = tuple[FollowedObject, Part, Walk]
+_Stored = tuple[Changed, tuple[tuple[int, str], ...]]
+"""The `changed` and `proposed` of `Following`."""
 
 
 class FollowRun:
-    """Objects that are followed through one recording. All their boxes are one action, which can be undone.
-
-    Attributes:
-        action: id of the action.
-    """
+    """Objects that are followed through one recording. All their boxes are one action, which can be undone."""
 
     def __init__(
         self,
@@ -77,12 +80,10 @@ class FollowRun:
     ) -> None:
         """
         Args:
-            objects: the stretches of each object.
             view: the project's view detector, if any; it is used for the classes that it was trained on, and for boxes
                 of the kind that it measures.
         """
-        self._timeline, self._view, self._author = timeline, view, author
-        self._effort = effort
+        self._timeline, self._view, self._author, self._effort = timeline, view, author, effort
         self._objects = [FollowedObject.of(stretches, len(timeline.frames)) for stretches in objects]
         self.action = new_action()
         self._total = self._left()
@@ -107,7 +108,6 @@ class FollowRun:
 
         Args:
             progress: called after each round, in which objects have moved on by one frame.
-            stopped: asked before each frame.
 
         After a stop or an error the boxes found so far are stored, between two reviewed boxes also those that were
         found from one of them only.
@@ -124,11 +124,11 @@ class FollowRun:
                         break
                     if walk.left:  # else another object has ended it
                         self._step(item, part, walk)
-                self._report(progress, *self._store())
+                self._report(progress, self._store())
         finally:
-            changed, proposed = self._store(ended=True)
-            if changed:
-                self._report(progress, changed, proposed)
+            stored = self._store(ended=True)
+            if stored[0]:
+                self._report(progress, stored)
         return self.state
 
     def _front(self) -> list[_OnWay]:
@@ -137,12 +137,12 @@ class FollowRun:
         Those to an end of the recording are side by side in time, first those forward, then those backward: so the
         first of several reviewed boxes of an object reaches the others before these are followed.
         """
-        ahead, back, between = list[_OnWay](), list[_OnWay](), list[_OnWay]()
-        for item in self._objects:
-            for part, walk in item.walks():
-                if walk.left:
-                    kind = between if not part.is_open else back if walk.is_backward else ahead
-                    kind.append((item, part, walk))
+        moving = [(item, part, walk) for item in self._objects for part, walk in item.walks() if walk.left]
+        between = [each for each in moving if not each[1].is_open]
+        ahead, back = list[_OnWay](), list[_OnWay]()
+        for each in moving:
+            if each[1].is_open:
+                (back if each[2].left[0] < each[2].key.index else ahead).append(each)
         if ahead:
             first = min(walk.left[0] for _, _, walk in ahead)
             return between + [each for each in ahead if each[2].left[0] == first]
@@ -151,14 +151,9 @@ class FollowRun:
         last = max(walk.left[0] for _, _, walk in back)
         return [each for each in back if each[2].left[0] == last]
 
-    def _report(
-        self,
-        progress: Callable[[Following], None] | None,
-        changed: tuple[tuple[int, Receipt], ...],
-        proposed: tuple[tuple[int, str], ...],
-    ) -> None:
+    def _report(self, progress: Callable[[Following], None] | None, stored: _Stored) -> None:
         if progress is not None:
-            progress(replace(self.state, changed=changed, proposed=proposed))
+            progress(replace(self.state, changed=stored[0], proposed=stored[1]))
 
     def _left(self) -> int:
         return sum(len(walk.left) for item in self._objects for _, walk in item.walks())
@@ -169,9 +164,11 @@ class FollowRun:
         try:
             if walk.follower is None:
                 reading = walk.key.index
-                start, label = self._timeline.moment(reading), walk.key.label
-                view = self._view if self._view is not None and _measures(self._view, label) else None
-                walk.follower = Follower(start, label.box, label.label, view, self._settings)
+                start, label, view = self._timeline.moment(reading), walk.key.label, self._view
+                if view is not None and not (label.label in view.labels and view.box_kind is label.box_kind):
+                    view = None
+                settings = partial(frame_config, self._timeline.project, detector=self._view)
+                walk.follower = Follower(start, label.box, label.label, view, settings)
                 reading = index
             moment = self._timeline.moment(index)
             expected = walk.follower.expected(moment)
@@ -188,7 +185,8 @@ class FollowRun:
         elif any(self._collides(item, other, index, box) for other in self._objects):
             self._stop(item, walk, index, OTHER_TRACK.format("another followed object"))
         else:
-            walk.find(index, followed.proposal)
+            walk.boxes[index] = followed.proposal
+            walk.new.add(index)
             if not walk.left and not part.is_open:
                 self._arrive(part, walk, walk.follower)
 
@@ -237,11 +235,8 @@ class FollowRun:
         frame = self._timeline.frames[index]
         item.stops.append(StoppedAt(frame.id, frame.key, reason))
 
-    def _settings(self, frame: Frame) -> RcvConfig:
-        return frame_config(self._timeline.project, frame, self._view)
-
-    def _store(self, *, ended: bool = False) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
-        """Proposes the boxes that were found; returns the changed frames and the new labels.
+    def _store(self, *, ended: bool = False) -> _Stored:
+        """Proposes the boxes that were found.
 
         Raises:
             StaleRevisionError, TrackTakenError: others change the frames, or take the track ids, again and again.
@@ -256,9 +251,7 @@ class FollowRun:
                     raise
         raise AssertionError
 
-    def _try_to_store(
-        self, found: Sequence[tuple[FollowedObject, dict[int, Proposal]]], ended: bool
-    ) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
+    def _try_to_store(self, found: Sequence[tuple[FollowedObject, dict[int, Proposal]]], ended: bool) -> _Stored:
         project, frames = self._timeline.project, self._timeline.frames
         # each frame is read once, before its labels: so a change after that is noticed when the events are appended
         needed = {index for item, boxes in found for index in (*boxes, *(key.index for key in item.keys))}
@@ -277,9 +270,7 @@ class FollowRun:
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
-                new[index].append(
-                    NewProposal(item.label.label, proposal.box, track_id, proposal, label.box_kind, label.attributes)
-                )
+                new[index].append(NewProposal.like(label, proposal.box, track_id, proposal=proposal))
         payloads: dict[int, list[Payload]] = defaultdict(list)
         for index, proposals in new.items():
             if not read[index].finalised:
@@ -300,13 +291,10 @@ class FollowRun:
                 payloads[key.index] += self._given_track(key, track_id)
             for index, events in self._without_stale(item, track_id, read).items() if ended else ():
                 payloads[index] += events
-        parts: list[FramePart] = []
-        for index, events in sorted(payloads.items()):
-            if events:
-                parts.append(part_of(read[index], _once(events), self._author, None if parts else self._effort))
-        if not parts:
+        changes = [(read[index], _once(events)) for index, events in sorted(payloads.items()) if events]
+        if not changes:
             return (), ()
-        receipts = project.log.append_to_frames(parts, self.action, given)
+        changed = write(project, changes, self._author, self._effort, action=self.action, new_tracks=given)
         self._effort = None
         for track_id, item in owners.items():
             if track_id not in untracked or track_id in given:
@@ -316,7 +304,6 @@ class FollowRun:
             if payload.track_id is not None:
                 owners[payload.track_id].proposed[index] = payload.uid
                 owners[payload.track_id].uids.add(payload.uid)
-        changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
         return changed, tuple((frames[index].id, payload.uid) for index, payload in proposed)
 
     def _given_track(self, key: KeyFrame, track_id: int) -> list[Payload]:
@@ -377,7 +364,10 @@ class FollowRun:
                 label = None
             if label is None or label.state not in REVIEWED or not _is_same(label, key.label):
                 frame = timeline.frames[key.index]
-                item.give_up(StoppedAt(frame.id, frame.key, KEY_CHANGED))
+                stop = StoppedAt(frame.id, frame.key, KEY_CHANGED)
+                if stop not in item.stops:  # else this is another try to store what others have found
+                    item.stops.append(stop)
+                    item.end()
                 return None
             first = first or label
         return first
@@ -387,10 +377,6 @@ def _once(events: Sequence[Payload]) -> list[Payload]:
     """Returns the events without repeated deletions of one label."""
     gone = [event.uid if isinstance(event, LabelDeleted) else None for event in events]
     return [event for n, event in enumerate(events) if gone[n] is None or gone[n] not in gone[:n]]
-
-
-def _measures(view: ReadyDetector, label: Label) -> bool:
-    return label.label in view.labels and view.box_kind is label.box_kind
 
 
 def _is_same(a: Label, b: Label) -> bool:
@@ -464,14 +450,9 @@ def follow_from_frame(
             two reviewed boxes in a frame.
         NotFoundError, RecordingError: no such frame or label, or the recording cannot be opened.
     """
-    page = read_page(project, frame_id)
-    frame = page.frame
-    if frame.revision != revision:
-        raise StaleRevisionError(f"frame {frame.key}", revision, frame.revision)
-    labels = [stored.label for stored in page.labels if uid is None or stored.label.uid == uid]
-    if not labels and uid is not None:
-        raise NotFoundError(f"frame {frame.key} has no label {uid}; reload the frame")
-    reviewed = [label for label in labels if label.state in REVIEWED]
+    page = page_at(project, frame_id, revision, uid)
+    frame, labels = page.frame, (stored.label for stored in page.labels)
+    reviewed = [label for label in labels if label.state in REVIEWED and uid in (None, label.uid)]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
         raise ConfigError(f"{which}; accept {'it' if uid is not None else 'one'} first")
@@ -495,12 +476,11 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
         NotFoundError: its frame is no longer in the recording.
         ConfigError: its track has two reviewed boxes in a frame.
     """
-    index = next((index for index, frame in enumerate(timeline.frames) if frame.id == frame_id), None)
+    index = timeline.index.get(frame_id)
     if index is None:
         raise NotFoundError("this frame is no longer in its recording; restore it, or follow from another frame")
-    own, others = KeyFrame(index, label), []
-    if label.track_id is not None:
-        others = key_frames(timeline.project, timeline.frames, timeline.recording_id, label.track_id)
+    own = KeyFrame(index, label)
+    others = [] if label.track_id is None else timeline.key_frames(label.track_id)
     if forward:
         return Stretch(own, next((key for key in others if key.index > index), None))
     return Stretch(next((key for key in reversed(others) if key.index < index), None), own)
@@ -508,17 +488,16 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
 
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
     """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
-    project, recording_id = timeline.project, timeline.recording_id
-    indices = {frame.id: index for index, frame in enumerate(timeline.frames)}
-    stored = project.labels.select(states=REVIEWED, recordings=[recording_id])
-    present = [each for each in stored if each.frame_id in indices]
+    stored = timeline.project.labels.select(states=REVIEWED, recordings=[timeline.recording_id])
+    present = [each for each in stored if each.frame_id in timeline.index]
     known = {each.label.track_id for each in present if each.label.track_id is not None}
     if tracks is not None and (missing := set(tracks) - known):
         raise ConfigError(f"track {min(missing)} has no reviewed box to follow; accept one first")
     if not present:
         raise ConfigError("there is no reviewed box to follow; accept one first")
     chosen = sorted(known if tracks is None else set(tracks))
-    objects = [key_frames(project, timeline.frames, recording_id, track_id) for track_id in chosen]
+    objects = [timeline.key_frames(track_id) for track_id in chosen]
     if tracks is None:
-        objects += [[KeyFrame(indices[each.frame_id], each.label)] for each in present if each.label.track_id is None]
+        untracked = [each for each in present if each.label.track_id is None]
+        objects += [[KeyFrame(timeline.index[each.frame_id], each.label)] for each in untracked]
     return objects

@@ -1,4 +1,4 @@
-"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box.
+"""Interpolates the boxes of a track between its key frames.
 
 Boxes carried over from other frames can be fitted to the points of the new frame.
 """
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame
+from annotator.project import REVIEWED, Effort, Project, StoredFrame
+from annotator.project.log.event_types import Payload
 from annotator.tracking.smooth import between
 from annotator.types import Label, OrientedBox
-from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.label import MOST_TRACK
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.link import times_of
-from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
+from annotator.workflows.tracks.propose_boxes import Changed, NewProposal, page_at, proposal_events, write
+from annotator.workflows.tracks.timeline import KeyFrame, Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -59,24 +59,13 @@ class Interpolated:
     """The result of an interpolation.
 
     Attributes:
-        track_id: of the track.
-        filled: the frames with a new proposal: (frame id, receipt) each.
         finalised: number of frames not changed because they are finalised.
         covered: number of frames not changed because they have a reviewed or rejected box of this object.
     """
 
-    track_id: int
-    filled: tuple[tuple[int, Receipt], ...]
+    filled: Changed
     finalised: int
     covered: int
-
-
-@dataclass(frozen=True, eq=False)
-class KeyFrame:
-    """A key frame: its index among the frames that are still in the recording, and its label."""
-
-    index: int
-    label: Label
 
 
 def interpolate(
@@ -100,47 +89,37 @@ def interpolate(
         fit: fits each new box to its frame's points.
 
     Raises:
-        NotFoundError: no such recording or frame.
-        ConfigError: an invalid track id, fewer than two key frames, `first` or `last` is not a key frame, or there is
-            no frame to fill.
+        ConfigError: the recording is no sequence, an invalid track id, fewer than two key frames, `first` or `last` is
+            not a key frame, or there is no frame to fill.
         StaleRevisionError: one of the frames was changed in the meantime.
-        RecordingError, FrameError: a frame that `fit` needs cannot be read.
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
-    recording = project.recordings.get(recording_id)
-    if not recording.is_sequence:
-        raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
-    frames = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
-    keys = _chosen(key_frames(project, frames, recording_id, track_id), frames, track_id, first, last)
-    times = times_of(FrameSource(project).recording(recording_id), frames).tolist()
-    parts: list[FramePart] = []
+    timeline = Timeline(project, recording_id)
+    frames, times = timeline.frames, timeline.times.tolist()
+    changes: list[tuple[StoredFrame, list[Payload]]] = []
     finalised = covered = 0
-    for before, after in pairwise(keys):
+    for before, after in pairwise(_chosen(timeline.key_frames(track_id), frames, track_id, first, last)):
         inside = range(before.index + 1, after.index)
         ends = (times[before.index], times[after.index])
         boxes = between(before.label.box, after.label.box, *ends, [times[index] for index in inside])
         for index, box in zip(inside, boxes, strict=True):
-            frame = frames[index]
+            frame, label = frames[index], before.label
             if frame.finalised:
                 finalised += 1
                 continue
-            label = before.label
             fitted = box if fit is None else fit(frame, box, label)
             # the values of the key frame that is nearer in time
             is_later = times[index] - ends[0] > ends[1] - times[index] and after.label.label == label.label
             values = after.label.attributes if is_later else label.attributes
-            proposal = NewProposal(label.label, fitted, track_id, box_kind=label.box_kind, attributes=values)
-            payloads = proposal_events(project, frame, [proposal])
-            covered += not payloads
-            if payloads:
-                parts.append(part_of(frame, payloads, author, None if parts else effort))
-    if not parts:
+            events = proposal_events(project, frame, [NewProposal.like(label, fitted, track_id, attributes=values)])
+            covered += not events
+            if events:
+                changes.append((frame, events))
+    if not changes:
         why = f" ({finalised} finalised, {covered} reviewed or rejected)" if finalised or covered else ""
         raise ConfigError(f"there is no frame to fill between the key frames of track {track_id}{why}")
-    receipts = project.log.append_to_frames(parts)
-    filled = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
-    return Interpolated(track_id, filled, finalised, covered)
+    return Interpolated(write(project, changes, author, effort), finalised, covered)
 
 
 def interpolate_back(
@@ -158,46 +137,19 @@ def interpolate_back(
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
         ConfigError: the label is not reviewed, has no track, or is the first of its track; or as `interpolate`.
-        NotFoundError, RecordingError, FrameError: as `interpolate`; or no such label.
     """
-    frame, label = project.frames.get(frame_id), project.labels.get(uid).label
-    if frame.revision != revision:
-        raise StaleRevisionError(f"frame {frame.key}", revision, frame.revision)
+    frame, label = page_at(project, frame_id, revision, uid).frame, project.labels.get(uid).label
     if label.state not in REVIEWED:
         raise ConfigError("only reviewed boxes are key frames; accept the box first")
     if label.track_id is None:
         raise ConfigError("the box belongs to no track; give it the track id of the earlier box first")
-    frames = [each for each in project.frames.of([frame.recording_id]) if each.index is not None]
-    keys = key_frames(project, frames, frame.recording_id, label.track_id)
-    earlier = [frames[key.index].key for key in keys if (frames[key.index].index or 0) < (frame.index or 0)]
+    timeline = Timeline(project, frame.recording_id)
+    keys = [timeline.frames[key.index] for key in timeline.key_frames(label.track_id)]
+    earlier = [each.key for each in keys if (each.index or 0) < (frame.index or 0)]
     if not earlier:
         raise ConfigError(f"track {label.track_id} has no reviewed box in an earlier frame")
-    return interpolate(
-        project,
-        frame.recording_id,
-        label.track_id,
-        author,
-        first=earlier[-1],
-        last=frame.key,
-        fit=fit,
-        effort=effort,
-    )
-
-
-def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[KeyFrame]:
-    """Returns the key frames of a track, in order."""
-    indices = {frame.id: index for index, frame in enumerate(frames)}
-    keys: dict[int, KeyFrame] = {}
-    for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
-        if stored.frame_id not in indices:
-            continue
-        index = indices[stored.frame_id]
-        if index in keys:
-            raise ConfigError(
-                f"frame {frames[index].key} has two reviewed boxes of track {track_id}; give one of them another track"
-            )
-        keys[index] = KeyFrame(index, stored.label)
-    return [keys[index] for index in sorted(keys)]
+    ends = {"first": earlier[-1], "last": frame.key}
+    return interpolate(project, frame.recording_id, label.track_id, author, fit=fit, effort=effort, **ends)
 
 
 def _chosen(
@@ -205,16 +157,15 @@ def _chosen(
 ) -> list[KeyFrame]:
     """Returns the key frames from `first` to `last`."""
     by_key = {frame.key: index for index, frame in enumerate(frames)}
-    ends = []
-    for name in (first, last):
+    ends = [0, len(frames)]
+    for place, name in enumerate((first, last)):
         if name is not None and name not in by_key:
             raise NotFoundError(f"the recording has no frame {name!r}")
         if name is not None and by_key[name] not in {key.index for key in keys}:
             raise ConfigError(f"frame {name} has no reviewed box of track {track_id}")
-        ends.append(None if name is None else by_key[name])
-    low = 0 if ends[0] is None else ends[0]
-    high = len(frames) if ends[1] is None else ends[1]
-    chosen = [key for key in keys if low <= key.index <= high]
+        if name is not None:
+            ends[place] = by_key[name]
+    chosen = [key for key in keys if ends[0] <= key.index <= ends[1]]
     if len(chosen) < 2:
         raise ConfigError(f"track {track_id} has {len(chosen)} reviewed boxes there; interpolation needs at least two")
     return chosen

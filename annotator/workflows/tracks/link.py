@@ -12,38 +12,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
-from annotator.recordings import Recording
-from annotator.recordings.frame_times import recorded_times
 from annotator.recordings.kitti import KittiFolder
-from annotator.tracking.link import Seen, Track, TrackingConfig, frame_times, link, numbered
+from annotator.tracking.link import Seen, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.types.label import AttributeValue
-from annotator.workflows.frame_source import FrameSource
-
-
-def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
-    """Returns the times of some frames of a recording in units of the frame interval (`frame_times`), so that dropped
-    frames are gaps. Without recorded times, these are the frames' indices.
-
-    Args:
-        frames: in the order of the recording.
-
-    Raises:
-        FrameError: the recording's times are broken.
-    """
-    times_ns = recorded_times(recording)
-    if times_ns is None:
-        return np.array([float(frame.index or 0) for frame in frames])
-    return frame_times([times_ns.get(frame.key) for frame in frames])
-
+from annotator.workflows.tracks.timeline import Timeline
 
 AUTHOR = "tracks"
 LINKED_STATES = (ReviewState.PROPOSED, *REVIEWED)
@@ -60,9 +40,6 @@ class LinkSummary:
     """Counts of linking.
 
     Attributes:
-        recordings: number of linked recordings.
-        boxes: number of labels in their tracks.
-        tracks: number of tracks.
         changed: number of labels with a new track id or box.
         left: number of labels without a track id in finalised frames, which are not changed.
         unordered: names of recordings left out because their frames are not a sequence.
@@ -83,7 +60,6 @@ def link_tracks(
     *,
     recordings: Sequence[int] | None = None,
     smooth: bool = True,
-    config: TrackingConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LinkSummary:
     """Links the labels of recordings into tracks, except rejected labels.
@@ -92,22 +68,17 @@ def link_tracks(
         recordings: ids; None = all.
         smooth: give unreviewed proposals the common size and smoothed heading of their track; otherwise restore the
             boxes as proposed.
-        config: how boxes are linked.
         progress: called with (recordings done, recordings to do).
-
-    Raises:
-        NotFoundError: no such recording.
-        RecordingError: a recording is missing or cannot be read.
     """
     chosen = project.recordings.all() if recordings is None else [project.recordings.get(id) for id in recordings]
-    summary, config = LinkSummary(), config or TrackingConfig()
+    summary = LinkSummary()
     for number, recording in enumerate(chosen, 1):
         if not recording.is_sequence:
             summary.unordered += (recording.name,)
         else:
             summary.recordings += 1
             for _ in range(ATTEMPTS):
-                linked = _Recording(project, recording.id, config, smooth)
+                linked = _Recording(project, recording.id, smooth)
                 if linked.store(summary):
                     break
             else:
@@ -124,20 +95,17 @@ class _Recording:
     """A recording and the result of linking it.
 
     Attributes:
-        frames: the frames with labels, in order.
-        labels: of each of these frames.
-        tracks: the linked tracks.
         numbers: the id of each track's labels without a given one.
         left: number of labels in finalised frames without an id.
     """
 
-    def __init__(self, project: Project, recording_id: int, config: TrackingConfig, smooth: bool) -> None:
+    def __init__(self, project: Project, recording_id: int, smooth: bool) -> None:
         self.project = project
         by_frame: dict[int, list[StoredLabel]] = defaultdict(list)
         for stored in project.labels.select(states=LINKED_STATES, recordings=[recording_id]):
             by_frame[stored.frame_id].append(stored)
-        present = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
-        self.frames = [frame for frame in present if frame.id in by_frame]
+        timeline = Timeline(project, recording_id)
+        self.frames = [frame for frame in timeline.frames if frame.id in by_frame]
         self.labels = [by_frame[frame.id] for frame in self.frames]
         self.left = sum(
             stored.label.track_id is None
@@ -146,20 +114,19 @@ class _Recording:
             for stored in labels
         )
         self._proposed = project.proposals.boxes(recording_id)
-        recording = FrameSource(project).recording(recording_id)
-        all_times = times_of(recording, present)
         # KITTI's cameras are on a moving car
-        self._is_still = not isinstance(recording, KittiFolder)
-        times = dict(zip((frame.id for frame in present), all_times.tolist(), strict=True))
-        self._times = [times[frame.id] for frame in self.frames]
+        self._is_still = not isinstance(timeline.recording, KittiFolder)
+        self._times = [float(timeline.times[timeline.index[frame.id]]) for frame in self.frames]
         seen = [
             [Seen(stored.label.label, self._box(stored), _given(stored, frame)) for stored in labels]
             for frame, labels in zip(self.frames, self.labels, strict=True)
         ]
-        self.tracks = link(seen, self._times, config)
+        self.tracks = link(seen, self._times)
         self._values = self._values_along_tracks()
-        self.numbers = _numbers(self.tracks, self.labels)
-        self._boxes = {} if not smooth else self._smooth_boxes(config)
+        members = [[self.labels[index][number].label.track_id for index, number in t.members] for t in self.tracks]
+        previous = [[number for number in numbers if number is not None] for numbers in members]
+        self.numbers = numbered([track.given for track in self.tracks], previous)
+        self._boxes = {} if not smooth else self._smooth_boxes()
 
     def store(self, summary: LinkSummary) -> bool:
         """Writes the changes; returns False if a frame was changed in the meantime."""
@@ -228,35 +195,20 @@ class _Recording:
         """Returns True for unreviewed proposals of the recursion; interpolated ones are smooth already."""
         return stored.label.state is ReviewState.PROPOSED and stored.label.uid in self._proposed
 
-    def _smooth_boxes(self, config: TrackingConfig) -> dict[str, OrientedBox]:
+    def _smooth_boxes(self) -> dict[str, OrientedBox]:
         smoothed_boxes: dict[str, OrientedBox] = {}
         for track in self.tracks:
             members = [self.labels[index][number] for index, number in track.members]
-            boxes = [
-                TrackBox(self._times[index], self._box(each), _weight(each), self._is_fixed(each, self.frames[index]))
-                for (index, _), each in zip(track.members, members, strict=True)
-            ]
-            smooth = zip(members, boxes, smoothed(boxes, config, self._is_still), strict=True)
+            boxes = []
+            for (index, _), each in zip(track.members, members, strict=True):
+                score = 1.0 if each.label.score is None else float(np.clip(each.label.score, MIN_WEIGHT, 1.0))
+                is_fixed = self.frames[index].finalised or not self._may_move(each)
+                boxes.append(TrackBox(self._times[index], self._box(each), score, is_fixed))
+            smooth = zip(members, boxes, smoothed(boxes, self._is_still), strict=True)
             smoothed_boxes |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
         return smoothed_boxes
-
-    def _is_fixed(self, stored: StoredLabel, frame: StoredFrame) -> bool:
-        return frame.finalised or not self._may_move(stored)
 
 
 def _given(stored: StoredLabel, frame: StoredFrame) -> int | None:
     """Returns a track id that must stay: given by an operator or a file, or in a finalised frame; else None."""
     return None if stored.track_linked and not frame.finalised else stored.label.track_id
-
-
-def _weight(stored: StoredLabel) -> float:
-    score = stored.label.score
-    return 1.0 if score is None else float(np.clip(score, MIN_WEIGHT, 1.0))
-
-
-def _numbers(tracks: Sequence[Track], labels: Sequence[Sequence[StoredLabel]]) -> list[int]:
-    previous = [
-        [known for index, number in track.members if (known := labels[index][number].label.track_id) is not None]
-        for track in tracks
-    ]
-    return numbered([track.given for track in tracks], previous)

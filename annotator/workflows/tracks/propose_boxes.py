@@ -1,22 +1,37 @@
-"""Adds proposals to a frame without changing its reviewed labels; also by the boxes of the previous frame."""
+"""Boxes that come into a frame from elsewhere: as proposals, without changing its reviewed labels."""
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project import (
+    REVIEWED,
+    Effort,
+    FramePart,
+    Origin,
+    Project,
+    Receipt,
+    StoredFrame,
+    StoredLabel,
+    WriteContext,
+)
 from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
-from annotator.project.overview import neighbours, read_page
+from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
-from annotator.tracking.link import Seen, TrackingConfig, link, overlap_at_place
+from annotator.tracking.link import Seen, link, overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
+from annotator.types.errors import NotFoundError, StaleRevisionError
 from annotator.types.label import AttributeValue
+
+Changed = tuple[tuple[int, Receipt], ...]
+"""The changed frames: (frame id, receipt) each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +39,9 @@ class NewProposal:
     """A box to propose.
 
     Attributes:
-        label: class name.
         box: in the camera frame.
         track_id: of its object, if known.
         proposal: with its trace, if the recursion found the box.
-        box_kind: what the box encloses.
         attributes: values of the object in the frame that the box comes from.
         origin: how an operator made it, if one did.
         said: what other software says of the object, if the box takes the place of its proposal.
@@ -42,6 +55,11 @@ class NewProposal:
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
     origin: Origin | None = None
     said: tuple[SaidRecord, ...] = ()
+
+    @classmethod
+    def like(cls, label: Label, box: OrientedBox, track_id: int | None, **more: Any) -> NewProposal:
+        """A label's object at another box, with its class, kind of box and values."""
+        return cls(label.label, box, track_id, box_kind=label.box_kind, **{"attributes": label.attributes, **more})
 
 
 def proposal_events(
@@ -91,9 +109,41 @@ def proposal_events(
     return [*replaced, *proposed, *values]
 
 
-def part_of(frame: StoredFrame, payloads: Sequence[Payload], author: str, effort: Effort | None = None) -> FramePart:
-    """Returns the part of an action that concerns one frame, based on the frame's revision."""
-    return FramePart(frame.id, payloads, WriteContext(frame.revision, author, effort=effort))
+def page_at(project: Project, frame_id: int, revision: int, uid: str | None = None) -> FramePage:
+    """Returns the present state of a frame that an operator has seen at a revision, and of a label there.
+
+    Raises:
+        StaleRevisionError: the frame was changed in the meantime.
+        NotFoundError: no such frame or label.
+    """
+    page = read_page(project, frame_id)
+    if page.frame.revision != revision:
+        raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)
+    if uid is not None and all(stored.label.uid != uid for stored in page.labels):
+        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
+    return page
+
+
+def write(
+    project: Project,
+    changes: Sequence[tuple[StoredFrame, Sequence[Payload]]],
+    author: str,
+    effort: Effort | None = None,
+    *,
+    action: str | None = None,
+    new_tracks: Collection[int] = (),
+) -> Changed:
+    """Appends events to several frames, each at its revision, as one action, which has the effort.
+
+    Args:
+        action, new_tracks: as for `append_to_frames`.
+    """
+    parts = [
+        FramePart(frame.id, events, WriteContext(frame.revision, author, effort=None if number else effort))
+        for number, (frame, events) in enumerate(changes)
+    ]
+    receipts = project.log.append_to_frames(parts, action, new_tracks)
+    return tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
 
 
 def next_track_id(project: Project, recording_id: int) -> int:
@@ -174,21 +224,12 @@ def followed_tracks(project: Project, frame: StoredFrame, proposals: Sequence[Pr
     """Returns for each proposal of a frame the track id of the previous frame's reviewed box that it continues."""
     tracked = [label for label in reviewed_before(project, frame) if label.track_id is not None]
     ids: list[int | None] = [None] * len(proposals)
-    for label, index in zip(tracked, match_proposals(tracked, proposals), strict=True):
-        if index is not None:
-            ids[index] = label.track_id
-    return ids
-
-
-def match_proposals(labels: Sequence[Label], proposals: Sequence[Proposal]) -> list[int | None]:
-    """Returns for each label of a frame the index of the next frame's proposal for the same object, or None."""
-    frames = [[Seen(label.label, label.box) for label in labels], [Seen(each.label, each.box) for each in proposals]]
-    matches: list[int | None] = [None] * len(labels)
-    for track in link(frames, [0.0, 1.0], TrackingConfig()):
+    frames = [[Seen(each.label, each.box) for each in boxes] for boxes in (tracked, proposals)]
+    for track in link(frames, [0.0, 1.0]):
         if len(track.members) == 2:
-            (_, label_index), (_, proposal_index) = track.members
-            matches[label_index] = proposal_index
-    return matches
+            (_, before), (_, now) = track.members
+            ids[now] = tracked[before].track_id
+    return ids
 
 
 def boxes_of(project: Project, recording_id: int, track_id: int) -> list[tuple[StoredFrame, Label]]:

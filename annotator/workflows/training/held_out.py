@@ -9,24 +9,23 @@ exact 3D IoU of the boxes that it then finds.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from annotator.detection.dataset import is_held_out
 from annotator.detection.trained import read_trained
-from annotator.files import read_file, write_atomic
+from annotator.files import write_atomic
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
-from annotator.project import Project, StoredFrame
+from annotator.project import Project
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Label, OrientedBox
-from annotator.types.errors import FormatError, FrameError
+from annotator.types.errors import FrameError
 from annotator.workflows.detectors import UsedModel, load_detector
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.lift import propose_image_boxes
@@ -57,10 +56,8 @@ class Decision(BaseModel):
     Attributes:
         objects, frames: number of reviewed objects measured, and of their frames.
         mean_iou: of the new detector; None with fewer than `MIN_OBJECTS` objects.
-        compared: the other detectors.
-        started_from: what the training started from.
         outcome: which detector the project used from then on, and why, in words.
-        reviewed: number of the project's reviewed boxes when the training began; None before 0.3.
+        reviewed: number of the project's reviewed boxes when the training began.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -84,24 +81,8 @@ def measured_ious(decision: Decision) -> str:
     return ", ".join(figures + [f"{rival.name} {rival.mean_iou:.2f}" for rival in decision.compared])
 
 
-def read_decision(folder: Path) -> Decision | None:
-    """Returns the decision beside a model; None for one that was not trained by `annotator train`, or before 0.3."""
-    path = folder / DECISION_NAME
-    if not path.is_file():
-        return None
-    try:
-        return Decision.model_validate_json(read_file(path))
-    except (OSError, ValidationError) as error:
-        raise FormatError(path, f"not a measurement on held-out frames ({error})") from error
-
-
-@dataclass(frozen=True, eq=False)
-class _HeldOutFrame:
-    """A frame, its measured objects, and the box on the image that each is measured from."""
-
-    frame: Frame
-    image_boxes: tuple[Box2D, ...]
-    truths: tuple[OrientedBox, ...]
+_HeldOutFrame = tuple[Frame, list[Box2D], list[OrientedBox]]
+"""A frame, the boxes on its image that its objects are measured from, and their true boxes."""
 
 
 class HeldOut:
@@ -123,7 +104,11 @@ class HeldOut:
         self._project, self._check_stop, self._kind = project, check_stop, kind
         self._frames: list[_HeldOutFrame] = []
         source = FrameSource(project)
-        held_out = held_out_frames(project, labels)
+        held_out = [
+            stored for stored in project.frames.of() if stored.id in labels and is_held_out(frame_group(stored))
+        ]
+        # an order that does not depend on time
+        held_out.sort(key=lambda stored: (stored.id * 2654435761) % 2**32)
         self._held_out = frozenset(stored.id for stored in held_out)
         for stored in held_out:
             if self.objects >= MOST_OBJECTS:
@@ -134,13 +119,13 @@ class HeldOut:
             except FrameError:  # reported by the training, which reads it, too
                 continue
             measured = _measured(frame, labels[stored.id], np.random.default_rng([0, stored.id]))
-            if measured.truths:
+            if measured[2]:
                 self._frames.append(measured)
 
     @property
     def objects(self) -> int:
         """Number of objects."""
-        return sum(len(frame.truths) for frame in self._frames)
+        return sum(len(truths) for _, _, truths in self._frames)
 
     @property
     def frames(self) -> int:
@@ -164,18 +149,11 @@ class HeldOut:
         config = config.for_detector(kind, model.class_agnostic, trained=model.trained)
         rotation = self._project.config.settings.rotation
         ious: list[float] = []
-        for held in self._frames:
+        for frame, image_boxes, truths in self._frames:
             self._check_stop()
-            found = lifted(held.frame, held.image_boxes, detector, config, rotation)
-            pairs = zip(found, held.truths, strict=True)
+            pairs = zip(lifted(frame, image_boxes, detector, config, rotation), truths, strict=True)
             ious += [0.0 if box is None else iou_3d(box, truth) for box, truth in pairs]
         return float(np.mean(ious))
-
-
-def held_out_frames(project: Project, frame_ids: Mapping[int, object]) -> list[StoredFrame]:
-    """The held-out frames among some frames, in an order that does not depend on time."""
-    frames = [stored for stored in project.frames.of() if stored.id in frame_ids and is_held_out(frame_group(stored))]
-    return sorted(frames, key=lambda stored: (stored.id * 2654435761) % 2**32)
 
 
 def held_out_groups(project: Project) -> frozenset[str]:
@@ -209,7 +187,8 @@ def inaccurate(camera: Camera, box: Box2D, errors_px: Float64[np.ndarray, "4"]) 
 
 
 def _measured(frame: Frame, labels: Sequence[Label], rng: np.random.Generator) -> _HeldOutFrame:
-    boxes, truths = [], []
+    boxes: list[Box2D] = []
+    truths: list[OrientedBox] = []
     for label in labels:
         outline = box_on_image(frame.camera, label.box, label.label)
         errors_px = rng.normal(0, JITTER_PX, 4)
@@ -217,4 +196,4 @@ def _measured(frame: Frame, labels: Sequence[Label], rng: np.random.Generator) -
         if box is not None and contains(label.box, frame.cloud.xyz_m).sum() >= MIN_POINTS:
             boxes.append(box)
             truths.append(label.box)
-    return _HeldOutFrame(frame, tuple(boxes), tuple(truths))
+    return frame, boxes, truths

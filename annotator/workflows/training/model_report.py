@@ -17,11 +17,13 @@ from jaxtyping import UInt8
 
 from annotator.detection.dataset import GENERATED, MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.files import DOCUMENT_BYTES, open_text_file
+from annotator.formats.reading import read_model
 from annotator.image_bytes import read_image
 from annotator.project import StoredModel
 from annotator.types import Box2D, Detector
 from annotator.types.errors import DetectionError, FormatError
-from annotator.workflows.training.held_out import Decision, read_decision
+from annotator.workflows.detectors import Picture
+from annotator.workflows.training.held_out import DECISION_NAME, Decision
 
 FOLDER = "validation"
 PICTURES = 8
@@ -31,19 +33,8 @@ LONG_SIDE_PX = 448
 COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), (90, 120, 255))
 
 
-@dataclass(frozen=True)
-class _Picture:
-    rgb: UInt8[np.ndarray, "h w 3"]
-
-
 def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
-    """Draws a detector's boxes on validation images, and writes these beside the model.
-
-    Args:
-        dataset: the folder of its dataset.
-        manifest: of that dataset.
-        model: the folder of the model.
-    """
+    """Draws a detector's boxes on validation images, and writes these beside the model."""
     pictures = [_read(dataset / name) for name in _chosen(manifest)]
     detections = detector.detect(pictures)
     folder = model / FOLDER
@@ -72,14 +63,14 @@ def _chosen(manifest: DatasetManifest) -> list[str]:
     return [labelled[round(index)] for index in np.linspace(0, len(labelled) - 1, PICTURES)]
 
 
-def _read(path: Path) -> _Picture:
+def _read(path: Path) -> Picture:
     import cv2
 
     try:
         bgr = read_image(path, cv2.IMREAD_COLOR)
     except (OSError, ValueError) as error:
         raise DetectionError(f"{path}: the image cannot be read ({error}); train again") from error
-    return _Picture(np.ascontiguousarray(bgr[..., ::-1]))
+    return Picture(np.ascontiguousarray(bgr[..., ::-1]))
 
 
 def _write(path: Path, bgr: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -144,7 +135,6 @@ class ModelFacts:
     Attributes:
         boxes: number of boxes it was trained on; None if unknown.
         pictures: validation images with its detections.
-        curves: measurements by epoch.
         decision: how held-out frames decided about it; None if they did not.
     """
 
@@ -162,8 +152,9 @@ def model_facts(model: StoredModel) -> ModelFacts:
 
 def decision_of(model: StoredModel) -> Decision | None:
     """Returns how held-out frames decided about a model; a damaged file is left out."""
+    path = model.path.parent / DECISION_NAME
     try:
-        return read_decision(model.path.parent)
+        return read_model(path, Decision) if path.is_file() else None
     except FormatError as error:
         LOG.warning("%s", error)
         return None
@@ -190,13 +181,13 @@ def _curves(path: Path) -> tuple[Epoch, ...]:
         return ()
     try:
         with open_text_file(path, DOCUMENT_BYTES, newline="") as file:
-            return tuple(_epoch(row) for row in csv.DictReader(file))
+            rows = list(csv.DictReader(file))
+        values = [{name: float(row[column]) for column, name in MEASURED.items() if row.get(column)} for row in rows]
+        return tuple(
+            Epoch(int(row["epoch"]), {name: value for name, value in measured.items() if math.isfinite(value)})
+            for row, measured in zip(rows, values, strict=True)
+        )
     # a short row lacks values (TypeError), a damaged header lacks column names (KeyError)
     except (OSError, ValueError, TypeError, KeyError, csv.Error) as error:
         LOG.warning("%s: cannot be read, the curves are left out: %s", path, error)
         return ()
-
-
-def _epoch(row: dict[str, str]) -> Epoch:
-    values = {name: float(row[column]) for column, name in MEASURED.items() if row.get(column)}
-    return Epoch(int(row["epoch"]), {name: value for name, value in values.items() if math.isfinite(value)})

@@ -94,7 +94,6 @@ def image_config(project: Project, config: TrainingConfig, dataset_sha256: str, 
     images. A finished training on the same images with the same settings is not continued, but found again.
 
     Args:
-        dataset_sha256: of the training set.
         decides: as `choose_start`.
     """
     models = project.models.all(DetectorKind.IMAGE)
@@ -151,41 +150,30 @@ def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | N
     return config.model_copy(update=changes)
 
 
-@dataclass(eq=False)
 class Choice:
     """Decides after each part of a training which detector the project uses.
 
     Attributes:
-        start: what the training started from.
-        decides: False: each new detector is used, whatever the held-out objects say.
         origin: what the next part starts from: the best detector of this training; None before the first one of a
             training from published or random weights.
-        origin_iou: of that detector; None with too few objects.
-        best: the best detector of all that were measured; None before the first one.
-        best_iou: of the best detector.
-        reviewed: number of the project's reviewed boxes at the start.
-        in_use: the detector that the project used at the start, or since the last decision.
     """
 
-    project: Project
-    held_out: HeldOut
-    start: Start
-    decides: bool = True
-    origin: UsedModel | None = field(init=False)
-    origin_iou: float | None = field(init=False)
-    best: UsedModel | None = field(init=False)
-    best_iou: float = field(init=False)
-    reviewed: int = field(init=False)
-    in_use: UsedModel | None = field(init=False)
-
-    def __post_init__(self) -> None:
-        ious = self.start.ious
-        self.origin = self.start.model
-        self.origin_iou = None if self.origin is None else ious.get(self.origin)
-        self.best = max(ious, key=ious.__getitem__, default=None)
-        self.best_iou = max(ious.values(), default=-1.0)
-        self.reviewed = self.project.labels.count(REVIEWED)
-        self.in_use = used_model(self.project, DetectorKind.VIEW)
+    def __init__(self, project: Project, held_out: HeldOut, start: Start, decides: bool = True) -> None:
+        """
+        Args:
+            decides: False: each new detector is used, whatever the held-out objects say.
+        """
+        self.project, self.held_out, self.start, self.decides = project, held_out, start, decides
+        ious = start.ious
+        self.origin = start.model
+        # None with too few objects
+        self._origin_iou = None if start.model is None else ious.get(start.model)
+        # the best detector of all that were measured
+        self._best: UsedModel | None = max(ious, key=ious.__getitem__, default=None)
+        self._best_iou = max(ious.values(), default=-1.0)
+        self._reviewed = project.labels.count(REVIEWED)
+        # what the project used at the start, or since the last decision
+        self._in_use = used_model(project, DetectorKind.VIEW)
 
     def add(self, model: StoredModel, note: str) -> Decision:
         """Measures a new detector, activates it or another one, and stores the reasons beside its weights.
@@ -198,10 +186,10 @@ class Choice:
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
         used, reason = self._decided(new, iou)
-        if self.origin is None or iou is None or self.origin_iou is None or iou > self.origin_iou:
-            self.origin, self.origin_iou = new, iou
-        if iou is not None and iou > self.best_iou:
-            self.best, self.best_iou = new, iou
+        if self.origin is None or iou is None or self._origin_iou is None or iou > self._origin_iou:
+            self.origin, self._origin_iou = new, iou
+        if iou is not None and iou > self._best_iou:
+            self._best, self._best_iou = new, iou
         self._use(used)
         decision = Decision(
             objects=self.held_out.objects,
@@ -210,7 +198,7 @@ class Choice:
             compared=self.start.compared,
             started_from=note,
             outcome=reason,
-            reviewed=self.reviewed,
+            reviewed=self._reviewed,
         )
         decision.write(model.path.parent)
         return decision
@@ -222,7 +210,7 @@ class Choice:
             iou: of the new detector; None with too few objects.
         """
         few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
-        if used_model(self.project, DetectorKind.VIEW) != self.in_use:
+        if used_model(self.project, DetectorKind.VIEW) != self._in_use:
             return None, "another detector was chosen during the training: it stayed in use"
         if not self.decides:
             return new, "put into use without a measurement, as asked for"
@@ -230,11 +218,11 @@ class Choice:
             return None, f"{few}: what was in use stayed in use"
         if iou is None:
             return new, f"{few}: put into use as the newest"
-        if self.best is None:
+        if self._best is None:
             return new, "put into use: there was no detector to compare it with on held-out frames"
-        if iou > self.best_iou:
+        if iou > self._best_iou:
             return new, "the best one on held-out frames: put into use"
-        return self.best, f"no better on held-out frames: the {self.best.described} stayed in use"
+        return self._best, f"no better on held-out frames: the {self._best.described} stayed in use"
 
     def _use(self, used: UsedModel | None) -> None:
         if used is None:
@@ -244,7 +232,7 @@ class Choice:
         else:
             known = {model.path: model.id for model in self.project.models.all(DetectorKind.VIEW)}
             self.project.models.activate(known[used.path])
-        self.in_use = used_model(self.project, DetectorKind.VIEW)
+        self._in_use = used_model(self.project, DetectorKind.VIEW)
 
 
 def _candidates(project: Project) -> list[UsedModel]:

@@ -31,6 +31,7 @@ from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
+from annotator.workflows.detectors import Picture
 from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
@@ -47,7 +48,6 @@ class SampleConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
-    most_draws: int = Field(20, ge=1, description="maximum number of generated view pairs per object")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")
 
 
@@ -78,22 +78,8 @@ class Material:
         """The labelled views that a detector with the project's classes learns from."""
         return tuple(view for view in self.views if view.box_kind is self.kind or not view.boxes)
 
-    @property
-    def labels_of_kind(self) -> dict[int, tuple[Label, ...]]:
-        """The reviewed labels whose boxes enclose what the view detector's boxes will measure, by frame."""
-        return self._labels_of({self.kind})
-
-    def taught(self, both_kinds: bool = False) -> dict[int, tuple[Label, ...]]:
-        """The reviewed labels whose boxes give what a view detector learns, by frame.
-
-        Whole boxes also give silhouettes: those of the points in them. Boxes around what is seen give no whole ones.
-
-        Args:
-            both_kinds: for class-agnostic detectors, which learn the whole and what is seen.
-        """
-        return self._labels_of({self.kind, BoxKind.BOX} if not both_kinds else {BoxKind.BOX})
-
-    def _labels_of(self, kinds: Container[BoxKind]) -> dict[int, tuple[Label, ...]]:
+    def labels_of(self, *kinds: BoxKind) -> dict[int, tuple[Label, ...]]:
+        """The reviewed labels whose boxes enclose this, by frame."""
         of_kinds = {
             frame: tuple(label for label in labels if label.box_kind in kinds) for frame, labels in self.labels.items()
         }
@@ -112,14 +98,7 @@ class Material:
 
 
 def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)) -> Material:
-    """Returns the labels that the project's detectors can learn from now.
-
-    Args:
-        roles: the detectors to be trained.
-
-    Raises:
-        DetectionError: one of them has nothing to learn from; the message says what to do.
-    """
+    """Returns the labels that the project's detectors can learn from now."""
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()
     stored = project.labels.select(states=REVIEWED)
@@ -187,31 +166,24 @@ def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[
     """
     known = material.labels.keys() - material.open.keys()
     for stored, frame in labelled_frames(project, sorted({*material.images, *known}), skip):
-        yield image_sample(material, stored, frame)
-
-
-def image_sample(material: Material, stored: StoredFrame, frame: Frame) -> TrainingSample:
-    """A frame's camera image with its drawn boxes, and the outlines of its 3D labels without a drawn box."""
-    drawn = material.images.get(stored.id)
-    labels = (*material.labels.get(stored.id, ()), *material.others.get(stored.id, ()))
-    if drawn is None:
-        shown = outlines(frame.camera, labels)
-        return TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))
-    more = undrawn(frame.camera, labels, drawn.boxes)
-    boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
-    return TrainingSample(frame.rgb, boxes, frame_group(stored), DRAWN, uids)
+        drawn = material.images.get(stored.id)
+        labels = (*material.labels.get(stored.id, ()), *material.others.get(stored.id, ()))
+        if drawn is None:
+            shown = outlines(frame.camera, labels)
+            yield TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))
+        else:
+            more = undrawn(frame.camera, labels, drawn.boxes)
+            boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
+            yield TrainingSample(frame.rgb, boxes, frame_group(stored), DRAWN, uids)
 
 
 def view_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
-    groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view, rgb in drawn_pictures(project, material.views_of_kind, rcv, skip):
-        group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
-        look_px = 0 if view.geometry is None else view.geometry.look_px
-        yield TrainingSample(rgb, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
-    for known in known_objects(project, material, rcv, config, config.most_draws, skip):
+    for view, sample in _drawn(project, material.views_of_kind, rcv, skip):
+        yield replace(sample, boxes=view.boxes, label_uids=_drawn_uids(view))
+    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip):
         doubtful = [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
         for taught in teach_views(
             known.frame, known.objects, material.kind, known.draws, known.rcv, known.up, known.rng, doubtful
@@ -219,6 +191,17 @@ def view_samples(
             uids = tuple(known.labels[index].uid for index in taught.objects if index < len(known.labels))
             drawn = taught.view
             yield TrainingSample(drawn.rgb, taught.boxes, frame_group(known.stored), TAUGHT, uids, drawn.look_px)
+
+
+def _drawn(
+    project: Project, views: Sequence[ViewBoxes], rcv: RcvConfig, skip: Skip
+) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
+    """Yields drawn pseudo-views, each with a sample of its picture that has no boxes yet."""
+    groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
+    for view, rgb in drawn_pictures(project, views, rcv, skip):
+        group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
+        look_px = 0 if view.geometry is None else view.geometry.look_px
+        yield view, TrainingSample(rgb, (), group, DRAWN, (), look_px)
 
 
 def drawn_pictures(
@@ -256,8 +239,6 @@ class KnownObjects:
     Attributes:
         labels: reviewed labels, which are the first objects.
         untaught: reviewed labels whose boxes are not of the kind that is taught.
-        draws: number of view pairs per object.
-        rcv: the settings for this frame.
         up: the direction that views keep, if any.
         rng: of the random axes and crops.
     """
@@ -287,9 +268,10 @@ def known_objects(
     Args:
         most_draws: maximum number of view pairs per object.
         both_kinds: for class-agnostic detectors, which learn the whole and what is seen: `labels` are the objects whose
-            whole box is known.
+            whole box is known. (Whole boxes also give silhouettes: those of the points in them. Boxes around what is
+            seen give no whole ones.)
     """
-    taught = material.taught(both_kinds)
+    taught = material.labels_of(BoxKind.BOX) if both_kinds else material.labels_of(BoxKind.BOX, material.kind)
     drags = drawn_objects(material.views) if both_kinds or material.kind is BoxKind.SILHOUETTE else {}
     total = sum(map(len, taught.values())) + sum(map(len, drags.values()))
     if total == 0:
@@ -299,7 +281,9 @@ def known_objects(
         labels = taught.get(stored.id, ())
         untaught = tuple(label for label in material.labels.get(stored.id, ()) if label not in labels)
         cuts = [cut for views in drags.get(stored.id, ()) if (cut := taught_by_drags(frame, views)) is not None]
-        objects = [_with_drawn_points(frame, label, cuts) for label in labels]
+        # with the points that their drawn silhouettes enclose, if there are any
+        drawn = [next((cut.points for cut in cuts if is_labelled(frame, cut, [label])), None) for label in labels]
+        objects = [TaughtObject(label.label, label.box, points) for label, points in zip(labels, drawn, strict=True)]
         objects += [cut for cut in cuts if not is_labelled(frame, cut, labels)]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
@@ -341,12 +325,6 @@ def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | 
     return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
 
 
-def _with_drawn_points(frame: Frame, label: Label, cuts: Sequence[TaughtObject]) -> TaughtObject:
-    """The object of a label, with the points that its drawn silhouettes enclose, if there are any."""
-    points = next((cut.points for cut in cuts if is_labelled(frame, cut, [label])), None)
-    return TaughtObject(label.label, label.box, points)
-
-
 def is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:
     """Returns True if the object also has a reviewed 3D box, which would give it two boxes on each view."""
     xyz_m = frame.cloud.xyz_m[cut.points]
@@ -380,15 +358,11 @@ def labelled_frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> I
 FIRST_SEED = 10_000_000
 # Crops per object of a generated frame, and about how many views they give per frame.
 GENERATED_DRAWS, GENERATED_VIEWS = 2, 13
-# Maximum number of crops per object of the project; each gives two views.
-MOST_DRAWS = 60
+# Maximum number of crops per object of the project, each with two views: for its classes, and for class-agnostic
+# detectors, which learn from fewer objects.
+MOST_DRAWS, MOST_AGNOSTIC_DRAWS = 20, 60
 # Minimum score of a detection that stands in for an unknown box.
 MIN_SCORE = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    rgb: np.ndarray
 
 
 def agnostic_samples(
@@ -399,8 +373,11 @@ def agnostic_samples(
     Args:
         start: the class-agnostic detector that the training starts from.
     """
-    yield from _drawn(project, material, rcv, start, skip)
-    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip, both_kinds=True):
+    # the drawn box of a view's own object, which is the first of a view that belongs to an object
+    for view, sample in _drawn(project, material.views, rcv, skip):
+        if len(view.boxes) <= 1 or (view.geometry is not None and view.geometry.image_box is not None):
+            yield replace(sample, boxes=_boxes_of(view, material, start, sample.load()))
+    for known in known_objects(project, material, rcv, config, MOST_AGNOSTIC_DRAWS, skip, both_kinds=True):
         labels, objects = known.labels, known.objects
         for taught in teach_views(known.frame, objects, None, known.draws, known.rcv, known.up, known.rng):
             index = taught.objects[0] if taught.objects else None
@@ -409,7 +386,7 @@ def agnostic_samples(
                 uids = (labels[index].uid,) * len(boxes)
             elif index is not None:  # the extent of a drawn silhouette says nothing about the whole
                 seen = [box for box in boxes if box.label == AGNOSTIC_LABELS[BoxKind.SILHOUETTE]]
-                boxes = _completed(start, _Picture(taught.view.rgb), seen)
+                boxes = _completed(start, Picture(taught.view.rgb), seen)
             yield TrainingSample(taught.view.rgb, boxes, frame_group(known.stored), TAUGHT, uids, taught.view.look_px)
 
 
@@ -431,19 +408,6 @@ def with_generated(own: Iterable[TrainingSample], share: float, size_px: int, se
         yield from generated_views(number, GENERATED_DRAWS, size_px)
 
 
-def _drawn(
-    project: Project, material: Material, rcv: RcvConfig, start: Detector, skip: Skip
-) -> Iterator[TrainingSample]:
-    """Views with the drawn box of their own object, which is the first of a view that belongs to an object."""
-    groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view, rgb in drawn_pictures(project, material.views, rcv, skip):
-        if len(view.boxes) > 1 and (view.geometry is None or view.geometry.image_box is None):
-            continue  # nothing says which object the view is about
-        group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
-        look_px = 0 if view.geometry is None else view.geometry.look_px
-        yield TrainingSample(rgb, _boxes_of(view, material, start, rgb), group, DRAWN, (), look_px)
-
-
 def _boxes_of(view: ViewBoxes, material: Material, start: Detector, rgb: np.ndarray) -> tuple[Box2D, ...]:
     known = [replace(box, label=AGNOSTIC_LABELS[view.box_kind]) for box in view.boxes[:1]]
     geometry = view.geometry
@@ -451,7 +415,7 @@ def _boxes_of(view: ViewBoxes, material: Material, start: Detector, rgb: np.ndar
         whole = material.whole.get((view.frame_id or 0, geometry.image_box))
         shown = None if whole is None else project_box(geometry.view(rgb), whole, AGNOSTIC_LABELS[BoxKind.BOX])
         known += [] if shown is None else [shown]
-    return _completed(start, _Picture(rgb), known)
+    return _completed(start, Picture(rgb), known)
 
 
 def _completed(start: Detector, picture: Image, known: Sequence[Box2D]) -> tuple[Box2D, ...]:

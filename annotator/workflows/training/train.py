@@ -6,6 +6,7 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
@@ -17,7 +18,6 @@ from annotator.detection.pretrained import check_start
 from annotator.detection.trained import MODEL_NAME, RUN_NAME, TrainedModel, read_run
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
-from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.types.messages import amount
@@ -53,34 +53,39 @@ Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True)
-class Ran:
-    """A finished run: the registered model, which may be inactive, the trained network and its training set."""
+class Trained:
+    """A trained detector.
 
+    Attributes:
+        left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
+        decision: how held-out frames decided; None for an image detector.
+        learned: messages on up directions that reviewed boxes gave before (`learn_up`).
+    """
+
+    role: DetectorKind
     model: StoredModel
     result: TrainedModel
     manifest: DatasetManifest
+    seconds: float = 0.0
+    left_out: tuple[str, ...] = ()
+    decision: Decision | None = None
+    learned: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
 class Run:
-    """A run of one detector's training.
+    """A run of one detector's training."""
 
-    Attributes:
-        classes: of the detector.
-        kind: what its boxes measure.
-        holds_out: whether held-out frames only validate; False: all frames train.
-    """
-
-    project: Project
-    role: DetectorKind
-    classes: tuple[str, ...]
-    kind: BoxKind
-    holds_out: bool = True
-    _since_ns: int = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(
+        self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind, holds_out: bool = True
+    ) -> None:
+        """
+        Args:
+            kind: what its boxes measure.
+            holds_out: whether held-out frames only validate; False: all frames train.
+        """
+        self.project, self.role, self.classes, self.kind, self.holds_out = project, role, classes, kind, holds_out
         # classes that are renamed from now on are translated
-        object.__setattr__(self, "_since_ns", self.project.store.clock())
+        self._since_ns = project.store.clock()
 
     @property
     def _folder(self) -> Path:
@@ -91,13 +96,17 @@ class Run:
         held_out = held_out_groups(self.project) if self.holds_out else frozenset()
         return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
 
-    def train(self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None) -> Ran:
+    def train(
+        self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None
+    ) -> Trained:
         """Trains on the written set, and registers the model without activating it.
 
         Raises:
             ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
         """
-        dataset, out = self._folder / DATASET, self._folder / run_name(manifest, config)
+        # depends on the labels and settings only
+        out = self._folder / f"{manifest.sha256[:12]}-{settings_hash(config)}"
+        dataset = self._folder / DATASET
         try:
             result = train_detector(dataset, out, config, report, self.role, stop)
         except TrainingStoppedError:
@@ -109,7 +118,8 @@ class Run:
         shutil.copyfile(dataset / MANIFEST_NAME, model_manifest)
         detector = load_detector(result.weights)
         write_validation_pictures(dataset, manifest, detector, out)
-        return Ran(self._registered(result, model_manifest, detector.fingerprint), result, manifest)
+        model = self._registered(result, model_manifest, detector.fingerprint)
+        return Trained(self.role, model, result, manifest)
 
     def _registered(self, result: TrainedModel, manifest: Path, fingerprint: str) -> StoredModel:
         """Registers the model, unless it is registered already."""
@@ -129,17 +139,14 @@ class Run:
         )
 
 
-@dataclass(eq=False)
-class LeftOut:
-    """Collects messages on data left out."""
-
-    lines: list[str] = field(default_factory=list)
+class LeftOut(list[str]):
+    """Messages on data left out."""
 
     def skip(self, stored: StoredFrame, error: FrameError) -> None:
         """Adds a frame that cannot be read, once."""
         line = f"frame {stored.key}: {error}"
-        if line not in self.lines:
-            self.lines.append(line)
+        if line not in self:
+            self.append(line)
 
 
 def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], None]) -> Iterator[TrainingSample]:
@@ -155,23 +162,12 @@ def remove_leftovers(project: Project, role: DetectorKind) -> None:
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
     leftovers = list(folder.glob(f".{DATASET}.part-*"))
     for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
-        if run.resolve() not in registered and _is_timed(run):
-            leftovers.append(run)
+        with suppress(FormatError):  # reported by a training that would continue it
+            record = read_run(run)
+            if record is not None and record.is_timed and run.resolve() not in registered:
+                leftovers.append(run)
     for path in leftovers:
         shutil.rmtree(path, ignore_errors=True)
-
-
-def _is_timed(folder: Path) -> bool:
-    try:
-        run = read_run(folder)
-    except FormatError:  # reported by a training that would continue it
-        return False
-    return run is not None and run.is_timed
-
-
-def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
-    """Returns the folder name of a training, which depends on the labels and settings only."""
-    return f"{manifest.sha256[:12]}-{settings_hash(config)}"
 
 
 def settings_hash(config: TrainingConfig) -> str:
@@ -203,35 +199,11 @@ ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
 
 
 @dataclass(frozen=True)
-class Trained:
-    """A trained detector.
-
-    Attributes:
-        seconds: duration of the training.
-        left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
-        decision: how held-out frames decided; None for an image detector.
-        learned: messages on up directions that reviewed boxes gave before (`learn_up`).
-    """
-
-    role: DetectorKind
-    model: StoredModel
-    result: TrainedModel
-    manifest: DatasetManifest
-    seconds: float
-    left_out: tuple[str, ...] = ()
-    decision: Decision | None = None
-    learned: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class TrainPlan:
     """The settings of a training.
 
     Attributes:
-        image, view: settings of each detector.
         samples: how many pseudo-views are generated.
-        rcv: how pseudo-views are drawn; None = the project's settings, with views of the detector's input size unless
-            they set a size.
         minutes: length of the view detector's training; None: three minutes if it starts from a detector, else as
             many pictures as `view` says.
         generated_share: share of generated views among those that continue a class-agnostic detector.
@@ -242,7 +214,6 @@ class TrainPlan:
     image: TrainingConfig = IMAGE_DEFAULTS
     view: TrainingConfig = VIEW_DEFAULTS
     samples: SampleConfig = field(default_factory=SampleConfig)
-    rcv: RcvConfig | None = None
     minutes: float | None = None
     generated_share: float = GENERATED_SHARE
     decides: bool = True
@@ -267,7 +238,6 @@ def train(
     training on the same labels continues. Labelled frames that cannot be read are left out and reported.
 
     Args:
-        progress: called after each step of a training.
         stop: returns True to end the training early; asked after each sample, batch and measured frame.
 
     Raises:
@@ -311,7 +281,7 @@ def _train_image(
     begin = time.perf_counter()
     left_out = LeftOut()
     if material.unreviewed_images:
-        left_out.lines.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
+        left_out.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
     real = image_samples(project, material, left_out.skip)
     written = run.write(unless_stopped(real, partial(_check_stop, stop)))
@@ -319,39 +289,35 @@ def _train_image(
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
-    return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))
+    return replace(ran, model=model, seconds=seconds, left_out=tuple(left_out))
 
 
-@dataclass(eq=False)
 class _ViewTraining:
     """A training of the view detector in parts; each part starts from the training's best detector so far."""
 
-    project: Project
-    material: Material
-    plan: TrainPlan
-    report: Report | None
-    stop: Stop | None
-    left_out: LeftOut = field(default_factory=LeftOut)
-    view_px: int = field(init=False)
-    rcv: RcvConfig = field(init=False)
-    paused_s: float = 0.0
+    def __init__(
+        self, project: Project, material: Material, plan: TrainPlan, report: Report | None, stop: Stop | None
+    ) -> None:
+        self.project, self.material, self.plan, self.report, self.stop = project, material, plan, report, stop
+        self.left_out = LeftOut()
+        self.paused_s = 0.0
 
     def run(self) -> Trained:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
         begin = time.perf_counter()
         project, plan = self.project, self.plan
-        labels = self.material.labels_of_kind if plan.decides else {}
+        labels = self.material.labels_of(self.material.kind) if plan.decides else {}
         held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
         start = choose_start(project, held_out, plan.view, plan.decides)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
         if other_kind and (start.model is None or not start.model.class_agnostic):
             kind = self.material.kind
-            self.left_out.lines.append(
+            self.left_out.append(
                 f"{amount(other_kind, 'pseudo-view')} whose boxes are not of the majority kind, {kind}"
             )
-        self.left_out.lines += start.left_out
+        self.left_out += start.left_out
         self.view_px = start.view_px(plan.view)
-        self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
+        self.rcv = rcv_config(project, view_px=self.view_px)
         choice = Choice(project, held_out, start, plan.decides)
         ends: list[float | None] = [None]
         anew = None
@@ -364,15 +330,13 @@ class _ViewTraining:
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
             parts.append(self._part(choice, None if number == anew else choice.origin, number, end, report))
         active = project.models.active(DetectorKind.VIEW)
-        used = [part for part in parts if active is not None and part[0].model.id == active.id]
-        ran, decision = (used or parts)[-1]
-        model, seconds = project.models.get(ran.model.id), time.perf_counter() - begin
-        lines = tuple(self.left_out.lines)
-        return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
+        last = ([part for part in parts if active is not None and part.model.id == active.id] or parts)[-1]
+        model, seconds = project.models.get(last.model.id), time.perf_counter() - begin
+        return replace(last, model=model, seconds=seconds, left_out=tuple(self.left_out))
 
     def _part(
         self, choice: Choice, origin: UsedModel | None, number: int, end_s: float | None, report: Report | None
-    ) -> tuple[Ran, Decision]:
+    ) -> Trained:
         """One part, with views of its own.
 
         Args:
@@ -382,9 +346,12 @@ class _ViewTraining:
         """
         plan = self.plan
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
-        agnostic = origin is not None and origin.class_agnostic
-        samples = self._samples(origin, drawing)
-        classes = AGNOSTIC if agnostic else self.project.config.classes
+        given = self.project, self.material, self.rcv, drawing
+        if origin is None or not origin.class_agnostic:
+            classes, samples = self.project.config.classes, view_samples(*given, self.left_out.skip)
+        else:  # with generated views, so that what the base detector knows is kept
+            own = agnostic_samples(*given, load_detector(origin.path), self.left_out.skip)
+            classes, samples = AGNOSTIC, with_generated(own, plan.generated_share, self.view_px, drawing.seed)
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
         written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))
         seconds = None
@@ -396,22 +363,14 @@ class _ViewTraining:
             sized = plan.view.model_copy(update={"image_size_px": self.view_px})
             config = starting_config(sized, origin, seconds, drawing.seed)
         ran = run.train(written, config, report, self.stop)
-        return ran, choice.add(ran.model, ran.result.note if origin is None else f"starts from the {origin.described}")
+        note = ran.result.note if origin is None else f"starts from the {origin.described}"
+        return replace(ran, decision=choice.add(ran.model, note))
 
     def _check_stop(self) -> None:
         """Blocks during a pause; adds its length to `paused_s`."""
         begin = time.perf_counter()
         _check_stop(self.stop)
         self.paused_s += time.perf_counter() - begin
-
-    def _samples(self, origin: UsedModel | None, drawing: SampleConfig) -> Iterator[TrainingSample]:
-        """The project's views, and generated ones if the detector at the start is class-agnostic."""
-        project, material, rcv, skip = self.project, self.material, self.rcv, self.left_out.skip
-        agnostic = origin is not None and origin.class_agnostic
-        if origin is None or not agnostic:
-            return view_samples(project, material, rcv, drawing, skip)
-        own = agnostic_samples(project, material, rcv, drawing, load_detector(origin.path), skip)
-        return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
 def _check_stop(stop: Stop | None) -> None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict, defaultdict, deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from annotator.project.log.event_types import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError, FrameError
-from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
+from annotator.workflows.workbench.frame_cache import FrameCache, Memo, OpenFrame
 
 # Margin on each side of a view, share of the box's longest side; and in front of and behind the box, share of its
 # depth. Enough for context, without the wall behind.
@@ -90,7 +90,9 @@ def views_of_points(
     cloud, is_inside = _near(points, near, box)
     colors = point_colors(cloud)
     if colors is not None:
-        colors = _dimmed(colors, is_inside)
+        dim = BACKGROUND + DIMMED * (colors[~is_inside].astype(np.float32) - BACKGROUND)
+        colors = colors.copy()
+        colors[~is_inside] = dim.astype(np.uint8)
     local = (cloud.xyz_m - box.center_m.astype(np.float32)) @ box.rotation.astype(np.float32)
     return [OrthoView(axis.name, _view(axis, box, cloud, local, colors, size_px)) for axis in AXES]
 
@@ -100,25 +102,17 @@ def _near(
 ) -> tuple[PointCloud, Bool[np.ndarray, "n"]]:
     """Returns the points that the views may show, thinned out, and the mask of those in the box."""
     is_inside = contains(box, points.xyz_m[near])
-    inside, around = _thinned(near[is_inside], MAX_INSIDE), _thinned(near[~is_inside], MAX_AROUND)
+    inside, around = (
+        part if len(part) <= most else part[np.linspace(0, len(part) - 1, most).astype(np.int64)]
+        for part, most in ((near[is_inside], MAX_INSIDE), (near[~is_inside], MAX_AROUND))
+    )
     cloud = replace(points, normals=None).select(np.concatenate([inside, around]))
     return cloud, np.arange(len(cloud)) < len(inside)
-
-
-def _thinned(indices: Int64[np.ndarray, "n"], limit: int) -> Int64[np.ndarray, "m"]:
-    return indices if len(indices) <= limit else indices[np.linspace(0, len(indices) - 1, limit).astype(np.int64)]
 
 
 def _shown(box: OrientedBox, margin_m: float) -> Float64[np.ndarray, "3"]:
     """Returns the sides of the box that encloses the volumes of all three views, metres."""
     return np.maximum(np.full(3, float(box.size_m.max())) + margin_m, box.size_m * (1 + 2 * DEPTH_MARGIN))
-
-
-def _dimmed(colors: UInt8[np.ndarray, "n 3"], inside: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
-    dim = BACKGROUND + DIMMED * (colors[~inside].astype(np.float32) - BACKGROUND)
-    colors = colors.copy()
-    colors[~inside] = dim.astype(np.uint8)
-    return colors
 
 
 def _view(
@@ -129,12 +123,13 @@ def _view(
     colors: UInt8[np.ndarray, "n 3"] | None,
     size_px: int,
 ) -> PseudoView:
-    rows = np.stack([sign * box.rotation[:, which] for which, sign in (axis.right, axis.down, axis.depth)])
+    axes = axis.right, axis.down, axis.depth
+    rows = np.stack([sign * box.rotation[:, which] for which, sign in axes])
     center = rows @ box.center_m
     sides = box.size_m[[axis.right[0], axis.down[0]]]
     scale = float(sides.max() * (1 + 2 * MARGIN)) / size_px
     origin = center[:2] - (size_px - 1) / 2 * scale
-    along = np.stack([sign * local[:, which] for which, sign in (axis.right, axis.down, axis.depth)])
+    along = np.stack([sign * local[:, which] for which, sign in axes])
     half = (size_px - 0.5) / 2 * scale
     depth = box.size_m[axis.depth[0]]
     shown = (np.abs(along[0]) < half) & (np.abs(along[1]) < half) & (np.abs(along[2]) < depth * (0.5 + DEPTH_MARGIN))
@@ -145,13 +140,8 @@ def _view(
         window = Window(origin - center[:2], scale, size_px, size_px)
         packed = pack_colors(None if colors is None else np.ascontiguousarray(colors[shown]), int(shown.sum()))
         (rgb,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], depths)
-    return PseudoView(rgb, _right_handed(rows), scale, origin, cloud.xyz_m[shown])
-
-
-def _right_handed(rows: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Asserts that right, down and into the view form a right-handed frame, as `AXES` must give."""
-    assert np.linalg.det(rows) > 0
-    return rows
+    assert np.linalg.det(rows) > 0, "right, down and into the view are a right-handed frame"
+    return PseudoView(rgb, rows, scale, origin, cloud.xyz_m[shown])
 
 
 # Side of each of the three views, and their distance, pixels; points that they are drawn from, at most.
@@ -172,7 +162,8 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
         part = strip[:, left : left + VIEW_PX]
         part[:] = item.view.rgb
         axes = item.view.axes[:2]
-        ends_m = axes @ box.center_m + np.array([[-1.0], [1.0]]) * _half_m(axes, box)
+        half_m = np.abs(axes @ box.rotation) @ box.size_m / 2
+        ends_m = axes @ box.center_m + np.array([[-1.0], [1.0]]) * half_m
         ends = np.rint((ends_m - item.view.origin_m) / item.view.metres_per_px).astype(int)
         (x0, y0), (x1, y1) = np.clip(ends, 0, VIEW_PX - 1).tolist()
         part[y0 : y1 + 1, [x0, x1]] = part[[y0, y1], x0 : x1 + 1] = LINE
@@ -181,11 +172,6 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
         elif item.name == "side":
             part[y0 : y1 + 1, x1 - 1 : x1 + 1] = FRONT
     return strip
-
-
-def _half_m(axes: np.ndarray, box: OrientedBox) -> np.ndarray:
-    """Half of the box's extent along each axis of a view, metres."""
-    return np.asarray(np.abs(axes @ box.rotation) @ box.size_m / 2)
 
 
 @dataclass(frozen=True)
@@ -200,13 +186,7 @@ class SeenBox:
 def accept_boxes(
     project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None
 ) -> tuple[tuple[int, Receipt], ...]:
-    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt.
-
-    Raises:
-        ConfigError: there is no box, or one of them is no proposal (any more).
-        NotFoundError: no such frame or label.
-        StaleRevisionError: a frame was changed since the operator saw it.
-    """
+    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt."""
     if not boxes:
         raise ConfigError("no box is chosen, so there is nothing to accept; click on those that are right")
     by_frame: dict[int, list[SeenBox]] = {}
@@ -241,14 +221,11 @@ Key = tuple[object, ...]
 class SheetPictures:
     """Draws and keeps pictures of boxes. Thread-safe."""
 
-    def __init__(self, frames: FrameCache, most: int = MOST_PICTURES) -> None:
-        self._frames, self._most = frames, most
+    def __init__(self, frames: FrameCache) -> None:
+        self._frames, self._pictures = frames, Memo(MOST_PICTURES)
         self._lock = threading.Lock()
-        self._pictures: OrderedDict[Key, bytes] = OrderedDict()
-        self._being_drawn: dict[Key, Future[bytes]] = {}
         self._executor = ThreadPoolExecutor(1, "sheets")
-        self._drawing: set[tuple[Project, int]] = set()
-        # boxes to draw before the others of their recording
+        # for each recording that is being drawn: the boxes to draw before its others
         self._first: dict[tuple[Project, int], deque[tuple[StoredFrame, list[Label]]]] = {}
         self._closed = threading.Event()
 
@@ -262,44 +239,21 @@ class SheetPictures:
 
         Args:
             frame: the frame, if it is read already.
-
-        Raises:
-            FrameError, RecordingError: the frame cannot be read.
         """
-        key = self._key(project, stored, box)
-        with self._lock:
-            known, drawn_by_other = self._known(key), self._being_drawn.get(key)
-            mine: Future[bytes] = Future()
-            if known is None and drawn_by_other is None:
-                self._being_drawn[key] = mine
-        if known is not None:
-            return known
-        if drawn_by_other is not None:
-            return drawn_by_other.result()
-        try:
-            content = png(picture(self._frames.look(project, stored) if frame is None else frame, box))
-            mine.set_result(content)
-        except BaseException as error:
-            mine.set_exception(error)
-            raise
-        finally:
-            with self._lock:
-                del self._being_drawn[key]
-        with self._lock:
-            self._pictures[key] = content
-            while len(self._pictures) > self._most:
-                self._pictures.popitem(last=False)
-        return content
+
+        def draw() -> bytes:
+            return png(picture(self._frames.look(project, stored) if frame is None else frame, box))
+
+        return self._pictures.get(self._key(project, stored, box), draw)
 
     def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]] = ()) -> None:
         """Draws pictures in the background: those of a track first, then of a recording's open proposals."""
         job = project, recording_id
         with self._lock:
+            is_drawing = job in self._first
             self._first[job] = deque((stored, [label]) for stored, label in track if stored.index is not None)
-            if job in self._drawing or self._closed.is_set():
-                return
-            self._drawing.add(job)
-        self._executor.submit(self._prepare, project, recording_id)
+        if not is_drawing and not self._closed.is_set():
+            self._executor.submit(self._prepare, project, recording_id)
 
     def _prepare(self, project: Project, recording_id: int) -> None:
         job = project, recording_id
@@ -316,7 +270,6 @@ class SheetPictures:
             LOG.info("the contact sheets were not drawn ahead: %s", error)
         finally:
             with self._lock:
-                self._drawing.discard(job)
                 self._first.pop(job, None)
 
     def _open_proposals(self, project: Project, recording_id: int) -> deque[tuple[StoredFrame, list[Label]]]:
@@ -325,7 +278,7 @@ class SheetPictures:
         for each in project.labels.select(states=[ReviewState.PROPOSED], recordings=[recording_id]):
             by_frame[each.frame_id].append(each.label)
         chosen: deque[tuple[StoredFrame, list[Label]]] = deque()
-        left = self._most
+        left = MOST_PICTURES
         for stored in project.frames.of([recording_id]):
             left -= len(by_frame[stored.id])
             if left < 0:
@@ -335,13 +288,7 @@ class SheetPictures:
         return chosen
 
     def _prepare_frame(self, project: Project, stored: StoredFrame, labels: list[Label]) -> None:
-        keys = [self._key(project, stored, label.box) for label in labels]
-        with self._lock:
-            missing = [
-                label
-                for key, label in zip(keys, labels, strict=True)
-                if self._known(key) is None and key not in self._being_drawn
-            ]
+        missing = [label for label in labels if self._key(project, stored, label.box) not in self._pictures]
         if not missing:
             return
         try:
@@ -352,12 +299,6 @@ class SheetPictures:
         for label in missing:
             self.get(project, stored, label.box, frame)
         self._closed.wait(PAUSE_S)
-
-    def _known(self, key: Key) -> bytes | None:
-        """Must be called with the lock."""
-        if key in self._pictures:
-            self._pictures.move_to_end(key)
-        return self._pictures.get(key)
 
     @staticmethod
     def _key(project: Project, stored: StoredFrame, box: OrientedBox) -> Key:

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,7 +32,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.geometry.outline import visible_edges
-from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
+from annotator.project import Project, StoredFrame, ViewBoxes
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import fit_box
@@ -46,7 +45,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import drawn_objects, taught_by_drags
-from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_cache import Memo, OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
 
@@ -162,7 +161,6 @@ class Labelling:
         outline: (k, 2, 2) its visible edges on the image, pixels.
         points: number of points in the box; in the frustum while there is no box.
         stop: why no further step is possible, or None.
-        note: why boxes are not suggested, or None.
     """
 
     steps: tuple[Step, ...]
@@ -223,11 +221,7 @@ def label_object(
     axes: Axes | None,
     detector: ReadyDetector | None,
 ) -> Labelling:
-    """As `label_steps` with the project's settings; a detector that fails gives a note instead of suggestions.
-
-    Args:
-        detector: suggests boxes, or None.
-    """
+    """As `label_steps` with the project's settings; a detector that fails gives a note instead of suggestions."""
     fit = None
     if detector is not None:
         settings = frame_config(project, opened.frame, detector, kind, kind)
@@ -363,14 +357,12 @@ class WholeBoxes:
         self.project = project
         self._read_frame = read or FrameSource(project).read
         self._lock = threading.Lock()
-        self._seen: OrderedDict[tuple[int, BoxRotation, int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
+        self._seen = Memo(MOST_FRAMES)
 
     def of(self, frame: Frame, stored: StoredFrame, image_box: Box2D, detector: ReadyDetector | None) -> list[Offered]:
         """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
 
         Args:
-            frame, stored: its frame.
-            image_box: drawn on the camera image.
             detector: for pseudo-views; used if it knows whole boxes.
         """
         views = [one for one in self._drawn(stored.id) if _image_box(one) == image_box]
@@ -413,17 +405,16 @@ class WholeBoxes:
         key = stored.id, rotation, adjusted, tuple(view.event_id for views in drawn for view in views)
         if not drawn:
             return []
-        # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
-        with self._lock:
-            if key not in self._seen:
-                try:
-                    self._seen[key] = self._read(self._read_frame(stored) if frame is None else frame, drawn)
-                except FrameError:
-                    return []  # another frame; the operator sees the problem when it is opened
-                while len(self._seen) > MOST_FRAMES:
-                    self._seen.popitem(last=False)
-            self._seen.move_to_end(key)
-            return self._seen[key]
+
+        def read() -> list[SeenObject]:
+            # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
+            with self._lock:
+                return self._read(self._read_frame(stored) if frame is None else frame, drawn)
+
+        try:
+            return self._seen.get(key, read)
+        except FrameError:
+            return []  # another frame; the operator sees the problem when it is opened
 
     def _read(self, frame: Frame, drawn: Sequence[tuple[ViewBoxes, ...]]) -> list[SeenObject]:
         up = held_direction(frame.up, frame_config(self.project, frame))

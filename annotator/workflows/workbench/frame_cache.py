@@ -9,8 +9,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int64
@@ -38,31 +38,37 @@ T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
 
 
-class _Once(Generic[T]):
-    """A result that one thread computes while others wait for it.
+class Memo:
+    """Keeps the latest results. Each is computed by one thread, while others wait for it. Thread-safe."""
 
-    `functools.cached_property` shares one lock between all objects before Python 3.12, so frames waited for each other.
-    """
-
-    def __init__(self, compute: Callable[[], T]) -> None:
-        self._compute = compute
+    def __init__(self, most: int) -> None:
+        self._most = most
         self._lock = threading.Lock()
-        self._results: list[T] = []
+        self._results: OrderedDict[Hashable, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
-    def get(self) -> T:
-        """Returns the result; an error is raised to each caller, and the next one tries again."""
-        if not self._results:
-            with self._lock:
-                if not self._results:
-                    self._results.append(self._compute())
-        return self._results[0]
+    def __contains__(self, key: Hashable) -> bool:
+        """Whether a result is kept, or is being computed."""
+        with self._lock:
+            return key in self._results
+
+    def get(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Returns a result; an error is raised to each caller, and the next one tries again."""
+        with self._lock:
+            lock, result = self._results.setdefault(key, (threading.Lock(), []))
+            self._results.move_to_end(key)
+            while len(self._results) > self._most:
+                self._results.popitem(last=False)
+        with lock:
+            if not result:
+                result.append(compute())
+        found: T = result[0]
+        return found
 
 
 class OpenFrame:
     """An open frame. Thread-safe.
 
     Attributes:
-        frame: the frame.
         adjusted: id of the event that adjusted its recording last, when the frame was read; 0 = none.
         is_prepared: its results were computed ahead, and its neighbours read ahead.
         page: the stored state as read last; None before the first read.
@@ -73,11 +79,8 @@ class OpenFrame:
         self.adjusted = adjusted
         self.is_prepared = False
         self.page: FramePage | None = None
-        self._jpeg = _Once(lambda: _jpeg(frame))
-        self._with_normals = _Once(lambda: _with_normals(frame))
+        self._whole, self._results = Memo(2), Memo(MAX_RESULTS)
         self._counts: dict[bytes, int] = {}
-        self._lock = threading.Lock()
-        self._results: OrderedDict[Hashable, Any] = OrderedDict()
         self._newest: dict[str, tuple[int, Any]] = {}
 
     @property
@@ -90,12 +93,12 @@ class OpenFrame:
     @property
     def jpeg(self) -> bytes:
         """The image as a JPEG file."""
-        return self._jpeg.get()
+        return self._whole.get("jpeg", lambda: _jpeg(self.frame))
 
     @property
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
-        return self._with_normals.get()
+        return self._whole.get("normals", lambda: _with_normals(self.frame))
 
     def inside(self, box: OrientedBox) -> Int64[np.ndarray, "m"]:
         """Returns the indices of the points in a box."""
@@ -111,26 +114,20 @@ class OpenFrame:
 
     def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
         """Returns the mask of the points inside the frustum of a box on the image."""
-        mask: np.ndarray = self.once(
-            ("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box)
-        )
-        return mask
+        return self.once(("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box))
 
     def views(self, key: Hashable, draw: Callable[[Frame], Views | None]) -> Views | None:
         """Returns the views of a step, drawn once per `key`, which must hold all that they depend on."""
-        views: Views | None = self.once(("views", key), lambda: draw(self.with_normals))
-        return views
+        return self.once(("views", key), lambda: draw(self.with_normals))
 
     def picture(self, view: PseudoView) -> bytes:
         """Returns the PNG file of a view from `views`; encoded once."""
         # the result holds the view, so that no other view gets its id
-        content: bytes = self.once(("picture", id(view)), lambda: (view, png(view.rgb)))[1]
-        return content
+        return self.once(("picture", id(view)), lambda: (view, png(view.rgb)))[1]
 
     def image_detections(self, detector: Detector) -> list[Box2D]:
         """Returns a detector's boxes on the image; detected once."""
-        boxes: list[Box2D] = self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
-        return boxes
+        return self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
 
     def newest(self, name: str, revision: int, compute: Callable[[], T]) -> T:
         """Returns a result that depends on the revision of the frame's labels; only the newest is kept."""
@@ -146,18 +143,7 @@ class OpenFrame:
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
-        with self._lock:
-            if key in self._results:
-                self._results.move_to_end(key)
-                known: T = self._results[key]
-                return known
-        # without the lock: two threads may compute the same result, and the later one is kept
-        result = compute()
-        with self._lock:
-            self._results[key] = result
-            while len(self._results) > MAX_RESULTS:
-                self._results.popitem(last=False)
-        return result
+        return self._results.get(key, compute)
 
 
 def _jpeg(frame: Frame) -> bytes:
@@ -188,17 +174,8 @@ KEPT_BYTES = 512 * 2**20
 PAUSE_S = 0.4
 
 
-@dataclass(frozen=True, eq=False)
-class _ReadAhead:
-    """The frame an operator has open, and when its neighbours may be read (`time.monotonic`)."""
-
-    project: Project
-    stored: StoredFrame
-    due_s: float
-
-    @property
-    def key(self) -> tuple[Project, int]:
-        return self.project, self.stored.id
+_ReadAhead = tuple[float, Project, StoredFrame]
+"""When the neighbours of the frame that an operator has open may be read (`time.monotonic`), and the frame."""
 
 
 class FrameCache:
@@ -233,7 +210,7 @@ class FrameCache:
         """
         stored = project.frames.get(frame_id)
         opened = self._open(project, stored)
-        self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
+        self._read_ahead((time.monotonic() + PAUSE_S, project, stored), operator)
         return opened
 
     def known_page(self, project: Project, frame_id: int) -> FramePage | None:
@@ -343,7 +320,7 @@ class FrameCache:
     def _read_ahead(self, request: _ReadAhead, operator: str) -> None:
         with self._lock:
             waiting = self._waiting.get(operator)
-            if waiting is None or waiting.key != request.key:
+            if waiting is None or _frame_of(waiting) != _frame_of(request):
                 self._waiting[operator] = request
             if self._is_reading_ahead:
                 return
@@ -359,8 +336,8 @@ class FrameCache:
                 if not self._waiting:
                     self._is_reading_ahead = False
                     return
-                operator, request = min(self._waiting.items(), key=lambda entry: entry[1].due_s)
-                pause_s = request.due_s - time.monotonic()
+                operator, request = min(self._waiting.items(), key=lambda entry: entry[1][0])
+                pause_s = request[0] - time.monotonic()
                 if pause_s <= 0:
                     del self._waiting[operator]
             if pause_s > 0:
@@ -372,18 +349,18 @@ class FrameCache:
         """Returns False once the operator has opened another frame."""
         with self._lock:
             newest = self._waiting.get(operator, request)
-        return newest.key == request.key and not self._closed.is_set()
+        return _frame_of(newest) == _frame_of(request) and not self._closed.is_set()
 
     def _prepare(self, request: _ReadAhead, operator: str) -> None:
         """Computes the results the page asks for next: of this frame, then of the next and the previous one."""
-        project, opened = request.project, self._cached(request.key)
+        (_, project, stored), opened = request, self._cached(_frame_of(request))
         if opened is None or opened.is_prepared:
             return
         # set first, so that a frame with a broken neighbour is prepared only once
         opened.is_prepared = True
         try:
             _ = opened.jpeg, opened.with_normals
-            previous_id, next_id = neighbours(project, request.stored)
+            previous_id, next_id = neighbours(project, stored)
             for neighbour_id in (next_id, previous_id):
                 if not self._is_current(request, operator):
                     opened.is_prepared = False
@@ -392,12 +369,16 @@ class FrameCache:
                     self._prepare_neighbour(project, neighbour_id)
         except AnnotatorError as error:
             # the error is shown when the frame itself is opened
-            LOG.debug("neighbours of frame %s: %s", request.stored.key, error)
+            LOG.debug("neighbours of frame %s: %s", stored.key, error)
         except Exception:
-            LOG.exception("reading the neighbours of frame %s ahead failed", request.stored.key)
+            LOG.exception("reading the neighbours of frame %s ahead failed", stored.key)
 
     def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
         opened = self._open(project, project.frames.get(frame_id))
         _ = opened.jpeg
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)
+
+
+def _frame_of(request: _ReadAhead) -> tuple[Project, int]:
+    return request[1], request[2].id

@@ -36,9 +36,7 @@ class ShownLabel:
     """A label as the page shows it.
 
     Attributes:
-        stored: the label.
         outline: (k, 2, 2) its visible edges on the image, pixels.
-        points: number of points in its box.
         doubt: in 0..1, for boxes from an automatic pass; else None.
     """
 
@@ -61,7 +59,6 @@ class ShownObject:
     """An object drawn with 2D boxes, finished or not.
 
     Attributes:
-        image_box: on the camera image.
         views: the drawn views: front and side of each step.
         uid: of the object's label, or None while it is unfinished.
     """
@@ -111,7 +108,6 @@ def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opene
 
     Args:
         others: their boxes are in this frame's camera.
-        own: the frame's labels.
     """
     present = [other for other in others if other.label.state is not ReviewState.REJECTED]
     if not present:
@@ -167,7 +163,6 @@ class Alignment:
         up: unit vector against gravity in the corrected camera frame.
         up_source: where `up` comes from.
         images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
-        labels: number of labels in the recording.
         drawn_images: number of its frames with boxes on their image.
         is_virtual: the image is drawn from the cloud, so there is no calibration to correct.
     """
@@ -184,12 +179,7 @@ class Alignment:
 
 
 def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
-    """Reads the alignment of a frame.
-
-    Raises:
-        NotFoundError: no such frame.
-        FrameError, RecordingError: it cannot be read.
-    """
+    """Reads the alignment of a frame."""
     stored = project.frames.get(frame_id)
     recording = project.recordings.get(stored.recording_id)
     frame, up = cache.recorded(project, frame_id), cache.read(project, frame_id).up
@@ -198,7 +188,7 @@ def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
         frame,
         frame.cloud.xyz_m if keep is None else frame.cloud.xyz_m[keep],
         recording,
-        None if up is None else _vector(up),
+        None if up is None else (float(up[0]), float(up[1]), float(up[2])),
         "unknown" if up is None else "files" if recording.up is None else "project",
         _images(project, cache, stored.recording_id, stored.key),
         project.labels.count(recordings=[stored.recording_id]),
@@ -216,11 +206,6 @@ def _images(project: Project, cache: FrameCache, recording_id: int, key: str) ->
     frames = [(frame, times.get(frame.key)) for frame in project.frames.of([recording_id]) if frame.index is not None]
     apart = [(frame.id, (time - now) / 1e9) for frame, time in frames if time is not None]
     return tuple(sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES])
-
-
-def _vector(up: np.ndarray) -> Up:
-    x, y, z = up.tolist()
-    return x, y, z
 
 
 WIDTH_PX = 640
@@ -247,12 +232,7 @@ class BagPreview:
 
 
 def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
-    """Opens a bag and draws its first frame.
-
-    Raises:
-        RecordingError: its files cannot be read.
-        MissingExtraError: the library that reads bags is not installed.
-    """
+    """Opens a bag and draws its first frame."""
     topics = bag_topics(path, options)
     try:
         recording = open_recording(path, options)

@@ -18,7 +18,15 @@ import numpy as np
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image, Suggestion
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import Names, UsedModel, detector_title, load_detector, used_model, view_model
+from annotator.workflows.detectors import (
+    Names,
+    Picture,
+    UsedModel,
+    detector_title,
+    load_detector,
+    used_model,
+    view_model,
+)
 from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
@@ -81,20 +89,12 @@ class Readiness:
 
     Attributes:
         state: none = there is no active model.
-        detector: set if ready.
         problem: why it failed, as shown to the operator.
     """
 
     state: Literal["none", "loading", "ready", "failed"]
     detector: ReadyDetector | None = None
     problem: str | None = None
-
-
-@dataclass(frozen=True)
-class _Blank:
-    """An empty image for a detector's first call, which is slow."""
-
-    rgb: np.ndarray
 
 
 def ready_view(project: Project) -> ReadyDetector | None:
@@ -225,7 +225,8 @@ class ReadyDetectors:
             if role is DetectorKind.VIEW:
                 warm_up_with(ready, ready.box_kind, ready.class_agnostic)
             else:
-                ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
+                # the first call is slow
+                ready.detect([Picture(np.full((64, 64, 3), 114, np.uint8))])
         except AnnotatorError as error:
             LOG.warning("the %s detector %s cannot be loaded: %s", role.value, model.path, error)
             raise

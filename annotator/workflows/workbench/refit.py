@@ -94,9 +94,7 @@ def refit(
     """Refits an existing box.
 
     Args:
-        label: the box's class.
         config: with the orientation for the frame and the box kind of the detector.
-        detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
     """
     reason = _why_no_detector(detector, label, config, problem)
@@ -115,7 +113,6 @@ class FoundBox:
     Attributes:
         box: None if the object was not found.
         outline: (k, 2, 2) its visible edges on the image, pixels.
-        points: number of points in the box.
         score, quality: of the recursion; None if the object was not found.
         note: why the object was not found, or None.
         too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
@@ -143,7 +140,6 @@ def find_box(
     Args:
         image_box: has the object's class.
         config: with the orientation for the frame and the box kind of the detector.
-        detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
         known: the axes of views, and what the boxes drawn on them span.
     """
@@ -175,7 +171,7 @@ def _found(
     if not result.proposals:
         too_few = _has_too_few(frame, image_box, config)
         return not_found(f"fewer than {config.min_points} points lie in these boxes" if too_few else NOT_DETECTED)
-    best = max(result.proposals, key=_agreement)
+    best = max(result.proposals, key=lambda each: each.score * (each.quality.image_agreement or 0.0))
     box = best.box
     if known and config.box_kind is BoxKind.BOX:
         box = _through_known(frame, best, known, config)
@@ -217,10 +213,6 @@ def _spans_of(box: OrientedBox) -> Intervals:
     axes, half = box.rotation.T, box.size_m / 2
     ends = (axes @ box.center_m)[:, None] + np.stack([-half, half], axis=1)
     return Intervals(axes, ends, np.full((3, 2), PLACED_DOUBT * float(box.size_m.mean())))
-
-
-def _agreement(proposal: Proposal) -> float:
-    return proposal.score * (proposal.quality.image_agreement or 0.0)
 
 
 def _has_too_few(frame: Frame, image_box: Box2D, config: RcvConfig) -> bool:

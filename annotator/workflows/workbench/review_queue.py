@@ -26,22 +26,15 @@ from annotator.project.review import By, Formula, Signal, ValueFilter
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
-# The bad values. In order, they are: share of the box's size, share of points, 1 - IoU (twice), 1 - score, 1 - IoU.
-BAD_DISAGREEMENT = 0.25
-BAD_LOST_SHARE = 0.9
-BAD_CHANGE = 0.3
-BAD_IMAGE = 0.6
-BAD_SCORE = 1.0
-BAD_IOU_LOSS = 0.5
-
+# The good and the bad value of each signal: shares of the box's size and of points, 1 - IoU (twice), score, 1 - IoU.
 FORMULA = Formula(
     (
-        Signal("view_disagreement", 0.0, BAD_DISAGREEMENT),
-        Signal("kept_share", 1.0, 1.0 - BAD_LOST_SHARE),
-        Signal("last_change", 0.0, BAD_CHANGE),
-        Signal("image_agreement", 1.0, 1.0 - BAD_IMAGE),
-        Signal("score", 1.0, 1.0 - BAD_SCORE),
-        Signal("expected_iou_loss", 0.0, BAD_IOU_LOSS),
+        Signal("view_disagreement", 0.0, 0.25),
+        Signal("kept_share", 1.0, 0.1),
+        Signal("last_change", 0.0, 0.3),
+        Signal("image_agreement", 1.0, 0.4),
+        Signal("score", 1.0, 0.0),
+        Signal("expected_iou_loss", 0.0, 0.5),
     ),
     MAX_DOUBT,
 )
@@ -82,7 +75,6 @@ class QueueItem:
     """A proposal to review, or a frame to label.
 
     Attributes:
-        frame: the frame.
         uid: of the proposal, or None for a whole frame.
         label: the proposal's class, or None.
         doubt: in 0..1, or None if unknown.
@@ -121,7 +113,6 @@ def queue(
     """Returns the queue. Finalised frames and frames that are no longer in their recording are left out.
 
     Args:
-        recording: only this recording.
         label: only proposals of this class; ignored by TEACH.
         most: number of items to return; None = all.
         attribute: only proposals with these values of an attribute; ignored by TEACH.
@@ -191,8 +182,8 @@ def _widest_first(frames: Sequence[StoredFrame], labelled: Sequence[int]) -> lis
     """
     halving = _halving(0, len(frames) - 1)
     if labelled:
-        # a stable sort: frames at equal distance stay in halving order
-        halving.sort(key=lambda number: -_octave(_distance(frames[number].index or 0, labelled)))
+        # a stable sort: frames at equal distance stay in halving order, and distances that differ little are equal
+        halving.sort(key=lambda number: -_distance(frames[number].index or 0, labelled).bit_length())
     # without labelled frames, the queue starts at the first frame
     return [frames[number] for number in halving]
 
@@ -201,11 +192,6 @@ def _distance(index: int, labelled: Sequence[int]) -> int:
     """Returns the distance to the nearest labelled frame; `labelled` is ascending and not empty."""
     behind = bisect_left(labelled, index)
     return min(abs(index - other) for other in labelled[max(behind - 1, 0) : behind + 1])
-
-
-def _octave(distance: int) -> int:
-    """Returns the number of the distance's binary digits, so that distances that differ little count as equal."""
-    return distance.bit_length()
 
 
 def _halving(first: int, last: int) -> list[int]:

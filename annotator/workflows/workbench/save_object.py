@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
+from annotator.project import REVIEWED, Origin, Project, Receipt, StoredLabel, WriteContext
 from annotator.project.log.event_types import (
     ImageBoxesSet,
     LabelChange,
@@ -43,8 +43,6 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
     """Returns the edits of those labels whose drawn boxes now give another 3D box, except labels corrected since.
 
     Args:
-        page: the frame before the change.
-        opened: the same frame.
         config: with the orientation for the frame.
         on_image: the new boxes on the image, and what they measure.
     """
@@ -89,9 +87,7 @@ class ObjectDrawn:
     """An object with the boxes drawn so far.
 
     Attributes:
-        image_box: on the camera image.
         boxes: on its views, as for `label_steps`.
-        labelling: what `label_steps` returned for these boxes.
         uid: of the object's label, or None while it has none.
         suggestion: the detector that suggested boxes, if the operator accepted any.
     """
@@ -137,8 +133,7 @@ def save_object(
     """
     page = present_page(project, frame_id, opened)
     if page.frame.revision != context.revision:
-        where = f"frame {page.frame.key} of recording {page.recording_name}"
-        raise StaleRevisionError(where, context.revision, page.frame.revision)
+        raise StaleRevisionError(f"frame {page.frame.key}", context.revision, page.frame.revision)
     if drawn is not None and drawn.image_box not in image_boxes:
         raise ConfigError("the object's image_box is not among image_boxes; send all boxes of the image")
     on_image = ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind)
@@ -192,17 +187,12 @@ def _view_boxes(
 
 
 def _new_views(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> list[Payload]:
-    known = {view.view_id: view for view in page.view_boxes}
-    return [entry for entry in view_boxes if not _is_stored(known.get(entry.view), entry)]
-
-
-def _is_stored(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
-    return view is not None and (view.boxes, view.box_kind, view.step, view.geometry) == (
-        entry.boxes,
-        entry.box_kind,
-        entry.step,
-        entry.geometry,
-    )
+    known = {view.view_id: (view.boxes, view.box_kind, view.step, view.geometry) for view in page.view_boxes}
+    return [
+        entry
+        for entry in view_boxes
+        if known.get(entry.view) != (entry.boxes, entry.box_kind, entry.step, entry.geometry)
+    ]
 
 
 def _label_change(
@@ -216,36 +206,27 @@ def _label_change(
     labelling = drawn.labelling
     is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
     measured = labelling.box if is_complete else None
-    name, uid = drawn.image_box.label, _label_uid(page, drawn)
-    if uid is not None:
-        present = _label(page, uid)
-        is_kept = measured is None or _are_drawn(page, view_boxes)
-        box = present.label.box if is_kept or measured is None else measured
-        suggestion = None if is_kept else drawn.suggestion
-        is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
-        if is_same and present.image_box == drawn.image_box and present.label.label == name:
+    uid = _label_uid(page, drawn)
+    shared = {"label": drawn.image_box.label, "image_box": drawn.image_box}
+    if uid is None:
+        if measured is None:
             return None
-        track = present.label.track_id
-        return LabelEdited(
-            uid=uid,
-            label=name,
-            box=BoxRecord.of(box),
-            track_id=track,
-            image_box=drawn.image_box,
-            suggestion=suggestion,
-            box_kind=None if is_kept else kind,
-        )
-    if measured is None:
+        new, record = uuid.uuid4().hex, BoxRecord.of(measured)
+        suggestion, origin = drawn.suggestion, Origin.DRAWN
+        return LabelCreated(uid=new, box=record, origin=origin, suggestion=suggestion, box_kind=kind, **shared)
+    present = _label(page, uid)
+    is_kept = measured is None or _are_drawn(page, view_boxes)
+    box = present.label.box if is_kept or measured is None else measured
+    is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
+    if is_same and (present.label.label, present.image_box) == (drawn.image_box.label, drawn.image_box):
         return None
-    new = uuid.uuid4().hex
-    return LabelCreated(
-        uid=new,
-        label=name,
-        box=BoxRecord.of(measured),
-        origin=Origin.DRAWN,
-        image_box=drawn.image_box,
-        suggestion=drawn.suggestion,
-        box_kind=kind,
+    return LabelEdited(
+        uid=uid,
+        box=BoxRecord.of(box),
+        track_id=present.label.track_id,
+        suggestion=None if is_kept else drawn.suggestion,
+        box_kind=None if is_kept else kind,
+        **shared,
     )
 
 
@@ -360,17 +341,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
     boxes = [label for label in project.labels.of_frame(source_id) if label.state in REVIEWED]
-    copies = [
-        NewProposal(
-            label.label,
-            label.box,
-            label.track_id,
-            box_kind=label.box_kind,
-            attributes=label.attributes,
-            origin=Origin.COPIED,
-        )
-        for label in boxes
-    ]
+    copies = [NewProposal.like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected
     payloads = proposal_events(project, frame, copies, where_rejected=True)
     if not payloads:

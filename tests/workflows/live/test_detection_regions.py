@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.iou import box_iou
@@ -44,11 +42,9 @@ class KnownBoxes:
     def __init__(self, *boxes: Box2D) -> None:
         self.boxes = list(boxes)
         self.asked: list[Image] = []
-        self.calls: list[tuple[Image, int]] = []
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         self.asked += images
-        self.calls += [(image, len(images)) for image in images]
         return [[box for whole in self.boxes if (box := on_part(image, whole))] for image in images]
 
     @property
@@ -72,6 +68,14 @@ def shifted(box: Box2D, x_px: float, **other: object) -> Box2D:
     return Box2D(x_min=box.x_min + x_px, y_min=box.y_min, x_max=box.x_max + x_px, y_max=box.y_max, **values)
 
 
+def tracking(*boxes: Box2D) -> tuple[KnownBoxes, RegionDetection]:
+    """A detector that knows boxes, and has searched the whole of a first image for them."""
+    known = KnownBoxes(*boxes)
+    image_detection = RegionDetection(known)
+    image_detection.boxes(frame(), (), CONFIG)
+    return known, image_detection
+
+
 def test_a_tracked_object_is_searched_in_a_region_around_its_last_position() -> None:
     known = KnownBoxes(shifted(outline(seed(0.0)), 12.0))
     image_detection = RegionDetection(known)
@@ -91,15 +95,6 @@ def test_new_objects_are_found_when_the_whole_image_is_searched_again() -> None:
     assert known.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
 
 
-def test_after_a_lost_object_the_whole_image_is_searched() -> None:
-    known = KnownBoxes(outline(seed(0.0)))
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
-    image_detection.lost()
-    image_detection.boxes(frame(), (seed(0.0),), CONFIG)
-    assert known.regions == [False, False]
-
-
 @pytest.mark.parametrize(
     "seen",
     [
@@ -110,9 +105,7 @@ def test_after_a_lost_object_the_whole_image_is_searched() -> None:
     ],
 )
 def test_an_object_not_found_in_its_region_is_searched_in_the_whole_image(seen: list[Box2D]) -> None:
-    known = KnownBoxes(*seen)
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
+    known, image_detection = tracking(*seen)
     known.boxes = seen
     for _ in range(WHOLE_EVERY):
         assert image_detection.boxes(frame(), (seed(0.0),), CONFIG) == seen
@@ -127,44 +120,21 @@ def test_an_object_cut_off_by_its_region_is_searched_in_the_whole_image() -> Non
     for x_px, regions in ((40.0, [True]), (50.0, [True, False])):
         moved = shifted(outline(near), x_px)
         assert box_iou(moved, outline(near)) > 0.5
-        known = KnownBoxes(moved)
-        image_detection = RegionDetection(known)
-        image_detection.boxes(frame(), (), CONFIG)
+        known, image_detection = tracking(moved)
         (found,) = image_detection.boxes(frame(), (near,), CONFIG)
         assert found.xyxy == pytest.approx(moved.xyxy)
         assert known.regions == [False, *regions]
 
 
 def test_if_two_regions_find_the_same_object_the_whole_image_is_searched() -> None:
-    known = KnownBoxes(outline(seed(0.0)))
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
+    known, image_detection = tracking(outline(seed(0.0)))
     assert image_detection.boxes(frame(), (seed(0.0), seed(0.02)), CONFIG) == known.boxes
     assert known.regions == [False, True, True, False]
-
-
-def test_objects_of_two_classes_may_be_at_the_same_position() -> None:
-    both = [outline(seed(0.0)), outline(seed(0.02, label="foot"))]
-    known = KnownBoxes(*both)
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
+    # those of two classes may be there both
+    known, image_detection = tracking(outline(seed(0.0)), outline(seed(0.02, label="foot")))
     found = image_detection.boxes(frame(), (seed(0.0), seed(0.02, label="foot")), CONFIG)
     assert [box.label for box in found] == ["hand", "foot"]
     assert known.regions == [False, True, True]
-
-
-@given(st.lists(st.tuples(*[st.floats(-0.4, 0.4)] * 2, st.floats(0.01, 0.6)), min_size=1, max_size=4))
-def test_networks_are_prepared_for_the_sizes_of_all_regions(places: list[tuple[float, float, float]]) -> None:
-    """With two cores, a single image uses both cores, and several images use one core each."""
-    seeds = [seed(x, y, size_m=size) for x, y, size in places]
-    known = KnownBoxes()
-    image_detection = RegionDetection(known)
-    image_detection.prepare(frame())
-    ready = {(call > 1, *image.rgb.shape) for image, call in known.calls}
-    known.calls.clear()
-    image_detection.boxes(frame(), (), CONFIG)
-    image_detection.boxes(frame(), seeds, CONFIG)
-    assert {(call > 1, *image.rgb.shape) for image, call in known.calls if isinstance(image, Region)} <= ready
 
 
 @pytest.mark.parametrize(
@@ -175,9 +145,7 @@ def test_networks_are_prepared_for_the_sizes_of_all_regions(places: list[tuple[f
     ],
 )
 def test_unsuitable_regions_are_not_used(seeds: list[WarmStart]) -> None:
-    known = KnownBoxes(outline(seed(0.0)))
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
+    known, image_detection = tracking(outline(seed(0.0)))
     image_detection.boxes(frame(), seeds, CONFIG)
     assert known.regions == [False, False]
 
@@ -200,8 +168,6 @@ def test_regions_contain_their_box_and_are_within_the_image(box: Box2D, place: t
 
 def test_objects_at_the_border_of_the_image_are_tracked() -> None:
     at_edge = Box2D("hand", -0.5, 200.0, 40.0, 250.0, 0.9)
-    known = KnownBoxes(at_edge)
-    image_detection = RegionDetection(known)
-    image_detection.boxes(frame(), (), CONFIG)
+    known, image_detection = tracking(at_edge)
     assert image_detection.boxes(frame(), (seed(-0.6),), CONFIG) == [at_edge]
     assert known.regions == [False, True]

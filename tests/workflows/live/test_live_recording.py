@@ -8,9 +8,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -24,7 +26,6 @@ from annotator.recordings.frame_writer import FrameWriter
 from annotator.recordings.recording import ReaderOptions
 from annotator.types import (
     Box2D,
-    Camera,
     Correction,
     Frame,
     LostObject,
@@ -77,10 +78,7 @@ def test_frames_with_depth_are_read_back_unchanged(frames: list[Frame], tmp_path
 
 def test_frames_without_depth_are_read_back_as_clouds(frames: list[Frame], tmp_path: Path) -> None:
     """As from a LiDAR or a Kinect: no registered depth, a distorted camera, reflectance."""
-    plain = frames[0].camera
-    bent = Camera(
-        plain.width_px, plain.height_px, plain.fx, plain.fy, plain.cx, plain.cy, (0.1, -0.02, 0.001, 0.0, 0.003)
-    )
+    bent = replace(frames[0].camera, distortion=(0.1, -0.02, 0.001, 0.0, 0.003))
     cloud = frames[0].cloud
     middle = np.abs(cloud.xyz_m[:, :2] / cloud.xyz_m[:, 2:]).max(axis=1) < 0.4  # also inside the distorted image
     xyz_m = cloud.xyz_m[middle]
@@ -192,7 +190,7 @@ def test_write_errors_are_raised_and_earlier_frames_are_kept(
     assert recorder.finish() == 1
     assert len(open_recording(tmp_path / "full")) == 1
     recorder.close()
-    with Recorder(tmp_path / "nothing") as nothing:
+    with closing(Recorder(tmp_path / "nothing")) as nothing:
         assert nothing.finish() == 0
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
@@ -203,19 +201,9 @@ def test_a_full_disk_keeps_the_proposals_written_before(
     recorder = Recorder(tmp_path / "full disk")
     written = recorder._results
 
-    class Full:
-        """A file with space for one frame's proposals and a few bytes."""
-
-        left = 1
-
-        def write(self, data: bytes) -> int:
-            self.left -= 1
-            return written.write(data if self.left >= 0 else data[:10])
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(written, name)
-
-    recorder._results = Full()  # type: ignore[assignment]
+    # space for one frame's proposals and a few bytes
+    space = iter([None, 10, 10])
+    recorder._results = Mock(wraps=written, write=lambda data: written.write(data[: next(space)]))
     for number, frame in enumerate(frames):
         recorder.put(seen(frame, 0.1 * number))
     assert recorder.finish() == 2
@@ -251,11 +239,10 @@ def test_a_path_of_several_recordings_is_played_by_name(make_project: Any, gener
 
 
 def test_unusable_recording_paths_are_errors(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="exists already"):
-        Recorder(tmp_path)
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="cannot be created"):
-        Recorder(tmp_path / "file" / "x")
+    for path, match in ((tmp_path, "exists already"), (tmp_path / "file" / "x", "cannot be created")):
+        with pytest.raises(ConfigError, match=match):
+            Recorder(path)
 
 
 @pytest.mark.parametrize(
@@ -269,21 +256,10 @@ def test_unsuitable_sources_are_refused_before_the_start(change: dict[str, objec
     recording = open_recording(generated / "hands")
     require_recordable(recording)
 
-    class Other:
-        """The same recording with changed attributes."""
-
-        is_sequence = True
-
-        def __getattr__(self, name: str) -> object:
-            return getattr(recording, name)
-
-        def __len__(self) -> int:
-            return len(recording)
-
-    for name, value in change.items():
-        setattr(Other, name, value)
+    known = {name: getattr(recording, name) for name in ("path", "format", "is_sequence")}
+    other = Mock(spec=recording, **(known | change))
     with pytest.raises(ConfigError, match=said):
-        require_recordable(Other())
+        require_recordable(other)
 
 
 KILLED = """
@@ -325,7 +301,7 @@ def test_the_recording_of_a_killed_process_is_rescued(generated: Path, tmp_path:
         file.write("999999,12")
     empty = tmp_path / ".cut [off].recording-empty"
     empty.mkdir()
-    with Recorder(out, lines.append) as again:
+    with closing(Recorder(out, lines.append)) as again:
         again.finish()
     assert [path.name for path in tmp_path.iterdir()] == ["cut [off]-rescued-1"]
     rescued = open_recording(tmp_path / "cut [off]-rescued-1")

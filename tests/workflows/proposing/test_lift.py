@@ -36,7 +36,7 @@ from annotator.workflows.proposing.lift import (
     boxes_of_file,
     drawn_boxes,
     lift,
-    propose_frames,
+    propose_image_boxes,
 )
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
@@ -62,7 +62,8 @@ def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
     ups = (UP, None, UP)
     frames = [replace(recording.frame(place), up=up) for place, up in enumerate(ups)]
     keys = [frame.key for frame in frames]
-    results = propose_frames(frames, knowing("people", kind), RcvConfig(), BoxRotation.AUTO)
+    pair = knowing("people", kind)
+    results = propose_image_boxes(frames, [[]] * 3, pair.view, pair.settings(RcvConfig()), BoxRotation.AUTO)
     assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
     assert [result.key for result in results] == keys
 
@@ -94,6 +95,14 @@ def outlines(project: Project, index: int) -> tuple[Box2D, ...]:
     return tuple(box for box in boxes if box is not None)
 
 
+def draw(project: Project, index: int) -> tuple[Box2D, ...]:
+    """Draws the outlines of a frame's true boxes on its image."""
+    stored, boxes = project.frames.of()[index], outlines(project, index)
+    drawn = ImageBoxesSet(boxes=boxes, box_kind=BoxKind.BOX)
+    project.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    return boxes
+
+
 def quick(project: Project) -> RcvConfig:
     """For tests in which the quality of proposals does not matter."""
     return rcv_config(project).model_copy(update={"max_steps": 1})
@@ -102,12 +111,10 @@ def quick(project: Project) -> RcvConfig:
 def test_drawn_boxes_become_proposals(people: Project, base: ReadyDetector) -> None:
     with pytest.raises(ConfigError, match="has no boxes on its images; give --boxes or --detector, or draw some"):
         drawn_boxes(people)
-    stored = people.frames.of()[1]
-    drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
-    people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    stored, drawn = people.frames.of()[1], draw(people, 1)
     done = lift(people, drawn_boxes(people), base, rcv_config(people))
     labels = [stored.label for stored in people.labels.select()]
-    assert (done.done, done.proposals, done.failures) == (1, len(drawn.boxes), 0)
+    assert (done.done, done.proposals, done.failures) == (1, len(drawn), 0)
     assert {label.state for label in labels} == {ReviewState.PROPOSED}
     assert {label.source for label in labels} == {Source.AUTO}
     frame = FrameSource(people).read(stored)
@@ -215,9 +222,8 @@ def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyD
 
 def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base: ReadyDetector) -> None:
     first, second, third = people.frames.of()[:3]
-    for stored, index in ((first, 0), (second, 1)):
-        drawn = ImageBoxesSet(boxes=outlines(people, index), box_kind=BoxKind.BOX)
-        people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    for index in (0, 1):
+        draw(people, index)
     people.log.append(third.id, [ImageBoxesSet(boxes=(), box_kind=BoxKind.BOX)], WriteContext(third.revision, "ann"))
     assert people.boxes.frames_without_labels() == (first.id, second.id)
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
@@ -232,9 +238,7 @@ def test_the_command_lifts_drawn_boxes(
     people: Project, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("annotator.cli.annotate.require_view", lambda _: base)
-    stored = people.frames.of()[1]
-    drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
-    people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    draw(people, 1)
     where = [people.path.name, "--projects", str(people.path.parent)]
     assert main(["lift", *where]) == 0
     output = capsys.readouterr().out

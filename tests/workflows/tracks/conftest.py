@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from threading import Lock
 
 import pytest
+from true_room import Room
 
-from annotator.project import create_project
+from annotator.project import Project, create_project
 from annotator.recordings import open_recording
-from annotator.types import Truth
+from annotator.types import BoxKind, Truth
 from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
 @pytest.fixture(scope="module")
@@ -27,3 +32,8 @@ def empty(generated: Path, tmp_path: Path) -> Path:
     with closing(create_project(tmp_path, "empty", ("person", "chair"))) as project:
         register_recording(project, open_recording(generated / "people"))
         return project.path
+
+
+@pytest.fixture
+def room(people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]) -> Room:
+    return Room(people, truths, ReadyDetector(knowing("people").view, BoxKind.BOX, Lock()))

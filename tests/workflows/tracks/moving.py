@@ -12,14 +12,15 @@ import pytest
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.rcv.follow_object import Followed, FollowStop
-from annotator.types import Box2D, Label, OrientedBox, Proposal, Quality, ReviewState
+from annotator.types import Box2D, Frame, Label, OrientedBox, Proposal, Quality, ReviewState
 from annotator.workflows.tracks import follow_run
-from annotator.workflows.tracks.follow_objects import Moment, Timeline
+from annotator.workflows.tracks.timeline import Moment, Timeline
 
 ANN = "ann"
 SIZE_M = np.array([0.6, 0.5, 1.7])
 APART_M, STEP_M = 2.0, 0.1
 FRAMES = 5
+UNREAD = Frame.__new__(Frame)
 
 
 def box_of(person: int, frame: int, off_m: float = 0.0) -> OrientedBox:
@@ -50,7 +51,7 @@ class Walking:
         """Within it, the follower is the one that knows; no frame is read."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(follow_run, "Follower", lambda first, start, *_: _Knowing(self, first.index, start))
-            patch.setattr(Timeline, "moment", lambda _, index: Moment(index, None, float(index)))  # type: ignore[arg-type]
+            patch.setattr(Timeline, "moment", lambda _, index: Moment(index, UNREAD, float(index)))
             yield
 
 

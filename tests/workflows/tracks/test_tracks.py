@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from threading import Lock
+from typing import Any
 
 import numpy as np
 import pytest
+from moving import ANN
 from scipy.spatial.transform import Rotation
+from true_room import Room
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext
-from annotator.project.classes.attributes import Attribute, AttributeKind
+from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.edit import put_attribute
 from annotator.project.database.schema import recordings
 from annotator.project.project import create_project
@@ -25,26 +28,11 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next, corrected_alike
-from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
-from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events, seeds_of
+from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, seeds_of, write
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-
-ANN = "ann"
-
-
-def by_hand(project: Project, frame: StoredFrame) -> WriteContext:
-    return WriteContext(project.frames.get(frame.id).revision, ANN)
-
-
-def by_machine(project: Project, frame: StoredFrame) -> WriteContext:
-    return WriteContext(project.frames.get(frame.id).revision, "rcv", Source.AUTO)
-
-
-def proposal(box: OrientedBox, label: str = "person") -> Proposal:
-    return Proposal(label, 0.8, box, Box2D(label, 0.0, 0.0, 9.0, 9.0), (), Quality(0.1, 0.9, 0.01))
+from annotator.workflows.workbench.save_object import copy_boxes
 
 
 def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
@@ -56,39 +44,40 @@ def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
 
 
 @pytest.fixture
-def proposed(people: Project, truths: list[list[Truth]]) -> tuple[Project, dict[str, Truth]]:
-    """Proposals in each frame in random order, and the true object of each label."""
+def owner(room: Room) -> dict[str, Truth]:
+    """The true object of each of the proposals that each frame has in random order."""
     rng, owner = np.random.default_rng(5), {}
-    for frame, objects in zip(people.frames.of(), truths, strict=True):
+    for index, objects in enumerate(room.truths):
         # rigid objects: sizes that change over time cannot be smoothed
-        rigid = [replace(o, box=OrientedBox(o.box.pose, r.box.size_m)) for o, r in zip(objects, truths[0], strict=True)]
+        pairs = zip(objects, room.truths[0], strict=True)
+        rigid = [replace(each, box=OrientedBox(each.box.pose, first.box.size_m)) for each, first in pairs]
         shuffled = [rigid[int(place)] for place in rng.permutation(len(objects))]
-        found = [proposal(put_off(truth.box, rng)) for truth in shuffled]
-        uids = people.proposals.replace(frame.id, found, by_machine(people, frame)).uids
-        owner |= {uid: truth for uid, truth in zip(uids, shuffled, strict=True) if uid is not None}
-    return people, owner
+        uids = room.propose(index, *(put_off(truth.box, rng) for truth in shuffled))
+        owner |= dict(zip(uids, shuffled, strict=True))
+    return owner
 
 
-def test_linking_and_smoothing_improve_boxes_and_are_idempotent(proposed: tuple[Project, dict[str, Truth]]) -> None:
-    project, owner = proposed
-    frames = project.frames.of()
-    before = {label.uid: label.box for frame in frames for label in project.labels.of_frame(frame.id)}
+def test_linking_and_smoothing_improve_boxes_and_are_idempotent(room: Room, owner: dict[str, Truth]) -> None:
+    project = room.project
+    before = {label.uid: label.box for index in range(5) for label in room.labels(index)}
+
+    def edit(index: int, uid: str, box: OrientedBox, track_id: int | None) -> None:
+        frame = room.frames[index].id
+        project.labels.edit(frame, uid, room.context(index), label="person", box=box, track_id=track_id)
+
     # one box is corrected, another one is also given a track
-    accepted, named = (project.labels.of_frame(frames[n].id)[0] for n in (1, 3))
-    for frame, label, number in ((frames[1], accepted, None), (frames[3], named, 40)):
-        before[label.uid] = owner[label.uid].box
-        edit = {"label": "person", "box": owner[label.uid].box, "track_id": number}
-        project.labels.edit(frame.id, label.uid, by_hand(project, frame), **edit)
+    accepted, named = (room.labels(index)[0].uid for index in (1, 3))
+    for index, uid, number in ((1, accepted, None), (3, named, 40)):
+        before[uid] = owner[uid].box
+        edit(index, uid, owner[uid].box, number)
     done = link_tracks(project)
     assert (done.recordings, done.boxes, done.tracks, done.left, done.busy) == (1, 15, 3, 0, ())
-    labels = project.labels.select()
-    ids = {(stored.label.track_id, owner[stored.label.uid].track_id) for stored in labels}
-    assert len(ids) == 3, "one track per person"
-    assert {stored.label.track_id for stored in labels} == {40, 41, 42}
-    after = {stored.label.uid: stored.label.box for stored in labels}
-    untouched = (accepted.uid, named.uid)
-    assert all(np.array_equal(after[uid].rotation, before[uid].rotation) for uid in untouched)
-    others = [uid for uid in after if uid not in untouched]
+    labels = [stored.label for stored in project.labels.select()]
+    assert len({(label.track_id, owner[label.uid].track_id) for label in labels}) == 3, "one track per person"
+    assert {label.track_id for label in labels} == {40, 41, 42}
+    after = {label.uid: label.box for label in labels}
+    assert all(np.array_equal(after[uid].rotation, before[uid].rotation) for uid in (accepted, named))
+    others = [uid for uid in after if uid not in (accepted, named)]
     gain = [iou_3d(after[uid], owner[uid].box) - iou_3d(before[uid], owner[uid].box) for uid in others]
     assert np.mean(gain) > 0.02
     assert {project.labels.get(uid).label.state for uid in others} == {ReviewState.PROPOSED}
@@ -99,211 +88,247 @@ def test_linking_and_smoothing_improve_boxes_and_are_idempotent(proposed: tuple[
     # without smoothing, the original proposals are restored
     link_tracks(project, smooth=False)
     assert all(iou_3d(project.labels.get(uid).label.box, before[uid]) == pytest.approx(1) for uid in others)
-    assert project.labels.get(named.uid).label.track_id == 40
+    assert project.labels.get(named).label.track_id == 40
     kept = [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
     project.log.rebuild()
     assert kept == [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
     # a track id set by an operator applies to all boxes of the object
-    uid = others[0]
-    stored = project.labels.get(uid)
-    frame = project.frames.get(stored.frame_id)
-    edit = {"label": "person", "box": stored.label.box, "track_id": 9}
-    project.labels.edit(frame.id, uid, by_hand(project, frame), **edit)
+    stored = project.labels.get(others[0])
+    edit([frame.id for frame in room.frames].index(stored.frame_id), others[0], stored.label.box, 9)
     link_tracks(project)
-    mine = [s.label for s in project.labels.select() if owner[s.label.uid].track_id == owner[uid].track_id]
-    given = {9, 40} if named.uid in {label.uid for label in mine} else {9}
-    assert {label.track_id for label in mine} == given
+    person = owner[others[0]].track_id
+    mine = [s.label for s in project.labels.select() if owner[s.label.uid].track_id == person]
+    assert {label.track_id for label in mine} == ({9, 40} if named in {label.uid for label in mine} else {9})
 
 
-def test_finalised_frames_are_linked_but_not_changed(
-    proposed: tuple[Project, dict[str, Truth]],
-) -> None:
-    project = proposed[0]
-    frames = project.frames.of()
-    project.frames.finalise(frames[0].id, by_hand(project, frames[0]))
+def test_finalised_frames_are_linked_but_not_changed(room: Room, owner: dict[str, Truth]) -> None:
+    project, (first, second) = room.project, room.frames[:2]
+    project.frames.finalise(first.id, room.context(0))
     done = link_tracks(project)
     assert (done.tracks, done.left) == (3, 3)
-    assert all(label.track_id is None for label in project.labels.of_frame(frames[0].id))
-    assert [e.author for e in project.log.of_frame(frames[0].id)] == ["rcv", ANN]
-    assert [e.author for e in project.log.of_frame(frames[1].id)] == ["rcv", AUTHOR]
+    assert all(label.track_id is None for label in room.labels(0))
+    assert [e.author for e in project.log.of_frame(first.id)] == ["rcv", ANN]
+    assert [e.author for e in project.log.of_frame(second.id)] == ["rcv", AUTHOR]
     assert project.history.next(ANN)[0] == "finalise frame 000000"
 
 
-def accept_truth(project: Project, frame: StoredFrame, truths: list[Truth], track_id: int | None = 3) -> list[str]:
-    """Creates accepted labels of true boxes, the first one with a track id."""
-    new = [NewLabel("person", truth.box, track_id=None if place else track_id) for place, truth in enumerate(truths)]
-    return list(project.labels.create(frame.id, new, by_hand(project, frame)).uids)
+def test_seeds_are_the_reviewed_boxes_of_the_previous_frame(room: Room) -> None:
+    uids = room.accept(1)
+    room.project.labels.reject(room.frames[1].id, uids[1], room.context(1))
+    seeds = [seeds_of(room.project, frame) for frame in room.frames[:3]]
+    assert [seed.label for seed in seeds[2]] == ["person", "person"]
+    assert iou_3d(seeds[2][1].box, room.box(1, 2)) == pytest.approx(1)
+    assert seeds[1] == seeds[0] == ()
 
 
-def test_seeds_are_the_reviewed_boxes_of_the_previous_frame(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    uids = accept_truth(people, frames[1], truths[1])
-    people.labels.reject(frames[1].id, uids[1], by_hand(people, frames[1]))
-    assert [seed.label for seed in seeds_of(people, frames[2])] == ["person", "person"]
-    assert iou_3d(seeds_of(people, frames[2])[1].box, truths[1][2].box) == pytest.approx(1)
-    assert seeds_of(people, frames[1]) == seeds_of(people, frames[0]) == ()
-
-
-def test_frames_between_key_frames_are_filled_as_one_action(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    first, last = (accept_truth(people, frames[n], truths[n][:1])[0] for n in (0, 4))
+def test_frames_between_key_frames_are_filled_as_one_action(room: Room) -> None:
+    people, frames, recording = room.project, room.frames, room.recording
+    first, last = room.accept_box(0, room.box(0)), room.accept_box(4, room.box(4))
     # frame 1 has open proposals of this person and of another one; in frame 2 the person's box is rejected
-    there, other = (proposal(truth.box) for truth in truths[1][:2])
-    old = people.proposals.replace(frames[1].id, [there, other], by_machine(people, frames[1])).uids
-    (rejected,) = people.proposals.replace(
-        frames[2].id, [proposal(truths[2][0].box)], by_machine(people, frames[2])
-    ).uids
-    assert rejected is not None
-    people.labels.reject(frames[2].id, rejected, by_hand(people, frames[2]))
-    recording = people.recordings.all()[0].id
+    old = room.propose(1, room.box(1), room.box(1, 1))
+    (rejected,) = room.propose(2, room.box(2))
+    people.labels.reject(frames[2].id, rejected, room.context(2))
     done = interpolate(people, recording, 3, ANN)
     assert ([frame for frame, _ in done.filled], done.covered) == ([frames[1].id, frames[3].id], 1)
-    new = {frame.id: [label for label in people.labels.of_frame(frame.id) if label.track_id == 3] for frame in frames}
-    assert [len(new[frame.id]) for frame in frames] == [1, 1, 0, 1, 1]
-    assert old[0] not in {label.uid for label in people.labels.of_frame(frames[1].id)}
-    assert old[1] in {label.uid for label in people.labels.of_frame(frames[1].id)}
+    new = [[label for label in room.labels(index) if label.track_id == 3] for index in range(5)]
+    assert [len(labels) for labels in new] == [1, 1, 0, 1, 1]
+    assert [uid in {label.uid for label in room.labels(1)} for uid in old] == [False, True]
     for n in (1, 3):
-        (label,) = new[frames[n].id]
+        (label,) = new[n]
         assert (label.state, label.source) == (ReviewState.PROPOSED, Source.AUTO)
-        expected = (1 - n / 4) * truths[0][0].box.center_m + n / 4 * truths[4][0].box.center_m
-        assert np.allclose(label.box.center_m, expected)
+        assert np.allclose(label.box.center_m, (1 - n / 4) * room.box(0).center_m + n / 4 * room.box(4).center_m)
     assert people.history.next(ANN)[0] == "propose 2 labels (frames 000001 to 000003)"
     people.history.undo(ANN)
-    assert {label.uid for label in people.labels.of_frame(frames[1].id)} == set(old)
-    assert people.labels.of_frame(frames[3].id) == ()
+    assert {label.uid for label in room.labels(1)} == set(old)
+    assert room.labels(3) == []
     # as requested by the page, back from the current box
-    back = interpolate_back(people, frames[4].id, last, people.frames.get(frames[4].id).revision, ANN)
-    assert back.filled and back.track_id == 3
+    assert interpolate_back(people, frames[4].id, last, room.context(4).revision, ANN).filled
     with pytest.raises(StaleRevisionError):
         interpolate_back(people, frames[4].id, last, 0, ANN)
     with pytest.raises(ConfigError, match="no reviewed box in an earlier frame"):
-        interpolate_back(people, frames[0].id, first, people.frames.get(frames[0].id).revision, ANN)
+        interpolate_back(people, frames[0].id, first, room.context(0).revision, ANN)
     for n in (1, 3):
-        people.frames.finalise(frames[n].id, by_hand(people, frames[n]))
-    with pytest.raises(ConfigError, match=r"no frame to fill .*\(2 finalised, 1 reviewed or rejected\)"):
-        interpolate(people, recording, 3, ANN)
-    with pytest.raises(ConfigError, match="track 5 has 0 reviewed boxes"):
-        interpolate(people, recording, 5, ANN)
-    with pytest.raises(ConfigError, match="track ids are at most 9007199254740992, not 1e\\+20"):
-        interpolate(people, recording, 10**20, ANN)
-    with pytest.raises(ConfigError, match="frame 000001 has no reviewed box of track 3"):
-        interpolate(people, recording, 3, ANN, first="000001")
+        people.frames.finalise(frames[n].id, room.context(n))
+    for track, options, match in (
+        (3, {}, r"no frame to fill .*\(2 finalised, 1 reviewed or rejected\)"),
+        (5, {}, "track 5 has 0 reviewed boxes"),
+        (10**20, {}, "track ids are at most 9007199254740992, not 1e\\+20"),
+        (3, {"first": "000001"}, "frame 000001 has no reviewed box of track 3"),
+    ):
+        with pytest.raises(ConfigError, match=match):
+            interpolate(people, recording, track, ANN, **options)
 
 
-def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(
-    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
-) -> None:
-    frames = people.frames.of()
-    accept_truth(people, frames[0], truths[0][:2])
-    annotate(people, knowing("people"), RcvConfig(), limit=2)
-    found = {label.track_id: label for label in people.labels.of_frame(frames[1].id)}
+def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(room: Room, knowing: Callable[..., Detectors]) -> None:
+    room.accept_box(0, room.box(0))
+    room.accept_box(0, room.box(0, 1), None)
+    annotate(room.project, knowing("people"), RcvConfig(), limit=2)
+    found = {label.track_id: label for label in room.labels(1)}
     assert set(found) == {3, None}
-    assert iou_3d(found[3].box, truths[1][0].box) > 0.8
-    assert people.labels.get(found[3].uid).track_linked
+    assert iou_3d(found[3].box, room.box(1)) > 0.8
+    assert room.project.labels.get(found[3].uid).track_linked
 
 
-def test_a_box_is_copied_to_its_predicted_position(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    _, (uid,) = [accept_truth(people, frames[n], truths[n][:1]) for n in (0, 1)]
-    done = copy_next(people, frames[1].id, uid, 1, ANN)
-    (label,) = people.labels.of_frame(frames[2].id)
+def copy(room: Room, index: int, uid: str, revision: int | None = None, **options: Any) -> Any:
+    at = room.context(index).revision if revision is None else revision
+    return copy_next(room.project, room.frames[index].id, uid, at, ANN, **options)
+
+
+def test_a_box_is_copied_to_its_predicted_position(room: Room) -> None:
+    people, frames = room.project, room.frames
+    room.accept_box(0, room.box(0))
+    uid = room.accept_box(1, room.box(1))
+    done = copy(room, 1, uid)
+    (label,) = room.labels(2)
     assert (done.frame_id, [frame for frame, _ in done.changed]) == (frames[2].id, [frames[2].id])
     assert (label.track_id, label.state) == (3, ReviewState.PROPOSED)
-    assert np.allclose(label.box.center_m, 2 * truths[1][0].box.center_m - truths[0][0].box.center_m)
+    assert np.allclose(label.box.center_m, 2 * room.box(1).center_m - room.box(0).center_m)
     people.history.undo(ANN)
     # moved with its points, and as large as it was
-    read = FrameSource(people).read
-    done = copy_next(people, frames[1].id, uid, people.frames.get(frames[1].id).revision, ANN, read=read)
-    (label,) = people.labels.of_frame(frames[2].id)
+    done = copy(room, 1, uid, read=FrameSource(people).read)
+    (label,) = room.labels(2)
     assert (label.uid, label.state) == (done.uid, ReviewState.PROPOSED)
-    assert iou_3d(label.box, truths[2][0].box) > 0.8
+    assert iou_3d(label.box, room.box(2)) > 0.8
     assert np.array_equal(label.box.size_m, people.labels.get(uid).label.box.size_m)
+    people.labels.accept(frames[2].id, label.uid, room.context(2))
     with pytest.raises(ConfigError, match=r"in frame 000002: a reviewed box is here already$"):
-        people.labels.accept(frames[2].id, label.uid, by_hand(people, people.frames.get(frames[2].id)))
-        copy_next(people, frames[1].id, uid, people.frames.get(frames[1].id).revision, ANN)
-    (last,) = accept_truth(people, frames[4], truths[4][:1])
+        copy(room, 1, uid)
+    last = room.accept_box(4, room.box(4))
     with pytest.raises(ConfigError, match="last of its recording"):
-        copy_next(people, frames[4].id, last, 1, ANN)
+        copy(room, 4, last)
 
 
-def test_a_copied_box_takes_over_values_that_somebody_has_set(people: Project, truths: list[list[Truth]]) -> None:
-    pose = Attribute(name="pose", kind=AttributeKind.TEXT)
-    people.change_classes(lambda config: put_attribute(config, pose), ANN)
-    first, second = people.frames.of()[:2]
-    (uid,) = accept_truth(people, first, truths[0][:1])
-    found = [proposal(truths[1][0].box)]
-    (old,) = people.proposals.replace(second.id, found, by_machine(people, second)).uids
-    assert old is not None
-    people.labels.set_attributes(second.id, old, {"pose": "lying"}, by_hand(people, second))
-    copy_next(people, first.id, uid, people.frames.get(first.id).revision, ANN)
-    (copied,) = people.labels.of_frame(second.id)
-    assert (copied.uid != old, copied.attributes) == (True, {"pose": "lying"})
-    # the next pass leaves it alone
-    assert people.proposals.replace(second.id, found, by_machine(people, second)).covered == 1
-    assert [label.uid for label in people.labels.of_frame(second.id)] == [copied.uid]
-
-
-def test_a_copied_box_without_a_track_gets_one_with_one_undo(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
-    copy_next(people, frames[0].id, uid, 1, ANN)
-    assert people.labels.get(uid).label.track_id == people.labels.of_frame(frames[1].id)[0].track_id == 1
-    people.history.undo(ANN)
-    assert people.labels.get(uid).label.track_id is None
-    assert people.labels.of_frame(frames[1].id) == ()
+def test_a_copied_box_without_a_track_gets_one_with_one_undo(room: Room) -> None:
+    uid = room.accept_box(0, room.box(0), None)
+    copy(room, 0, uid)
+    assert room.project.labels.get(uid).label.track_id == room.labels(1)[0].track_id == 1
+    room.project.history.undo(ANN)
+    assert room.project.labels.get(uid).label.track_id is None
+    assert room.labels(1) == []
 
 
 @pytest.mark.parametrize("kind", BoxKind)
-def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(
-    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors], kind: BoxKind
-) -> None:
-    frames, view = people.frames.of(), knowing("people").view
+def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(room: Room, kind: BoxKind) -> None:
+    people, frames = room.project, room.frames
     for n in (0, 3):
-        new = NewLabel("person", truths[n][0].box, track_id=3, box_kind=kind)
-        (uid,) = people.labels.create(frames[n].id, [new], by_hand(people, frames[n])).uids
-    interpolate(people, people.recordings.all()[0].id, 3, ANN)
-    copy_next(people, frames[3].id, uid, people.frames.get(frames[3].id).revision, ANN)
-    assert [people.labels.of_frame(frame.id)[0].box_kind for frame in frames] == [kind] * 5
+        uid = room.accept_box(n, room.box(n), box_kind=kind)
+    interpolate(people, room.recording, 3, ANN)
+    copy(room, 3, uid)
+    assert [room.labels(index)[0].box_kind for index in range(5)] == [kind] * 5
     people.history.undo(ANN)
     # the detector measures whole boxes only, so it fits no other ones
-    source, ready = FrameSource(people), ReadyDetector(view, BoxKind.BOX, Lock())
-    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), ready)
-    moved, label = people.frames.get(frames[4].id), people.labels.get(uid).label
-    off = relabelled(truths[4][0].box, FLIP)
+    source = FrameSource(people)
+    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), room.view)
+    off = relabelled(room.box(4), FLIP)
     off = OrientedBox.from_parts(off.center_m + 0.02, off.rotation, off.size_m)
-    assert (fit(moved, off, label) is off) == (kind is BoxKind.SILHOUETTE)
+    assert (fit(frames[4], off, people.labels.get(uid).label) is off) == (kind is BoxKind.SILHOUETTE)
     people.history.undo(ANN)
-    follow_recording(people, people.recordings.all()[0].id, ReadyDetector(view, BoxKind.BOX, Lock()), ANN)
-    labels = [people.labels.of_frame(frame.id)[0] for frame in frames]
+    room.all(room.view)
+    labels = [room.labels(index)[0] for index in range(5)]
     assert [label.box_kind for label in labels] == [kind] * 5
     sizes = [label.box.size_m for label in labels if label.state is ReviewState.PROPOSED]
-    reviewed = [truths[n][0].box.size_m for n in (0, 3)]
-    carried = [any(np.allclose(size, each) for each in reviewed) for size in sizes]
+    carried = [any(np.allclose(size, room.box(n).size_m) for n in (0, 3)) for size in sizes]
     assert all(carried) if kind is BoxKind.SILHOUETTE else not any(carried)
 
 
-def test_what_cannot_be_copied_is_refused(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
+def test_what_cannot_be_copied_is_refused(room: Room) -> None:
+    people, uid = room.project, room.accept_box(0, room.box(0), None)
     with pytest.raises(NotFoundError, match="has no label gone; reload the frame"):
-        copy_next(people, frames[0].id, "gone", 1, ANN)
+        copy(room, 0, "gone")
     with pytest.raises(StaleRevisionError):
-        copy_next(people, frames[0].id, uid, 0, ANN)
-    people.frames.finalise(frames[1].id, by_hand(people, frames[1]))
+        copy(room, 0, uid, 0)
+    people.frames.finalise(room.frames[1].id, room.context(1))
     with pytest.raises(ConfigError, match="frame 000001 is finalised; reopen it first"):
-        copy_next(people, frames[0].id, uid, 1, ANN)
-
-
-def test_recordings_without_a_time_order_have_no_next_frame(people: Project, truths: list[list[Truth]]) -> None:
-    frames = people.frames.of()
-    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
+        copy(room, 0, uid)
     with people.store.write() as connection:
         connection.execute(recordings.update().values(is_sequence=False))
     with pytest.raises(ConfigError, match="the frames of people do not follow each other in time"):
-        copy_next(people, frames[0].id, uid, 1, ANN)
-    assert people.labels.of_frame(frames[0].id)[0].track_id is None
-    assert people.labels.of_frame(frames[1].id) == ()
+        copy(room, 0, uid)
+    assert room.labels(0)[0].track_id is None
     assert link_tracks(people).unordered == ("people",)
+
+
+# --- values along tracks ----------------------------------------------------------------------------------------------
+
+SCHEMA: list[dict[str, Any]] = [
+    {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]},
+    {"name": "height", "kind": "number", "default": 1.7},
+    {"name": "coat", "kind": "text", "of": "track"},
+]
+SITTING = {"pose": "sitting", "height": 1.5, "coat": "red"}
+STANDING = {"pose": "standing", "height": 1.8, "coat": "red"}
+
+
+@pytest.fixture
+def valued(room: Room) -> Room:
+    """The room, in a project with values of boxes and of tracks."""
+    for fields in SCHEMA:
+        room.project.change_classes(partial(put_attribute, attribute=Attribute.model_validate(fields)), ANN)
+    return room
+
+
+def along(room: Room, track_id: int = 3) -> list[dict[str, Any] | None]:
+    """The values of a track's label in each frame."""
+    by_frame = {each.frame_id: each.label for each in room.project.labels.select(tracks=[track_id])}
+    return [dict(by_frame[frame.id].attributes) if frame.id in by_frame else None for frame in room.frames]
+
+
+def test_interpolated_boxes_have_the_values_of_the_nearer_key_frame(valued: Room) -> None:
+    valued.accept_box(0, valued.box(0), attributes=SITTING)
+    valued.accept_box(4, valued.box(4), attributes=STANDING)
+    interpolate(valued.project, valued.recording, 3, ANN)
+    # the middle frame is as near to both: the earlier one counts
+    assert along(valued) == [SITTING, SITTING, SITTING, STANDING, STANDING]
+
+
+def test_copies_have_all_values(valued: Room) -> None:
+    uid = valued.accept_box(0, valued.box(0), attributes=SITTING)
+    copy(valued, 0, uid)
+    copy_boxes(valued.project, valued.frames[2].id, valued.frames[0].id, valued.context(2))
+    assert along(valued)[:3] == [SITTING] * 3
+
+
+def test_a_copied_box_takes_over_values_that_somebody_has_set(valued: Room) -> None:
+    people, second = valued.project, valued.frames[1].id
+    uid = valued.accept_box(0, valued.box(0))
+    (old,) = valued.propose(1, valued.box(1))
+    people.labels.set_attributes(second, old, {"pose": "standing"}, valued.context(1))
+    copy(valued, 0, uid)
+    (copied,) = valued.labels(1)
+    assert (copied.uid != old, copied.attributes["pose"]) == (True, "standing")
+    # the next pass leaves it alone
+    valued.propose(1, valued.box(1))
+    assert [label.uid for label in valued.labels(1)] == [copied.uid]
+
+
+@pytest.mark.parametrize("track_id", [3, None])
+def test_followed_boxes_have_all_values(valued: Room, track_id: int | None) -> None:
+    uid = valued.accept_box(0, valued.box(0), track_id, attributes=SITTING)
+    valued.all(valued.view)
+    given = valued.project.labels.get(uid).label.track_id
+    assert given is not None
+    found = [each for each in along(valued, given) if each is not None]
+    assert len(found) >= 4 and found == [SITTING] * len(found)
+
+
+def test_linked_boxes_have_the_values_of_their_track_and_keep_their_own(valued: Room) -> None:
+    people, own = valued.project, {"height": 1.7}
+    valued.propose(1, valued.box(1), valued.box(1, 1))
+    uid = valued.accept_box(0, valued.box(0), attributes=SITTING)
+    link_tracks(people)
+    assert along(valued)[1] == own | {"coat": "red"}
+    # the reviewed box was another object: the proposal is now linked with that of a blue coat
+    people.labels.delete(valued.frames[0].id, uid, valued.context(0))
+    valued.accept_box(0, valued.box(0), 8, attributes={"pose": "sitting", "coat": "blue"})
+    link_tracks(people)
+    (linked,) = [each for each in along(valued, 8)[1:] if each is not None]
+    assert linked == own | {"coat": "blue"}
+    last = people.log.last()
+    link_tracks(people)
+    assert people.log.last() == last
+
+
+# --- corrections of later boxes ---------------------------------------------------------------------------------------
 
 
 def box(center: tuple[float, float, float], yaw_deg: float, size: tuple[float, float, float]) -> OrientedBox:
@@ -330,20 +355,28 @@ def test_sides_stay_positive() -> None:
     assert corrected_alike(box((0.0, 0.0, 0.0), 0.0, (2.0, 2.0, 1.5)), was, now).size_m.min() > 0
 
 
-def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
-    project = create_project(tmp_path, "p", ["car"])
-    recording = project.recordings.add(tmp_path / "recording", "folder", "r", ["000000", "000001"], True)
+def corrected_car(folder: Path) -> tuple[Project, StoredFrame, StoredFrame, str]:
+    """A project whose first frame has a reviewed car that was moved from `WAS` to `NOW`; its frames, and the label."""
+    project = create_project(folder, "p", ["car"])
+    recording = project.recordings.add(folder / "recording", "folder", "r", ["000000", "000001"], True)
     first, second = project.frames.of([recording.id])
-    was, now = box((0.0, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)), box((0.2, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0))
-    (uid,) = project.labels.create(first.id, [NewLabel("car", now, track_id=4)], WriteContext(0, "me")).uids
-    said = {"one": NewLabel("car", was, 0.9, 4), "two": NewLabel("car", was, 0.8, 4)}
+    new = [NewLabel("car", NOW, track_id=4)]
+    return project, first, second, project.labels.create(first.id, new, WriteContext(0, "me")).uids[0]
+
+
+WAS, NOW = (box((x, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)) for x in (0.0, 0.2))
+
+
+def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
+    project, first, second, uid = corrected_car(tmp_path)
+    said = {"one": NewLabel("car", WAS, 0.9, 4), "two": NewLabel("car", WAS, 0.8, 4)}
     for source, label in said.items():
         project.proposals.bring(source, {second.id: [label]})
     revision = project.frames.get(first.id).revision
-    carry_correction(project, first.id, uid, revision, was, "me")
+    carry_correction(project, first.id, uid, revision, WAS, "me")
     for _ in range(2):
         (stored,) = project.labels.select(states=[ReviewState.PROPOSED])
-        np.testing.assert_allclose(stored.label.box.center_m, now.center_m)
+        np.testing.assert_allclose(stored.label.box.center_m, NOW.center_m)
         assert [(each.source, each.score, each.box.center_m[0]) for each in stored.said] == [
             ("one", 0.9, 0.0),
             ("two", 0.8, 0.0),
@@ -358,28 +391,24 @@ def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
 
 
 def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:
-    project = create_project(tmp_path, "p", ["car"])
-    recording = project.recordings.add(tmp_path / "recording", "folder", "r", ["000000", "000001"], True)
-    first, second = project.frames.of([recording.id])
-    was, now = box((0.0, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)), box((0.2, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0))
-    (uid,) = project.labels.create(first.id, [NewLabel("car", now, track_id=4)], WriteContext(0, "me")).uids
-    trusted = Proposal("car", 0.7, was, Box2D("car", 1.0, 2.0, 3.0, 4.0, 0.7), (), Quality(0.1, 1.0, 0.0, 0.9, 0.4))
-    payloads = proposal_events(project, second, [NewProposal("car", was, 4, trusted)])
-    project.log.append_to_frames([part_of(second, payloads, "me")])
+    project, first, second, uid = corrected_car(tmp_path)
+    trusted = Proposal("car", 0.7, WAS, Box2D("car", 1.0, 2.0, 3.0, 4.0, 0.7), (), Quality(0.1, 1.0, 0.0, 0.9, 0.4))
+    payloads = proposal_events(project, second, [NewProposal("car", WAS, 4, trusted)])
+    write(project, [(second, payloads)], "me")
     (before,) = project.labels.select(states=[ReviewState.PROPOSED])
     effort = Effort(1, 2.0)
-    carry_correction(project, first.id, uid, project.frames.get(first.id).revision, was, "me", effort=effort)
+    carry_correction(project, first.id, uid, project.frames.get(first.id).revision, WAS, "me", effort=effort)
     (after,) = project.labels.select(states=[ReviewState.PROPOSED])
-    np.testing.assert_allclose(after.label.box.center_m, now.center_m)
+    np.testing.assert_allclose(after.label.box.center_m, NOW.center_m)
     assert (after.label.uid, after.label.score, after.label.expected_iou_loss) == (before.label.uid, 0.7, 0.4)
     revision = project.frames.get(second.id).revision
     project.labels.accept(second.id, before.label.uid, WriteContext(revision, "me", effort=effort))
     figures = project.statistics()
-    assert figures.iou_proposal_to_final == pytest.approx(iou_3d(was, now))
+    assert figures.iou_proposal_to_final == pytest.approx(iou_3d(WAS, NOW))
     assert figures.effort.actions_a_box == pytest.approx(2.0), "the correction and the accepting"
     project.log.rebuild()
-    np.testing.assert_allclose(project.labels.get(before.label.uid).label.box.center_m, now.center_m)
+    np.testing.assert_allclose(project.labels.get(before.label.uid).label.box.center_m, NOW.center_m)
     for _ in range(2):
         project.history.undo("me")
     (restored,) = project.labels.select(states=[ReviewState.PROPOSED])
-    np.testing.assert_allclose(restored.label.box.center_m, was.center_m)
+    np.testing.assert_allclose(restored.label.box.center_m, WAS.center_m)

@@ -31,10 +31,11 @@ from annotator.workflows.detectors import (
 )
 from annotator.workflows.training import held_out
 from annotator.workflows.training import train as workflow
-from annotator.workflows.training.held_out import Decision, HeldOut, read_decision
+from annotator.workflows.training.held_out import HeldOut
+from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.training.rounds import Choice, choose_start, part_seconds
-from annotator.workflows.training.samples import agnostic_samples, gather
-from annotator.workflows.training.train import Ran, Run, train
+from annotator.workflows.training.samples import gather
+from annotator.workflows.training.train import Trained, train
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
@@ -62,23 +63,6 @@ def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
     start = choose_start(labelled, held(labelled), CONFIG)
     assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
     assert choose_start(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).model is None
-
-
-def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
-    labelled: Project, ious: dict[str, float]
-) -> None:
-    install_base()
-    model = register(labelled, "a", active=True)
-    manifest = Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
-        agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
-    )
-    assert {e.group for e in manifest.entries if e.split == "train"} & held_out.held_out_groups(labelled)
-    labelled.models.register(
-        DetectorKind.VIEW, model.path, labels=AGNOSTIC, box_kind=BoxKind.BOX, metrics={}, fingerprint="a",
-        manifest=labelled.models_folder / "view" / "dataset" / "manifest.json",
-    )  # fmt: skip
-    ious.update({"base detector": 0.2, "a": 0.9})
-    assert choose_start(labelled, held(labelled), CONFIG).model == base_model()
 
 
 @pytest.mark.parametrize("learned", [HELD_OUT[0], None])
@@ -114,21 +98,18 @@ def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
 
 
 def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
-    active = register(labelled, "a", active=True)
+    register(labelled, "a", active=True)
     ious.update(a=0.6, worse=0.3, better=0.7)
     choice = choice_of(labelled, pretrained="never")
     assert choice.start.model is None
-    outcomes = []
-    for name in ("worse", "better"):
+    for name, outcome in (
+        ("worse", "no better on held-out frames: the project's detector a stayed in use"),
+        ("better", "the best one on held-out frames: put into use"),
+    ):
         new = register(labelled, name)
-        outcomes.append(choice.add(new, "").outcome)
+        assert choice.add(new, "").outcome == outcome
         # the next part goes on from the training's own result
         assert choice.origin == own_model(labelled, new)
-    assert outcomes == [
-        "no better on held-out frames: the project's detector a stayed in use",
-        "the best one on held-out frames: put into use",
-    ]
-    assert not labelled.models.get(active.id).active
 
 
 def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
@@ -154,7 +135,7 @@ def test_a_new_detector_is_used_only_if_it_is_better(labelled: Project, ious: di
         assert now is not None
         used.append(now.fingerprint)
         model = labelled.models.all(DetectorKind.VIEW)[-1]
-        assert read_decision(model.path.parent) == decision
+        assert decision_of(model) == decision
         assert (decision.mean_iou, decision.objects, decision.frames) == (ious[name], choice.held_out.objects, 2)
         assert [(rival.name, rival.mean_iou) for rival in decision.compared] == [("base detector", 0.5)]
     assert used == ["base detector", "better", "better"]
@@ -171,27 +152,23 @@ def test_the_base_detector_comes_back_if_it_is_better_than_the_active_one(
     assert used_model(labelled, DetectorKind.VIEW) == base_model()
 
 
-@pytest.mark.parametrize("has_base", [True, False])
-def test_below_five_held_out_objects_the_base_detector_stays(
-    labelled: Project, ious: dict[str, float], has_base: bool
+@pytest.mark.parametrize(
+    ("has_base", "own", "used"), [(True, False, "base detector"), (True, True, "own"), (False, False, "new")]
+)
+def test_below_five_held_out_objects_what_was_in_use_stays(
+    labelled: Project, ious: dict[str, float], has_base: bool, own: bool, used: str
 ) -> None:
     if has_base:
         install_base()
+    if own:
+        register(labelled, "own", active=True)
     choice = choice_of(labelled, 0)
     assert not choice.held_out.decides
     decision = choice.add(register(labelled, "new"), "")
-    used = used_model(labelled, DetectorKind.VIEW)
-    assert used is not None
-    assert used.fingerprint == ("base detector" if has_base else "new")
+    now = used_model(labelled, DetectorKind.VIEW)
+    assert now is not None and now.fingerprint == used
     assert decision.mean_iou is None
     assert "fewer than 5 reviewed objects" in decision.outcome
-
-
-def test_below_five_held_out_objects_an_own_detector_stays_in_use(labelled: Project, ious: dict[str, float]) -> None:
-    install_base()
-    active = register(labelled, "a", active=True)
-    assert choice_of(labelled, 0).add(register(labelled, "new"), "").outcome.endswith("what was in use stayed in use")
-    assert labelled.models.get(active.id).active
 
 
 def test_parts_double_and_none_is_too_short() -> None:
@@ -242,11 +219,12 @@ def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
     install_base()
     origins: list[UsedModel | None] = []
 
-    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> tuple[Ran, Decision]:
+    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> Trained:
         origins.append(origin)
         model = register(labelled, f"part{number}")
         folder = model.path.parent
-        return Ran(model, read_trained(folder), read_manifest(folder)), choice.add(model, "")
+        decision = choice.add(model, "")
+        return Trained(DetectorKind.VIEW, model, read_trained(folder), read_manifest(folder), decision=decision)
 
     monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
     monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
@@ -285,13 +263,12 @@ def test_the_reviewed_objects_of_held_out_frames_are_measured(
     assert (measured.frames, measured.decides) == (2, True)
     assert 5 <= measured.objects <= 6
     model = UsedModel(write_model(labelled.models_folder / "m"), BoxKind.BOX, True, "f")
-    detectors: dict[str, Detector] = {"perfect": AnyClass(knowing("people").view), "blind": Fixed()}
-    results = {}
-    for name, detector in detectors.items():
+    results = []
+    for detector in (AnyClass(knowing("people").view), Fixed()):
         monkeypatch.setattr(held_out, "load_detector", lambda path, names=(), detector=detector: detector)
-        results[name] = measured.mean_iou(model)
+        results.append(measured.mean_iou(model))
     # without any detection, objects are still placed by the size of the reviewed boxes
-    assert results["perfect"] > 0.7 > results["blind"]
+    assert results[0] > 0.7 > results[1]
 
 
 @pytest.mark.parametrize("class_agnostic", [True, False])

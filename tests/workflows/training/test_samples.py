@@ -1,9 +1,11 @@
-"""Training samples of the detectors: their pictures, boxes and origins."""
+"""Training samples of the detectors, the base detector included: their pictures, boxes and origins."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import runpy
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +14,20 @@ import pytest
 from view_detectors import SEEN, WHOLE, Fixed
 
 from annotator.detection.dataset import TrainingSample
+from annotator.detection.trained import read_trained
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteContext
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
+from annotator.synthetic.snapshots import snapshot
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
-from annotator.types.errors import DetectionError, FrameError, RecordingError
-from annotator.workflows.add_recordings import add_recordings
+from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
+from annotator.workflows.training.base_detector import BASE_TRAINING, views_of
 from annotator.workflows.training.samples import (
     DRAWN,
     PROJECTED,
@@ -72,38 +77,23 @@ def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
 # --- gather ----------------------------------------------------------------------------------------------------------
 
 
-def test_without_boxes_there_are_no_samples(people: Project) -> None:
-    with pytest.raises(
-        DetectionError, match=r"no boxes on camera images or pseudo-views to learn from; draw some.*import.*simulate"
-    ):
-        gather(people)
-
-
 def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
+    text = r"no boxes on camera images or pseudo-views to learn from; draw some.*import.*simulate"
+    with pytest.raises(DetectionError, match=text):
+        gather(people)
     stored = people.frames.of()[0]
-    people.boxes.set_on_image(stored.id, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
+    for uid in accept(people, 0):
+        people.labels.reject(stored.id, uid, WriteContext(people.frames.get(stored.id).revision, "me"))
+    with pytest.raises(DetectionError, match=text):
+        gather(people)
+    revision = people.frames.get(stored.id).revision
+    people.boxes.set_on_image(stored.id, [SOME], BoxKind.SILHOUETTE, WriteContext(revision, "me"))
     with pytest.raises(DetectionError, match="no boxes on pseudo-views to learn from"):
         gather(people)
     assert len(gather(people, [DetectorKind.IMAGE]).images) == 1
     view = people.views.store(np.zeros((40, 40, 3), np.uint8))
     people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
     assert len(gather(people).views) == 1
-
-
-def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
-    accept(people, 0)
-    material = gather(people)
-    assert (material.kind, material.image_kind) == (BoxKind.BOX, BoxKind.BOX)
-    assert [len(labels) for labels in material.labels.values()] == [3]
-
-
-def test_proposed_and_rejected_boxes_are_not_samples(people: Project) -> None:
-    uids = accept(people, 0)
-    stored = people.frames.of()[0]
-    for uid in uids:
-        people.labels.reject(stored.id, uid, WriteContext(people.frames.get(stored.id).revision, "me"))
-    with pytest.raises(DetectionError, match="to learn from"):
-        gather(people)
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
@@ -229,10 +219,8 @@ def test_frames_with_drawn_boxes_are_samples_despite_open_proposals(people: Proj
     reviewed = accept(people, 0, count=2)
     propose_true(people, 0, 2)
     material = gather(people)
-    assert material.unreviewed_images == 0
     (sample,) = image_samples(people, material, never)
-    (event,) = {boxes.event_id for boxes in material.images.values()}
-    assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0", *reviewed))
+    assert (sample.origin, sample.label_uids[1:], material.unreviewed_images) == (DRAWN, reviewed, 0)
 
 
 def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
@@ -285,15 +273,6 @@ def test_views_of_deep_frustums_have_the_size_used_in_detection(people: Project)
         assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
 
 
-def test_views_without_a_frame_are_separate_groups(people: Project) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(2):
-        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
-        people.boxes.set_on_view(view, [SOME], BoxKind.BOX, WriteContext(0, "me"))
-    samples = views(people, gather(people, [DetectorKind.VIEW]))
-    assert len({sample.group for sample in samples}) == 2
-
-
 @pytest.mark.parametrize(("asked", "draws"), [(1, 1), (6, 1), (24, 4), (10**6, 20)])
 def test_few_objects_are_drawn_more_often_up_to_a_limit(people: Project, asked: int, draws: int) -> None:
     accept(people, 0)
@@ -317,6 +296,9 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
     truths = visible_objects(recording, 0, frame, ["person"])
     ((_, objects),) = drawn_objects(material.views).items()
     assert len(objects) == 3
+    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
+    empty = [replace(view, geometry=geometry) for view, geometry in zip(objects[0], far, strict=True)]
+    assert taught_by_drags(frame, empty) is None, "there are no points in these boxes"
     for truth, drags in zip(truths, objects, strict=True):
         taught = taught_by_drags(frame, drags)
         assert taught is not None
@@ -343,17 +325,24 @@ def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project)
         assert apart.min() > 3, "two boxes around one object"
 
 
-def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> None:
+def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> list[Box2D | None]:
     """Gives drawn objects of the first frame a label with their true box, as if an operator had confirmed it."""
     stored = project.frames.of()[0]
     frame = FrameSource(project).read(stored)
     recording = open_recording(project.recordings.all()[0].path)
     objects = visible_objects(recording, 0, frame, ["person"])[:count]
-    new = []
-    for one in objects:
-        image_box = image_box_of(frame, one, BoxKind.SILHOUETTE)
-        new.append(NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind))
+    drawn = [image_box_of(frame, one, BoxKind.SILHOUETTE) for one in objects]
+    new = [
+        NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind)
+        for one, image_box in zip(objects, drawn, strict=True)
+    ]
     project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
+    return drawn
+
+
+def agnostic(project: Project, given: Fixed) -> list[TrainingSample]:
+    """The samples of a class-agnostic detector that starts from one with given boxes."""
+    return list(agnostic_samples(project, gather(project), CONFIG, SampleConfig(views=24), given, never))
 
 
 def test_an_object_whose_whole_box_is_known_counts_as_whole_although_its_silhouettes_are_drawn(people: Project) -> None:
@@ -370,73 +359,16 @@ def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
     material = gather(people)
     assert material.kind is BoxKind.SILHOUETTE
     assert not material.whole
-    assert {len(labels) for labels in material.labels_of_kind.values()} == {3}
-
-
-def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE, every=5)
-    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
-    accept(people, 1)
-    material = replace(gather(people), kind=BoxKind.BOX)
-    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
-    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
-    # 24 views of the 3 objects that are taught
-    assert {one.draws for one in known} == {4}
-
-
-def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:
-    material = simulate(people, BoxKind.SILHOUETTE, every=5)
-    frame = FrameSource(people).read(people.frames.of()[0])
-    ((_, objects),) = drawn_objects(material.views).items()
-    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
-    assert taught_by_drags(frame, [replace(v, geometry=g) for v, g in zip(objects[0], far, strict=True)]) is None
+    assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
 
 
 # --- frames that cannot be read --------------------------------------------------------------------------------------
 
 
-def test_unreadable_frames_are_skipped(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    for index in range(3):
-        accept(project, index)
-    (folder / "depth" / "000000.png").write_bytes(b"\x89PNG")
-    for path in (folder / "color" / "000001.jpg", folder / "depth" / "000001.png"):
-        path.unlink()
-    add_recordings(project, [folder])
-    material, skipped = gather(project), []
-
-    def skip(stored: StoredFrame, error: FrameError) -> None:
-        skipped.append(f"{stored.key} {error}")
-
-    samples = [
-        *image_samples(project, material, skip),
-        *view_samples(project, material, CONFIG, SampleConfig(views=18), skip),
-    ]
-    assert {(sample.origin, sample.group) for sample in samples} == {(PROJECTED, "1/000002"), (TAUGHT, "1/000002")}
-    assert [text.split()[0] for text in skipped] == ["000000", "000001"] * 2
-    assert "depth/000000.png" in skipped[0]
-    assert "no longer exists" in skipped[1]
-
-
-def test_a_recording_that_was_moved_is_an_error(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    accept(project, 0)
-    folder.rename(folder.with_name("elsewhere"))
-    with pytest.raises(RecordingError, match="people: no such file or folder"):
-        list(image_samples(project, gather(project), never))
-
-
 def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
-    recording = people.recordings.all()[0].id
-    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+    simulate(people, BoxKind.SILHOUETTE)
     given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(WHOLE, 3.0, 3.0, 9.0, 9.0, 0.8)))
-    samples = list(
-        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
-    )
+    samples = agnostic(people, given)
     assert {sample.origin for sample in samples} == {"drawn", "taught"}
     with_boxes = [sample for sample in samples if sample.boxes]
     assert len(with_boxes) > 0.7 * len(samples)
@@ -446,21 +378,11 @@ def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_k
 
 
 def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:
-    recording = people.recordings.all()[0].id
-    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=5)
-    drawn = people.boxes.on_views()
-    image_boxes = [view.geometry.image_box for view in drawn if view.geometry is not None]
-    frame_id = people.frames.of()[0].id
-    frame = FrameSource(people).read(people.frames.get(frame_id))
-    truth = visible_objects(open_recording(people.recordings.all()[0].path), 0, frame, ["person"])[0]
-    image_box = image_box_of(frame, truth, BoxKind.SILHOUETTE)
-    assert image_box in image_boxes
-    new = NewLabel("person", truth.box, origin=Origin.DRAWN, image_box=image_box)
-    people.labels.create(frame_id, [new], WriteContext(people.frames.get(frame_id).revision, "me"))
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    image_boxes = [view.geometry.image_box for view in people.boxes.on_views() if view.geometry is not None]
+    (image_box,) = whole_boxes_known(people, count=1)
     given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(SEEN, 2.0, 2.0, 50.0, 50.0, 0.9)))
-    samples = list(
-        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
-    )
+    samples = agnostic(people, given)
     of_drawn = [sample for sample in samples if sample.origin == "drawn"]
     assert len(of_drawn) == len(image_boxes) == 12
     guessed = [given.boxes[0] in sample.boxes for sample in of_drawn]
@@ -482,3 +404,64 @@ def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
     assert 20 < len(samples) - 40 < 80
     assert {sample.origin for sample in samples[40:]} == {"generated"}
     assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}
+
+
+def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
+    accept(people, 1)
+    material = replace(gather(people), kind=BoxKind.BOX)
+    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
+    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
+    # 24 views of the 3 objects that are taught
+    assert {one.draws for one in known} == {4}
+
+
+# --- the base detector, from generated frames ----------------------------------------------------------------------
+
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def agnostic_views(seed: int, draws: int = 8) -> list[TaughtView]:
+    shot = snapshot(seed)
+    objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
+    return teach_views(shot.frame, objects, None, draws, RcvConfig(), None, np.random.default_rng(0))
+
+
+def test_a_view_has_one_object_with_two_boxes_or_none() -> None:
+    taught = [view for seed in range(3, 6) for view in agnostic_views(seed)]
+    labels = [tuple(box.label for box in view.boxes) for view in taught]
+    assert labels.count((WHOLE, SEEN)) > 0.8 * len(labels)
+    assert labels.count(()) > 0  # crops that miss their object
+    assert set(labels) <= {(WHOLE, SEEN), (WHOLE,), (SEEN,), ()}
+
+
+def test_equal_seeds_give_equal_training_images() -> None:
+    one, two = (views_of(range(3), 2, BASE_TRAINING.image_size_px) for _ in range(2))
+    assert len(one) > 10
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a.load(), b.load())
+        assert (a.boxes, a.group) == (b.boxes, b.group)
+    assert {sample.group for sample in one} == {f"snapshot/{seed}" for seed in range(3)}
+    assert {max(sample.load().shape) for sample in one} == {BASE_TRAINING.image_size_px}
+
+
+@pytest.mark.slow
+def test_the_script_trains_and_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(ROOT / "scripts" / "train_base.py"))
+    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path / "package")
+    plan = {"frames": 3, "draws": 2, "pictures": 64, "size": 32, "install": True}
+    script["run"](tmp_path / "work", **plan)
+    files = sorted(path.name for path in (tmp_path / "package").iterdir())
+    assert files == ["detector.safetensors", "manifest.json", "model.json"]
+    trained, weights = read_trained(tmp_path / "package"), (tmp_path / "package" / "detector.safetensors").read_bytes()
+    assert (trained.classes, trained.weights.read_bytes()) == ((WHOLE, SEEN), weights)
+    manifest = json.loads((tmp_path / "package" / "manifest.json").read_text())
+    assert (manifest["frames"], manifest["weights_sha256"]) == (3, hashlib.sha256(weights).hexdigest())
+    # finished work is not repeated
+    script["run"](tmp_path / "work", **plan)
+    assert json.loads((tmp_path / "package" / "manifest.json").read_text()) == manifest
+    assert capsys.readouterr().out.count("detector.safetensors: map50=") == 2

@@ -16,7 +16,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, WriteContext, create_project
+from annotator.project import Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
@@ -129,20 +129,6 @@ def test_a_finished_training_does_not_need_its_initial_weights(
     assert again.model.id == first.model.id
 
 
-def test_other_labels_or_settings_give_another_run(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
-    train(drawn, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
-    stored = drawn.frames.of()[1]
-    box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
-    (last,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
-    assert len({call[2] for call in trainings}) == 3
-    assert drawn.models.active(DetectorKind.IMAGE) == last.model
-    assert drawn.models.active(DetectorKind.VIEW) is None
-    back = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))[0]
-    assert back.model.id == last.model.id
-
-
 def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
         (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
@@ -178,7 +164,8 @@ def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
 def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
     simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
-    (trained,) = train(people, replace(QUICK, rcv=deep), roles=(DetectorKind.VIEW,))
+    people.configure(settings=ProjectSettings(rcv={"view": {"deep": 0.1}}))
+    (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
     samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
     tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
@@ -252,7 +239,7 @@ DETECTOR = Fixed(
 )
 
 
-@pytest.mark.parametrize("groups", [1, 4, 30])
+@pytest.mark.parametrize("groups", [1, 30])
 def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups: int) -> None:
     grey = np.full((80, 100, 3), 100, np.uint8)
     samples = [
@@ -270,12 +257,9 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
     assert paths == validation_pictures(model)
     assert [path.name for path in model.iterdir()] == ["validation"]
     picture = cv2.imread(str(paths[0])).astype(int)
-    scale = picture.shape[1] / 100
     assert max(picture.shape) == 448
-    at = lambda x, y: picture[round((y + 0.5) * scale - 0.5), round((x + 0.5) * scale - 0.5)]  # noqa: E731
-    assert np.ptp(at(10, 40)) > 60, "the box's edge is coloured"
-    assert np.ptp(at(25, 40)) < 30
-    assert np.ptp(at(60, 10)) < 30, "boxes with low scores are not drawn"
+    x, y = (round((number + 0.5) * picture.shape[1] / 100 - 0.5) for number in (10, 40))
+    assert np.ptp(picture[y, x]) > 60, "the box's edge is coloured"
 
 
 def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:

@@ -5,24 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners, contains, same_box
-from annotator.geometry.outline import box_on_image
-from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext, create_project
-from annotator.project.log.event_types import LabelRejected, LabelTracked
+from annotator.geometry.oriented_box import contains, same_box
+from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.log.event_types import LabelTracked
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.recordings import open_recording
 from annotator.types import (
     Box2D,
     BoxKind,
     Frame,
+    Label,
     OrientedBox,
     PointCloud,
     Proposal,
@@ -32,10 +32,8 @@ from annotator.types import (
     Truth,
 )
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench import refit as refit_module
 from annotator.workflows.workbench.contact_sheet import (
     FRONT,
     GAP,
@@ -45,12 +43,11 @@ from annotator.workflows.workbench.contact_sheet import (
     SeenBox,
     SheetPictures,
     accept_boxes,
-    ortho_views,
     picture,
     views_of_points,
 )
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
-from annotator.workflows.workbench.refit import POINTS, RCV, find_box, refit
+from annotator.workflows.workbench.refit import POINTS, RCV, refit
 from annotator.workflows.workbench.save_object import copy_boxes
 
 
@@ -62,22 +59,6 @@ def opened(generated: Path) -> OpenFrame:
 @pytest.fixture(scope="module")
 def truths(generated: Path, opened: OpenFrame) -> list[Truth]:
     return list(load_truth(open_recording(generated / "people"), 0, opened.frame))
-
-
-def test_each_view_shows_its_plane_of_the_box(opened: OpenFrame, truths: list[Truth]) -> None:
-    box = truths[0].box
-    views = ortho_views(opened, box, 200)
-    assert [item.name for item in views] == ["top", "front", "side"]
-    for item, (right, down) in zip(views, [(1, 0), (1, 2), (0, 2)], strict=True):
-        view = item.view
-        assert view.rgb.shape == (200, 200, 3)
-        assert np.allclose(view.axes @ view.axes.T, np.eye(3))
-        assert np.linalg.det(view.axes) > 0
-        assert abs(view.axes[0] @ box.rotation[:, right]) == pytest.approx(1)
-        assert abs(view.axes[1] @ box.rotation[:, down]) == pytest.approx(1)
-        px = (box_corners(box) @ view.axes[:2].T - view.origin_m) / view.metres_per_px
-        assert np.allclose((px.min(axis=0) + px.max(axis=0)) / 2, 99.5), "the box is in the middle"
-        assert (px > 20).all() and (px < 180).all(), "with room around it"
 
 
 # What is on the right, above and nearest in each view: an axis of the box (length, width, height), and its end. The
@@ -109,20 +90,6 @@ def test_a_view_shows_the_side_that_it_is_named_after(name: str) -> None:
     np.testing.assert_allclose(view.axes[1], -above[1] * rotation[:, above[0]], atol=1e-12)
     np.testing.assert_allclose(view.axes[2], -nearest[1] * rotation[:, nearest[0]], atol=1e-12)
     assert (view.rgb[100, 100] == colors[nearest]).all(), "the nearest side hides the others"
-
-
-def test_points_around_the_box_are_dimmed(opened: OpenFrame, truths: list[Truth]) -> None:
-    box = truths[0].box
-    view = ortho_views(opened, box, 200)[1].view
-    contrast = np.abs(view.rgb.astype(int) - BACKGROUND).max(axis=2)
-    px = np.rint((view.xyz_m @ view.axes[:2].T - view.origin_m) / view.metres_per_px).astype(int)
-    inside = contains(box, view.xyz_m)
-    assert inside.any() and (~inside).any()
-    low, high = px[inside].min(axis=0), px[inside].max(axis=0)
-    beside = np.ones_like(contrast, bool)
-    beside[low[1] - 4 : high[1] + 5, low[0] - 4 : high[0] + 5] = False
-    assert contrast[beside].max() <= 0.31 * 140
-    assert contrast[~beside].max() > 60
 
 
 def put_off(box: OrientedBox, up: np.ndarray | None, seed: int = 1) -> OrientedBox:
@@ -174,31 +141,6 @@ def test_an_unknown_class_or_missing_object_gives_a_note(
     assert found.box is empty
 
 
-def test_a_dense_frustum_is_thinned_and_gives_the_same_box(
-    opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    view, config = knowing("people").view, RcvConfig(orientation=Orientation.UPRIGHT)
-    image_box = box_on_image(opened.frame.camera, truths[0].box, truths[0].label)
-    assert image_box is not None
-    seen: list[int] = []
-    real = refit_module.propose_from_boxes
-
-    def counted(frames: list[Frame], *given: object) -> object:
-        seen.append(len(frames[0].cloud))
-        return real(frames, *given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(refit_module, "propose_from_boxes", counted)
-    inside, boxes = int(opened.frustum(image_box).sum()), []
-    for most in (inside, inside - inside // 3):
-        opened._results.clear()
-        monkeypatch.setattr(refit_module, "MOST_POINTS", most)
-        boxes.append(find_box(opened, image_box, config, view).box)
-    assert seen == [len(opened.frame.cloud), inside - inside // 3]
-    dense, thin = boxes
-    assert dense is not None and thin is not None
-    assert iou_3d(dense, thin) > 0.9
-
-
 def test_permuting_axes_keeps_the_box() -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
@@ -215,98 +157,124 @@ def label_at(x: float, track: int | None = None) -> NewLabel:
     return NewLabel("person", box, track_id=track)
 
 
-def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
-    first, second, third = people.frames.of()[:3]
-    made = people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
-    people.log.append(first.id, [LabelRejected(uid=made.uids[2])], WriteContext(made.receipt.revision, "ann"))
-    people.labels.create(second.id, [label_at(9.0, 7)], WriteContext(0, "bob"))
-    receipt = copy_boxes(people, second.id, None, WriteContext(1, "ann"))
-    assert receipt.revision == 2
-    (copied,) = [s for s in people.labels.select() if s.frame_id == second.id and s.label.author == "ann"]
-    assert (copied.label.state, copied.label.track_id) == (ReviewState.PROPOSED, None)
-    assert same_box(copied.label.box, label_at(2.0).box)
-    people.labels.accept(second.id, copied.label.uid, WriteContext(2, "ann"))
-    with pytest.raises(ConfigError, match=r"nothing was copied from frame 000000: a reviewed box is here already$"):
-        copy_boxes(people, second.id, None, WriteContext(3, "ann"))
-    with pytest.raises(ConfigError, match="is the first of its recording"):
-        copy_boxes(people, first.id, None, WriteContext(4, "ann"))
-    with pytest.raises(ConfigError, match="cannot be copied into itself"):
-        copy_boxes(people, first.id, first.id, WriteContext(4, "ann"))
+class Copying:
+    """A project whose boxes are copied from frame to frame."""
+
+    def __init__(self, project: Project) -> None:
+        self.project, self.ids = project, [frame.id for frame in project.frames.of()]
+
+    def context(self, index: int, author: str = "ann", effort: Effort | None = None) -> WriteContext:
+        return WriteContext(self.project.frames.get(self.ids[index]).revision, author, effort=effort)
+
+    def create(self, index: int, *labels: NewLabel) -> tuple[str, ...]:
+        return self.project.labels.create(self.ids[index], labels, self.context(index)).uids
+
+    def copy(self, index: int, source: int | None = None, **more: Any) -> None:
+        copy_boxes(
+            self.project, self.ids[index], None if source is None else self.ids[source], self.context(index, **more)
+        )
+
+    def labels(self, index: int) -> list[Label]:
+        return list(self.project.labels.of_frame(self.ids[index]))
+
+    def edit(self, index: int, label: Label, x: float) -> None:
+        box = label_at(x).box
+        self.project.labels.edit(self.ids[index], label.uid, self.context(index), label="person", box=box)
+
+    def reject(self, index: int, uid: str) -> None:
+        self.project.labels.reject(self.ids[index], uid, self.context(index))
+
+
+@pytest.fixture
+def copying(people: Project) -> Copying:
+    return Copying(people)
+
+
+def test_boxes_of_the_previous_frame_are_copied_once(copying: Copying) -> None:
+    uids = copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
+    copying.reject(0, uids[2])
+    copying.create(1, label_at(9.0, 7))
+    copying.copy(1)
+    _, copied = copying.labels(1)
+    assert (copied.state, copied.track_id) == (ReviewState.PROPOSED, None)
+    assert same_box(copied.box, label_at(2.0).box)
+    copying.project.labels.accept(copying.ids[1], copied.uid, copying.context(1))
+    for index, source, match in (
+        (1, None, r"nothing was copied from frame 000000: a reviewed box is here already$"),
+        (0, None, "is the first of its recording"),
+        (0, 0, "cannot be copied into itself"),
+    ):
+        with pytest.raises(ConfigError, match=match):
+            copying.copy(index, source)
     with pytest.raises(StaleRevisionError):
-        copy_boxes(people, third.id, first.id, WriteContext(5, "ann"))
-    assert copy_boxes(people, third.id, first.id, WriteContext(0, "ann")).revision == 2
+        copy_boxes(copying.project, copying.ids[2], copying.ids[0], WriteContext(5, "ann"))
+    copying.copy(2, 0)
+    assert len(copying.labels(2)) == 2
 
 
-def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(people: Project) -> None:
-    first, second = people.frames.of()[:2]
-    made = people.labels.create(first.id, [label_at(0.0, 7)], WriteContext(0, "ann"))
-    people.log.append(first.id, [LabelRejected(uid=made.uids[0])], WriteContext(1, "ann"))
+def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copying) -> None:
+    project, (uid,) = copying.project, copying.create(0, label_at(0.0, 7))
+    copying.reject(0, uid)
     with pytest.raises(ConfigError, match=r"from frame 000000: it has no reviewed boxes$"):
-        copy_boxes(people, second.id, None, WriteContext(0, "ann"))
-    people.history.undo("ann")
-    image_box, quality = Box2D("person", 1.0, 1.0, 9.0, 9.0), Quality(0.1, 0.9, 0.1)
-    found = Proposal("person", 0.5, label_at(0.0).box, image_box, (), quality)
-    (uid,) = people.proposals.replace(second.id, [found], WriteContext(0, "rcv", Source.AUTO)).uids
-    people.log.append(second.id, [LabelTracked(uid=uid or "", track_id=9)], WriteContext(1, "bob"))
+        copying.copy(1)
+    project.history.undo("ann")
+    (other,) = propose(project, copying.ids[1], label_at(0.0).box)
+    project.log.append(copying.ids[1], [LabelTracked(uid=other, track_id=9)], copying.context(1, "bob"))
     match = "from frame 000000: a proposal of track 9 is here; if it is the same object, give both one track$"
     with pytest.raises(ConfigError, match=match):
-        copy_boxes(people, second.id, None, WriteContext(2, "ann"))
-    people.frames.finalise(second.id, WriteContext(2, "ann"))
+        copying.copy(1)
+    project.frames.finalise(copying.ids[1], copying.context(1))
     with pytest.raises(ConfigError, match=r"^frame 000001 is finalised; reopen it first$"):
-        copy_boxes(people, second.id, None, WriteContext(3, "ann"))
-    (label,) = people.labels.of_frame(second.id)
-    assert label.uid == uid
+        copying.copy(1)
+    assert [label.uid for label in copying.labels(1)] == [other]
 
 
-def test_copies_count_as_copied_and_not_as_proposals(people: Project) -> None:
-    first, second = people.frames.of()[:2]
-    people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
-    copy_boxes(people, second.id, None, WriteContext(0, "ann", effort=Effort(1, 3.0)))
-    same, moved, wrong = people.labels.of_frame(second.id)
-    people.labels.accept(second.id, same.uid, WriteContext(3, "ann"))
-    people.labels.edit(second.id, moved.uid, WriteContext(4, "ann"), label="person", box=label_at(2.3).box)
-    people.labels.reject(second.id, wrong.uid, WriteContext(5, "ann"))
+def test_copies_count_as_copied_and_not_as_proposals(copying: Copying) -> None:
+    copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
+    copying.copy(1, effort=Effort(1, 3.0))
+    same, moved, wrong = copying.labels(1)
+    copying.project.labels.accept(copying.ids[1], same.uid, copying.context(1))
+    copying.edit(1, moved, 2.3)
+    copying.reject(1, wrong.uid)
     for _ in range(2):
-        numbers = people.statistics()
+        numbers = copying.project.statistics()
         origins = {name: part.boxes for name, part in numbers.effort.by_origin.items() if part.boxes}
         assert (origins, numbers.accepted_untouched, numbers.iou_proposal_to_final) == ({"copied": 2}, None, None)
-        people.log.rebuild()
+        copying.project.log.rebuild()
 
 
-def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(people: Project) -> None:
-    first, second = people.frames.of()[:2]
-    people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
-    copy_boxes(people, second.id, None, WriteContext(0, "ann"))
-    moved, wrong, right = people.labels.of_frame(second.id)
-    people.labels.edit(second.id, right.uid, WriteContext(3, "ann"), label="person", box=label_at(4.3).box)
-    people.labels.reject(second.id, wrong.uid, WriteContext(4, "ann"))
-    copy_boxes(people, second.id, None, WriteContext(5, "ann"))
-    labels = people.labels.of_frame(second.id)
+def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(copying: Copying) -> None:
+    copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
+    copying.copy(1)
+    moved, wrong, right = copying.labels(1)
+    copying.edit(1, right, 4.3)
+    copying.reject(1, wrong.uid)
+    copying.copy(1)
     # that of track 7 anew, and another one where one was rejected; the reviewed box at the third place covers the copy
-    assert [(label.state, label.box.center_m[0], label.track_id) for label in labels] == [
+    assert [(label.state, label.box.center_m[0], label.track_id) for label in copying.labels(1)] == [
         (ReviewState.REJECTED, 2.0, None),
         (ReviewState.EDITED, 4.3, None),
         (ReviewState.PROPOSED, 0.0, 7),
         (ReviewState.PROPOSED, 2.0, None),
     ]
-    assert moved.uid not in {label.uid for label in labels}
-    people.history.undo("ann")
-    assert [label.uid for label in people.labels.of_frame(second.id)] == [moved.uid, wrong.uid, right.uid]
+    copying.project.history.undo("ann")
+    assert [label.uid for label in copying.labels(1)] == [moved.uid, wrong.uid, right.uid]
+
+
+def propose(project: Project, frame_id: int, *boxes: OrientedBox) -> tuple[Any, ...]:
+    found = [
+        Proposal("person", 0.8, box, Box2D("person", 1.0, 2.0, 30.0, 40.0), (), Quality(0.1, 0.9, 0.1)) for box in boxes
+    ]
+    context = WriteContext(project.frames.get(frame_id).revision, "rcv", Source.AUTO)
+    return project.proposals.replace(frame_id, found, context).uids
 
 
 @pytest.fixture
-def project(generated: Path, tmp_path: Path) -> Project:
-    made = create_project(tmp_path, "room", ["person"])
-    register_recording(made, open_recording(generated / "people"))
-    for frame in made.frames.of():
-        propose(made, frame)
-    return made
-
-
-def propose(project: Project, frame: StoredFrame) -> None:
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.8, 0.5, 1.7]))
-    proposal = Proposal("person", 0.8, box, Box2D("person", 1.0, 2.0, 30.0, 40.0), (), Quality(0.1, 0.9, 0.1))
-    project.proposals.replace(frame.id, [proposal], WriteContext(frame.revision, "rcv", Source.AUTO))
+def project(people: Project) -> Project:
+    """With one proposal in each frame."""
+    for frame in people.frames.of():
+        propose(people, frame.id, label_at(0.0).box)
+    return people
 
 
 def seen(project: Project) -> list[SeenBox]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from annotator.detection.config import DetectorConfig
 from annotator.detection.yolo import YoloDetector
@@ -71,19 +72,14 @@ class Harmful:
         return self.inner.detect(images)
 
 
-@dataclass(frozen=True, eq=False)
 class HarmfulPair:
     """A source with a `Harmful` image detector."""
 
-    inner: Detectors
-    deadly: tuple[str, ...] = ()
-    once: Path | None = None
-    slow_s: float = 0.0
-    told: Path | None = None
+    def __init__(self, inner: Detectors, **harm: Any) -> None:
+        self.inner, self.harm = inner, harm
 
     def load(self, threads: int | None) -> Detectors:
-        image = Harmful(self.inner.image, self.deadly, self.once, self.slow_s, self.told)
-        return Detectors(image, self.inner.view, self.inner.box_kind)
+        return Detectors(Harmful(self.inner.image, **self.harm), self.inner.view, self.inner.box_kind)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,7 @@
-"""Worker processes: the same results as inline, and nothing is lost if a worker or the driver is killed."""
+"""Worker processes: the same results as inline, and nothing is lost if a worker or the driver is killed.
+
+First the distribution of tasks with fake workers, the choice of the engine, and what workers load.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,16 +23,272 @@ from types import SimpleNamespace
 import pytest
 from engine_samples import CONFIG, HarmfulPair, RealViews, Unloadable, stored
 
-from annotator.project import Project, Status, open_project
+from annotator.project import BoxRotation, Project, Status, StoredRecording, open_project
 from annotator.rcv.config import RcvConfig
-from annotator.types.errors import MissingExtraError, WorkerError
-from annotator.workflows.detectors import Detectors
+from annotator.rcv.finish import FrameProposals
+from annotator.types import BoxKind
+from annotator.types.errors import ConfigError, DetectionError, MissingExtraError, WorkerError
+from annotator.workflows.detectors import Detectors, TrainedDetectors, UsedModel
+from annotator.workflows.proposing import engines
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines import local_engine
-from annotator.workflows.proposing.pool import Died, Event, Refused
+from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, local_engine, make_engine
+from annotator.workflows.proposing.pool import (
+    MAX_FAILED_STARTS,
+    TASKS_PER_WORKER,
+    Died,
+    Fault,
+    Message,
+    Report,
+    WorkerPool,
+)
 from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
-from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, Storage
+from annotator.workflows.proposing.tasks import (
+    Answer,
+    DetectorSource,
+    FrameAnswer,
+    FrameSpec,
+    GivenDetectors,
+    Identity,
+    PackedDetectors,
+    Storage,
+    Task,
+    parse_elsewhere,
+    scratch_folder,
+)
+
+SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
+ROOM = StoredRecording(1, Path("room"), "rgbd_folder", "room", True, None, 0, 5)
+
+
+@dataclass(eq=False)
+class FakeWorker:
+    """A worker controlled by the test."""
+
+    number: int
+    tell: Report
+    tasks: list[Task] = field(default_factory=list)
+    is_ended: bool = False
+
+    def send(self, task: Task) -> None:
+        self.tasks.append(task)
+
+    def end(self) -> None:
+        self.is_ended = True
+
+    def ready(self) -> FakeWorker:
+        self.tell(self.number, SAME)
+        return self
+
+    def do(self) -> None:
+        task = self.tasks.pop(0)
+        answers = tuple(FrameAnswer(FrameProposals(frame.key, (), ()), None, 1.0) for frame in task.frames)
+        self.tell(self.number, Answer(task.number, answers))
+
+    def die(self) -> None:
+        self.tasks.clear()
+        self.tell(self.number, Died("killed"))
+
+
+@dataclass(eq=False)
+class FakePool:
+    """A pool with all workers that it has created."""
+
+    workers: int
+    made: list[FakeWorker] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.pool = WorkerPool(self._make, self.workers)
+
+    def _make(self, number: int, tell: Report) -> FakeWorker:
+        self.made.append(FakeWorker(number, tell))
+        return self.made[-1]
+
+    def start(self) -> FakePool:
+        while len(self.made) < self.workers:
+            self.pool._add()
+        for worker in self.made:
+            worker.ready()
+        self.pool.start()
+        self.drain()
+        return self
+
+    def drain(self) -> list[Answer]:
+        answers = []
+        while (answer := self.pool.wait(0.01)) is not None or not self.pool._events.empty():
+            answers += [answer] if answer is not None else []
+        return answers
+
+
+def task(number: int, *keys: str) -> Task:
+    return Task(number, "project", tuple(FrameSpec(ROOM, key) for key in keys), RcvConfig(), BoxRotation.FREE)
+
+
+def keys(worker: FakeWorker) -> list[tuple[str, ...]]:
+    return [tuple(frame.key for frame in held.frames) for held in worker.tasks]
+
+
+def test_each_worker_gets_a_task_and_one_in_advance() -> None:
+    fake = FakePool(2).start()
+    for number in range(6):
+        fake.pool.submit(task(number, str(number)))
+    assert [len(worker.tasks) for worker in fake.made] == [TASKS_PER_WORKER, TASKS_PER_WORKER]
+    fake.made[1].do()
+    assert [answer.number for answer in fake.drain()] == [2]
+    assert keys(fake.made[1])[-1] == ("4",)
+
+
+def test_tasks_of_a_dead_worker_are_repeated_one_by_one() -> None:
+    fake = FakePool(1).start()
+    for number in range(4):
+        fake.pool.submit(task(number, f"{number}a", f"{number}b"))
+    fake.made[0].die()
+    fake.drain()
+    second = fake.made[1].ready()
+    fake.drain()
+    answers = []
+    for _ in range(2):  # repeated tasks run alone
+        assert len(keys(second)) == 1
+        second.do()
+        answers += fake.drain()
+    assert len(second.tasks) == TASKS_PER_WORKER
+    for _ in range(2):
+        second.do()
+    answers += fake.drain()
+    assert sorted(answer.number for answer in answers) == [0, 1, 2, 3]
+    assert all(frame.result is not None for answer in answers for frame in answer.frames)
+
+
+def test_a_frame_that_kills_workers_repeatedly_fails_and_the_others_of_its_task_are_done() -> None:
+    fake = FakePool(1).start()
+    fake.pool.submit(task(7, "good", "deadly", "fine"))
+    answers: list[Answer] = []
+    for _ in range(20):
+        worker = fake.made[-1]
+        if not worker.tasks:
+            worker.ready()
+            fake.drain()
+        if any("deadly" in held for held in keys(worker)):
+            worker.die()
+        else:
+            worker.do()
+        answers = fake.drain()
+        if answers:
+            break
+    (answer,) = answers
+    assert answer.number == 7
+    assert [frame.result.key if frame.result else None for frame in answer.frames] == ["good", None, "fine"]
+    reason = answer.frames[1].reason
+    assert reason is not None and "a worker has ended 2 times on this frame, the last time killed" in reason
+    assert len(fake.made) == 4, "three workers died: twice with other frames, once alone"
+
+
+def test_workers_that_die_during_start_end_the_batch() -> None:
+    fake = FakePool(1)
+    for _ in range(MAX_FAILED_STARTS):
+        fake.pool._add()
+        fake.made[-1].die()
+    with pytest.raises(WorkerError, match="before they were ready, the last one killed"):
+        fake.pool.start()
+
+
+def test_workers_with_other_detectors_are_refused() -> None:
+    fake = FakePool(2).start()
+    fake.made[0].tell(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX))
+    with pytest.raises(WorkerError, match="detectors differ"):
+        fake.drain()
+
+
+def test_a_bug_in_a_worker_is_not_an_annotator_error() -> None:
+    fake = FakePool(1)
+    fake.pool._add()
+    fake.made[0].tell(1, Fault("Traceback ...", True))
+    with pytest.raises(RuntimeError, match="Traceback"):
+        fake.pool.start()
+
+
+@pytest.mark.parametrize(
+    ("name", "cores", "gpus", "options", "workers"),
+    [
+        ("auto", 4, (), {}, 4),
+        ("auto", 4, (), {"workers": 1}, None),
+        ("auto", 1, (), {}, None),
+        ("auto", 1, ("0",), {}, 1),
+        ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
+        ("local", 8, ("0", "1"), {}, 2),
+    ],
+)
+def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
+    name: str,
+    cores: int,
+    gpus: tuple[str, ...],
+    options: dict[str, int],
+    workers: int | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(engines, "usable_cores", lambda: cores)
+    monkeypatch.setattr(engines, "cuda_devices", lambda: gpus)
+    engine = make_engine(EngineName(name), Unloadable(), **{"frames": 1000, **options})
+    assert isinstance(engine, InlineEngine if workers is None else WorkerPool)
+    assert engine.window == (1 if workers is None else workers * (TASKS_PER_WORKER + 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("local", {"workers": 0}, "--workers 0 is too small"),
+        ("inline", {"workers": 2}, "has no workers"),
+        ("local", {"address": "auto"}, "add --engine ray"),
+    ],
+)
+def test_conflicting_options_are_errors(name: str, options: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        make_engine(EngineName(name), Unloadable(), frames=100, **options)
+
+
+def test_paths_are_mapped_to_the_longest_matching_folder() -> None:
+    storage = Storage(parse_elsewhere(["/data/a=s3://bucket/a/", "/data=/mnt/data"]))
+    assert storage.place(Path("/data/a/room")) == "s3://bucket/a/room"
+    assert storage.place(Path("/data/a")) == "s3://bucket/a"
+    assert storage.place(Path("/data/b/room")) == "/mnt/data/b/room"
+    assert storage.place(Path("/database/room")) == "/database/room"
+
+
+@pytest.mark.parametrize("word", ["", "/data", "=s3://bucket", "/data="])
+def test_invalid_mappings_are_errors(word: str) -> None:
+    with pytest.raises(ConfigError, match="not of the form FOLDER=PLACE"):
+        parse_elsewhere([word])
+
+
+def test_weights_are_unpacked_once_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "training"
+    folder.mkdir()
+    model = UsedModel(folder / "detector.pt", BoxKind.BOX, False, "f")
+    trained = TrainedDetectors(model, model)
+    with pytest.raises(DetectionError, match="train the detector again"):
+        PackedDetectors.of(trained)
+    (folder / "detector.pt").write_bytes(b"weights")
+    (folder / "model.json").write_text("{}")
+    packed = PackedDetectors.of(trained)
+    place = packed.image.unpacked(tmp_path / "out")
+    for path in (place, place.with_name("model.json")):  # the system may remove temporary files one by one
+        before = place.stat().st_ino
+        assert packed.image.unpacked(tmp_path / "out") == place and place.stat().st_ino == before
+        path.unlink()
+        assert packed.image.unpacked(tmp_path / "out") == place and place.read_bytes() == b"weights"
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*") if path.is_file()) == [
+        "detector.pt",
+        "model.json",
+    ]
+    with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
+        packed.image.unpacked(folder / "detector.pt")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert scratch_folder().stat().st_mode & 0o077 == 0
+    scratch_folder().chmod(0o777)
+    with pytest.raises(WorkerError, match="other users can write to it"):
+        scratch_folder()
+
 
 Knowing = Callable[..., Detectors]
 NewPeople = Callable[[str], Project]
@@ -39,8 +300,6 @@ sys.path.insert(0, sys.argv[1])
 from annotator.project import open_project
 from annotator.rcv.config import RcvConfig
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.runner import Engine
-from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.engines import local_engine
 from annotator.workflows.proposing.tasks import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
@@ -171,9 +430,9 @@ def listening() -> set[tuple[str, str]]:
 
 @pytest.mark.slow
 def test_results_are_bitwise_equal_even_with_a_killed_actor(
-    new_people: Callable[[str], Project],
+    new_people: NewPeople,
     expected: list[str],
-    knowing: Callable[..., Detectors],
+    knowing: Knowing,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -191,24 +450,20 @@ def test_results_are_bitwise_equal_even_with_a_killed_actor(
     assert opened and {address for address, _ in opened} <= set(LOOPBACK)
 
 
-def test_without_ray_the_error_says_what_to_install(
-    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
 
 
-def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     if find_spec("ray") is None:
         pytest.skip("ray is not installed")
     for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # must be set before the import
         monkeypatch.setenv(name, value)
     from ray import exceptions
 
-    told: list[Event] = []
+    told: list[Message] = []
     for error in (
         exceptions.OutOfMemoryError("killed, the node was low on memory"),
         exceptions.NodeDiedError("its node died"),
@@ -219,8 +474,8 @@ def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
         future: Future[object] = Future()
         future.set_exception(error)
         call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
-        RayWorker(1, told.append, lambda call=call: SimpleNamespace(identity=call))
-    assert [type(event) for event in told] == [Died, Died, Died, Died, Refused]
+        RayWorker(1, lambda _, message: told.append(message), lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Fault]
 
 
 def test_the_number_of_workers_is_limited_per_machine() -> None:

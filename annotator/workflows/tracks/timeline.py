@@ -1,0 +1,95 @@
+"""The frames of a recording in time, and the key frames of its tracks, which are those with a reviewed box."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.project import REVIEWED, Project, StoredFrame
+from annotator.recordings.frame_times import recorded_times
+from annotator.tracking.link import frame_times
+from annotator.types import Frame, Label
+from annotator.types.errors import ConfigError
+from annotator.workflows.frame_source import FrameSource
+
+# Objects that are followed from the same frame need the same frames at about the same time; others read them again.
+FRAMES_KEPT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A frame and its time, in any unit; times decrease if an object is followed backward."""
+
+    index: int
+    frame: Frame
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class KeyFrame:
+    """A key frame: its index in the timeline, and its label."""
+
+    index: int
+    label: Label
+
+
+class Timeline:
+    """The frames of a recording that follow each other in time, read when they are needed.
+
+    Attributes:
+        frames: in order, without those that are no longer in the recording.
+        index: of each of them, by its id.
+        times: in units of the frame interval, so that dropped frames are gaps; the indices without recorded times.
+    """
+
+    def __init__(self, project: Project, recording_id: int) -> None:
+        """
+        Raises:
+            ConfigError: the recording is not a sequence.
+            RecordingError, FrameError: it cannot be opened, or its times are broken.
+        """
+        stored = project.recordings.get(recording_id)
+        if not stored.is_sequence:
+            raise ConfigError(
+                f"the frames of {stored.name} do not follow each other in time; it has no next frame, and no tracks"
+            )
+        self.project, self.recording_id = project, recording_id
+        self.frames: tuple[StoredFrame, ...] = tuple(
+            frame for frame in project.frames.of([recording_id]) if frame.index is not None
+        )
+        self.index = {frame.id: index for index, frame in enumerate(self.frames)}
+        self._source = FrameSource(project)
+        self.recording = self._source.recording(recording_id)
+        times_ns = recorded_times(self.recording)
+        self.times: Float64[np.ndarray, "n"] = (
+            np.array([float(frame.index or 0) for frame in self.frames])
+            if times_ns is None
+            else frame_times([times_ns.get(frame.key) for frame in self.frames])
+        )
+        self._read: OrderedDict[int, Frame] = OrderedDict()
+
+    def moment(self, index: int) -> Moment:
+        """Reads a frame."""
+        if index not in self._read:
+            self._read[index] = self._source.read(self.frames[index])
+            while len(self._read) > FRAMES_KEPT:
+                self._read.popitem(last=False)
+        return Moment(index, self._read[index], float(self.times[index]))
+
+    def key_frames(self, track_id: int) -> list[KeyFrame]:
+        """Returns the key frames of a track, in order."""
+        keys: dict[int, KeyFrame] = {}
+        for stored in self.project.labels.select(states=REVIEWED, recordings=[self.recording_id], tracks=[track_id]):
+            index = self.index.get(stored.frame_id)
+            if index is None:
+                continue
+            if index in keys:
+                raise ConfigError(
+                    f"frame {self.frames[index].key} has two reviewed boxes of track {track_id}; "
+                    "give one of them another track"
+                )
+            keys[index] = KeyFrame(index, stored.label)
+        return [keys[index] for index in sorted(keys)]
