@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,7 @@ from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
+from annotator.types.errors import ConfigError, FrameError, ProjectError, RecordingError
 from annotator.workflows.add_recordings import add_recordings, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, orientation_for
@@ -205,17 +204,6 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     assert told[-1] == (5, 5)
 
 
-def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    file = folder / "truth" / "boxes.json"
-    content = json.loads(file.read_text())
-    content["000002"][0]["size"] = [0, 1, 1]
-    file.write_text(json.dumps(content))
-    with pytest.raises(FormatError, match=r"boxes\.json"):
-        import_own_labels(project, project.recordings.all()[0].id)
-
-
 def test_a_broken_label_file_affects_only_its_frame(
     people: Project, make_project: Callable[..., Project], tmp_path: Path
 ) -> None:
@@ -240,17 +228,6 @@ def test_labels_of_missing_frames_are_skipped(
     assert import_own_labels(project, project.recordings.all()[0].id).boxes == {"person": 12}
 
 
-@pytest.mark.shared
-def test_labels_of_a_kitti_drive_are_imported(make_project: Callable[..., Project], shared: Path) -> None:
-    project = make_project(shared / "data" / "kitti_drive_0005", classes=("Van", "Cyclist"))
-    found = import_own_labels(project, project.recordings.all()[0].id)
-    lines = [line.split() for line in (shared / "data" / "kitti_drive_0005" / "label_02.txt").read_text().splitlines()]
-    for name in ("Van", "Cyclist"):
-        assert found.boxes[name] == sum(line[2] == name for line in lines)
-    assert found.of(Note.OTHER_CLASS)["Car"] == sum(line[2] == "Car" for line in lines)
-    assert project.statistics().labels.total == found.boxes.total()
-
-
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
@@ -266,18 +243,6 @@ def test_frames_are_read_by_key_not_by_index(
     np.testing.assert_array_equal(frame.rgb, open_recording(folder).frame(2).rgb)
     with pytest.raises(FrameError, match="people: frame 000000 no longer exists; restore it, or add the folder"):
         FrameSource(project).read(project.frames.of()[0])
-
-
-def test_a_frame_removed_while_the_recording_is_open_is_an_error(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    source = FrameSource(project)
-    source.read(project.frames.of()[0])
-    remove_frame(folder, "000002")
-    with pytest.raises(FrameError, match=r"000002\.png: missing"):
-        source.read(project.frames.of()[2])
 
 
 def test_the_projects_up_direction_overrides_the_recordings(

@@ -243,27 +243,7 @@ def sustech_json(folder: Path) -> None:
         (folder / "drive" / "label" / f"{number:06}.json").write_text(json.dumps(content))
 
 
-def openlabel_json(folder: Path) -> None:
-    folder.mkdir()
-    quaternion = Rotation.from_matrix(BOX.rotation).as_quat().tolist()
-    cuboid = {"name": "box", "val": [*BOX.center_m.tolist(), *quaternion, 4, 2, 1.6], "coordinate_system": "lidar"}
-    data = {"7": {"object_data": {"cuboid": [cuboid]}}}
-    content = {
-        "metadata": {"schema_version": "1.0.0"},
-        "coordinate_systems": {"lidar": {"type": "sensor", "parent": ""}},
-        "streams": {"lidar": {"type": "lidar"}},
-        "objects": {"7": {"name": "car", "type": "car"}},
-        "frames": {
-            str(number): {
-                "objects": data, "frame_properties": {"streams": {"lidar": {"uri": f"clouds/{number:06}.npy"}}},
-            }
-            for number in range(2)
-        },
-    }  # fmt: skip
-    (folder / "a.json").write_text(json.dumps({"openlabel": content}))
-
-
-IN_MAP = {"labelcloud": labelcloud_json, "sustechpoints": sustech_json, "openlabel": openlabel_json}
+IN_MAP = {"labelcloud": labelcloud_json, "sustechpoints": sustech_json}
 
 
 @pytest.mark.parametrize("format", IN_MAP)
@@ -289,18 +269,3 @@ def test_map_coordinates_in_a_format_of_boxes_relative_to_the_camera_are_refused
         ):
             run(project, boxes)
     assert not project.labels.select()
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("clouds", ["plain", "stray"])
-def test_the_box_of_the_collected_case_holds_its_points(cars: Callable[[], Project], shared: Path, clouds: str):
-    case = shared / "cases" / "02_utm_stray_zero"
-    project = cars()
-    add_recordings(project, [case / clouds])
-    names = {"box": "car"}
-    import_labels(project, read_labels(BoxFormat.LABELCLOUD, case / "labels_plain"), names=names)
-    (stored,) = project.frames.of()
-    (label,) = project.labels.of_frame(stored.id)
-    inside = label.box.T_camera_box.inv().apply(FrameSource(project).read(stored).cloud.xyz_m.astype(float))
-    # within 2 cm, since points lie on its faces
-    assert int((np.abs(inside) <= label.box.size_m / 2 + 0.02).all(axis=1).sum()) == 611

@@ -14,7 +14,6 @@ from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, W
 from annotator.rcv.config import typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
-from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.settings import editable, rcv_config, reviewed_sizes
 
@@ -138,14 +137,3 @@ def test_sizes_of_the_settings_come_first(project: Project) -> None:
     assert size is not None and size.size_m == (3.0, 2.0, 1.0)
     assert json.loads(editable(config))["typical_sizes"] == [own]
     assert "reviewed_sizes" not in editable(config)
-
-
-def test_a_misspelt_key_of_a_size_is_named(project: Project) -> None:
-    wrong = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "sprad": [0.1, 0.1, 0.1]}
-    project.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [wrong]}}))
-    with pytest.raises(ConfigError, match="typical_sizes"):
-        rcv_config(project)
-    extra = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1], "sprad": 1}
-    project.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [extra]}}))
-    with pytest.raises(ConfigError, match="did you mean 'spread'"):
-        rcv_config(project)

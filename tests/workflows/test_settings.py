@@ -11,7 +11,7 @@ import cv2
 import pytest
 
 from annotator.cli.main import main
-from annotator.project import Project, ProjectSettings, create_project, open_project
+from annotator.project import Project, ProjectSettings, create_project
 from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -50,15 +50,6 @@ def test_each_source_overrides_the_ones_below(project: Project, tmp_path: Path) 
         fit=FitConfig(edge_noise=0.05),
         strategy=Strategy.CAMERA,
     )
-
-
-def test_only_changed_settings_are_stored(project: Project) -> None:
-    keep(project, max_steps=7)
-    content = json.loads((project.path / "project.json").read_text())
-    assert content["settings"]["rcv"] == {"max_steps": 7}
-    project.close()
-    with open_project(project.path) as again:
-        assert rcv_config(again).max_steps == 7
 
 
 def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_path: Path) -> None:

@@ -18,10 +18,9 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.teach import TaughtObject
 from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Correction, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.web.context import Caches
 from annotator.workflows import simulate
@@ -31,9 +30,7 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     FITS_IOU,
     MIN_VISIBLE_POINTS,
-    _is_inside,
     confirm_whole_boxes,
-    draw_frame,
     simulate_recording,
     visible_objects,
 )
@@ -64,21 +61,6 @@ def test_five_boxes_per_object_are_drawn(people: Project, kind: BoxKind) -> None
     assert [frame.id in labelled for frame in people.frames.of()] == [True, False, True, False, True]
 
 
-def test_true_boxes_are_imported_as_labels(people: Project) -> None:
-    simulated(people, BoxKind.BOX, every=4)
-    (recording,) = people.recordings.all()
-    source = open_recording(recording.path)
-    for index in (0, 4):
-        stored = people.frames.of()[index]
-        labels = people.labels.of_frame(stored.id)
-        truths = load_truth(source, index, source.frame(index))
-        assert len(labels) == len(truths) == 3
-        for label, truth in zip(labels, truths, strict=True):
-            assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
-            np.testing.assert_allclose(label.box.pose, truth.box.pose, atol=1e-9)
-    assert people.statistics().labels.total == 6
-
-
 def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
     """They enclose exactly the pixels of the mask that have a depth."""
     simulated(people, BoxKind.SILHOUETTE, every=5)
@@ -90,28 +72,6 @@ def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
     for number, box in enumerate(boxes.boxes, 1):
         rows, columns = np.nonzero((mask == number) & (frame.depth_m > 0))
         assert box.xyxy == pytest.approx((columns.min(), rows.min(), columns.max(), rows.max()), abs=1e-3)
-
-
-def test_the_image_box_of_a_box_behind_the_camera_is_that_of_its_visible_part(generated: Path) -> None:
-    """It is computed from the true box, up to the image's border, not only from the points."""
-    frame = open_recording(generated / "people").frame(0)
-    box = OrientedBox.from_parts(np.array([0.0, 0.3, 1.0]), np.eye(3), np.array([0.4, 0.4, 3.0]))
-    in_the_middle = np.linalg.norm(frame.cloud.xyz_m[:, :2], axis=1) < 0.1
-    (image_box,), _ = draw_frame(frame, [TaughtObject("person", box, in_the_middle)], BoxKind.BOX, RcvConfig())
-    camera = frame.camera
-    assert image_box.x_min == -0.5
-    assert image_box.x_max == camera.width_px - 0.5
-    assert image_box.y_max == camera.height_px - 0.5
-    # the upper edge is that of the far end, 2.5 m away and 0.1 m below the optical axis
-    assert image_box.y_min == pytest.approx(camera.cy + camera.fy * 0.1 / 2.5, abs=0.01)
-
-
-def test_a_picture_starts_half_a_pixel_before_its_first_pixel_centre() -> None:
-    view = PseudoView(np.zeros((3, 4, 3), np.uint8), np.eye(3), 0.1, np.array([1.0, 2.0]), np.zeros((0, 3), np.float32))
-    x = np.array([0.94, 0.96, 1.34, 1.36, 1.1, 1.1, 1.1, 1.1])
-    y = np.array([2.1, 2.1, 2.1, 2.1, 1.94, 1.96, 2.24, 2.26])
-    seen = _is_inside(view, np.stack([x, y, np.ones(8)], axis=1))
-    assert seen.tolist() == [False, True, True, False] * 2
 
 
 def test_simulating_again_replaces_the_boxes(people: Project) -> None:
@@ -221,19 +181,6 @@ def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Calla
             <= item.points.sum()
             <= np.count_nonzero(raw & around.any(axis=0))
         )
-
-
-def test_a_mask_of_0_and_255_is_one_object(own_copy: Callable[[str], Path]) -> None:
-    folder = masks_only(own_copy("people"))
-    path = folder / "truth" / "mask" / "000000.png"
-    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    cv2.imwrite(str(path), np.where(mask == 2, 255, 0).astype(np.uint8))
-    recording = open_recording(folder)
-    frame = recording.frame(0)
-    (found,) = visible_objects(recording, 0, frame, ["person"])
-    assert frame.cloud.pixel_index is not None
-    np.testing.assert_array_equal(found.points, mask.ravel()[frame.cloud.pixel_index] == 2)
-    assert contains(found.box, frame.cloud.xyz_m[found.points], 1e-6).all()
 
 
 def test_true_boxes_cannot_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:

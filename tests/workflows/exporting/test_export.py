@@ -55,26 +55,6 @@ def exported(project: Project, out: Path, **options: object) -> RcvManifest:
     return manifest
 
 
-def test_an_exported_dataset_reads_back_unchanged(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0, 3))
-    told: list[tuple[int, int]] = []
-    manifest = exported(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
-    assert told == [(1, 2), (2, 2)]
-    assert (manifest.counts.frames, manifest.counts.objects) == (2, 4)
-    assert manifest.generator.startswith("annotator ")
-    dataset = read_rcv(tmp_path / "out")
-    assert dataset.manifest == manifest
-    for number, index in enumerate((0, 3)):
-        stored = people.frames.of()[index]
-        name, labels, *_ = dataset.named_labels(number)
-        assert name == f"people/{stored.key}"
-        kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
-        for a, b in zip(labels, kept, strict=True):
-            assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
-            np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
-            np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("states", "objects"),
     [
@@ -170,20 +150,6 @@ def test_an_empty_export_is_an_error(people: Project, tmp_path: Path, choose: Ex
     assert not (tmp_path / "out").exists()
 
 
-def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    label_all(project, (0, 3))
-    depth = folder / "depth" / "000003.png"
-    depth.write_bytes(depth.read_bytes()[:500])
-    (tmp_path / "place").mkdir()
-    with pytest.raises(FrameError, match=r"depth/000003\.png"):
-        exported(project, tmp_path / "place" / "out")
-    assert list((tmp_path / "place").iterdir()) == []
-
-
 @pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
 def test_unreadable_frames_are_left_out_on_request(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
@@ -259,10 +225,6 @@ def test_equal_shares_give_the_same_split_in_every_process() -> None:
     """The order of sets of strings differs between processes."""
     shares = dict.fromkeys(("train", "val", "test"), 1 / 3)
     assert assign(Split(shares), [("a", "1"), ("a", "2"), ("a", "3")]) == ["val", "test", "train"]
-
-
-def test_shares_are_parsed() -> None:
-    assert parse_shares("train=4, val=1") == {"train": 0.8, "val": 0.2}
 
 
 @pytest.mark.parametrize(

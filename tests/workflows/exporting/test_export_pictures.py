@@ -29,7 +29,7 @@ from annotator.workflows.exporting import (
     export_project,
 )
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import FlatFormat, Note, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import FlatFormat, Note, format_of, import_image_boxes, import_view_boxes
 from annotator.workflows.recorded.reading import load_truth
 
 FORMATS = (ExportFormat.COCO, ExportFormat.YOLO)
@@ -101,6 +101,7 @@ def test_exported_pictures_can_be_imported_into_another_project(
 ) -> None:
     ids = labelled(people)
     report = exported(people, tmp_path / "out", format, options=BOTH)
+    assert format_of(tmp_path / "out") == format
     assert (report.frames, report.objects_by_class, report.splits) == (6, {"person": 2 + 2 + 1 + 1}, {})
     lost = {loss.kind: loss.count for loss in report.losses}
     solid = sum(label.state is not ReviewState.REJECTED for label in people.labels.of_frame(ids[2]))

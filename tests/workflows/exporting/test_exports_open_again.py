@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from annotator.geometry.oriented_box import box_corners
-from annotator.project import NewLabel, Project, WriteContext
+from annotator.project import Project
 from annotator.recordings import Recording, detect_format, open_recording
-from annotator.types import Frame, Source
+from annotator.types import Frame
 from annotator.types.errors import FrameError, RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
@@ -97,34 +97,6 @@ def test_a_part_of_a_divided_export_opens(people: Project, tmp_path: Path, forma
         recording = open_recording(tmp_path / "out" / part)
         assert len(recording) == frames
         assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(frames)) > 0
-
-
-def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(people: Project, tmp_path: Path) -> None:
-    """Read with four, they were noise, or called truncated."""
-    export_project(people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
-    recording = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP")
-    source = FrameSource(people)
-    counts = sorted(len(source.read(stored).cloud) for stored in people.frames.of())
-    assert sorted(len(recording.frame(i).cloud) for i in range(len(recording))) == counts
-    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
-    known = [np.sort(np.linalg.norm(source.read(stored).cloud.xyz_m, axis=1)) for stored in people.frames.of()]
-    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
-
-
-def test_only_reviewed_boxes_of_an_export_are_labels(people: Project, tmp_path: Path) -> None:
-    stored = people.frames.of()[0]
-    box = people.labels.of_frame(stored.id)[0].box
-    revision = people.frames.get(stored.id).revision
-    made = people.labels.create(stored.id, [NewLabel("person", box)], WriteContext(revision, "me", Source.MANUAL))
-    people.labels.reject(stored.id, made.uids[0], WriteContext(made.receipt.revision, "me"))
-    known = len(people.labels.of_frame(stored.id)) - 1
-    for format in (ExportFormat.RCV, ExportFormat.OPENLABEL):
-        every = ExportFilter(
-            empty_frames=True, states=tuple({each.state for each in people.labels.of_frame(stored.id)})
-        )
-        export_project(people, tmp_path / format.value, format, choose=every)
-        recording = open_recording(tmp_path / format.value)
-        assert len(load_truth(recording, 0, recording.frame(0))) == known
 
 
 def test_several_recordings_are_one(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
 from annotator.types import OrientedBox
-from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import BoxFormat, Note, import_labels, import_proposals, read_labels
@@ -133,14 +132,6 @@ def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
     project = make_project(generated / "people", classes=("human",))
     import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"), names={"person": "human"})
     assert [(each.source, each.label) for each in said_in(project)] == [("centerpoint v2", "human")]
-
-
-def test_a_damaged_list_of_sources_is_refused_with_its_place(reviewed: Project, tmp_path: Path) -> None:
-    export_project(reviewed, tmp_path / "out", ExportFormat.OPENLABEL, choose=ExportFilter())
-    (file,) = (tmp_path / "out").glob("*.json")
-    file.write_text(file.read_text().replace('\\"score\\":0.4', '\\"score\\":4'))
-    with pytest.raises(FormatError, match=r"objects.*said_by\.1\.score: .*less than or equal to 1"):
-        read_labels(BoxFormat.OPENLABEL, tmp_path / "out")
 
 
 def test_imported_proposals_have_attributes_of_the_file_defaults_and_those_of_their_track(

@@ -232,12 +232,3 @@ def test_masks_follow_the_same_rule(tmp_path: Path, orientation: int):
         else:
             with pytest.raises(FormatError, match=f"EXIF orientation {orientation}"):
                 load_mask(opened, opened.frame(0))
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("orientation", [3, 6])
-def test_the_collected_cases(shared: Path, make_project: Make, orientation: int):
-    cases = shared / "cases" / "09_exif"
-    project = make_project(cases / f"orientation_{orientation}", classes=("red",))
-    with pytest.raises(FormatError, match=f"EXIF orientation {orientation}"):
-        imported(project, cases / f"yolo_{orientation}", FlatFormat.YOLO)

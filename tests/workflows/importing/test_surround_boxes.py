@@ -110,23 +110,6 @@ def test_attributes_of_results_can_be_added_to_the_project(
     assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}
 
 
-@pytest.mark.parametrize(
-    ("results", "problem"),
-    [
-        ({"a": 1}, "results.a: must be a list of boxes"),
-        ({"a": [{"size": [1, 2, 3]}]}, "results.a.0.translation: Field required"),
-        ({"a": [{"size": [1, 2, 3], "translation": [0, 0, 0], "rotation": [0, 0, 0, 0]}]}, "detection_name"),
-        ([], "must be a JSON object"),
-    ],
-)
-def test_damaged_results_are_refused_with_their_place(tmp_path: Path, results: Any, problem: str) -> None:
-    path = tmp_path / "results.json"
-    path.write_text(json.dumps({"results": results}))
-    with pytest.raises(FormatError, match=r"results\.json") as raised:
-        read_labels(BoxFormat.NUSCENES, path)
-    assert problem in str(raised.value)
-
-
 AHEAD, BEHIND = "REGULAR_VEHICLE", "PEDESTRIAN"
 
 

@@ -102,15 +102,6 @@ def test_the_first_box_of_a_view_belongs_to_its_object(people: Project) -> None:
     assert checked >= 4
 
 
-def test_views_shared_by_objects_are_counted_once(people: Project) -> None:
-    """A box that is in the labels twice has one set of views."""
-    twice = Changed(beside(people), lambda name, truths: truths[:1] * 2)
-    done = boxes_from_3d(people, twice, fraction=0.2)
-    views = people.boxes.on_views()
-    assert (done.objects["person"], done.views, len(views)) == (2, 4, 4)
-    assert done.view_boxes == sum(len(view.boxes) for view in views) == 8
-
-
 def moved(labels: RecordedLabels, by_m: float) -> LabelSet:
     shift = np.array([by_m, 0.0, 0.0])
 
