@@ -287,7 +287,7 @@ class DatasetCheck:
 
     def _whole_files(self) -> None:
         files = self.source.labels
-        for error in files.problems() if files is not None else ():
+        for error in files.problems if files is not None else ():
             self.findings.add_error(rule_of(error), error, self.source.path)
         of_labels = files.strays() if files is not None else iter(())
         of_recording = iter(()) if self.source.recording is None else stray_names(self.source.recording)
