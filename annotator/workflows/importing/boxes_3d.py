@@ -52,7 +52,7 @@ def import_labels(
         NotFoundError: no such recording.
         RecordingError: a recording has been moved.
     """
-    reader = _Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
+    reader = Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
     labels = _Labels(reader, importer, fill, choose)
     reader.read_all(labels.add, progress)
     return reader.report
@@ -87,7 +87,7 @@ def import_proposals(
             "this project's own proposals"
         )
     report = ImportReport(Become.PROPOSALS, project.config.classes, source)
-    reader = _Reader(project, dataset, recording, names, report)
+    reader = Reader(project, dataset, recording, names, report)
     proposals = _Proposals(reader, source, min_score, importer or Importer(source))
     reader.read_all(proposals.add, progress)
     proposals.store()
@@ -96,7 +96,7 @@ def import_proposals(
     return report
 
 
-class _Reader:
+class Reader:
     """Reads a dataset frame by frame, its boxes as labels of the project's classes."""
 
     def __init__(
@@ -139,8 +139,12 @@ class _Reader:
         Args:
             label: makes a label of an object, whose class is the project's; None: with all that the object has.
         """
+        return list(map(label or self._label, self.known(truths)))
+
+    def known(self, truths: Sequence[Truth]) -> list[Truth]:
+        """Returns the objects of the project's classes, with its names of these."""
         named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
-        return [(label or self._label)(each) for each in named if each.label in self._classes]
+        return [each for each in named if each.label in self._classes]
 
     def count(self, truths: Sequence[Truth]) -> None:
         """Counts the sizes of boxes, and those of other classes."""
@@ -170,7 +174,7 @@ class _Reader:
 class _Labels:
     """Stores boxes as labels."""
 
-    def __init__(self, reader: _Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
+    def __init__(self, reader: Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
         self._reader, self._importer, self._fill, self._choose = reader, importer, fill, choose
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._attributes = {each.name for each in reader.project.config.attributes}
@@ -256,7 +260,7 @@ def create_if_unlabelled(
 class _Proposals:
     """Stores boxes as proposals of a source."""
 
-    def __init__(self, reader: _Reader, source: str, min_score: float | None, importer: Importer) -> None:
+    def __init__(self, reader: Reader, source: str, min_score: float | None, importer: Importer) -> None:
         self._reader, self._source, self._min_score, self._importer = reader, source, min_score, importer
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._scores = self._dataset.scores
