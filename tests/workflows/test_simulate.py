@@ -183,39 +183,34 @@ def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Calla
         )
 
 
-def test_true_boxes_cannot_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
-    stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
-    with pytest.raises(ConfigError, match="`box` needs true boxes"):
-        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
-
-
-def test_masks_alone_need_a_project_with_one_class(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    project = make_project(masks_only(own_copy("people")), classes=("person", "robot"))
-    with pytest.raises(ConfigError, match=r"class of an object \(person, robot\) is unknown"):
-        simulated(project, BoxKind.SILHOUETTE)
-
-
-def test_a_recording_without_truth_cannot_be_simulated(people: Project, own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("hands")
+def without_truth(folder: Path) -> Path:
     shutil.rmtree(folder / "truth")
-    stored = register_recording(people, open_recording(folder))
-    with pytest.raises(RecordingError, match=r"hands: has no true boxes; looked for .*boxes\.json"):
-        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
-    assert people.statistics().image_boxes.boxes == 0
+    return folder
 
 
-def test_truth_of_other_classes_is_an_error(make_project: Callable[..., Project], generated: Path) -> None:
-    project = make_project(generated / "people", classes=("robot",))
-    with pytest.raises(ConfigError, match="no visible true boxes of robot"):
-        simulated(project, BoxKind.BOX)
-
-
-@pytest.mark.parametrize("every", [0, -1])
-def test_a_frame_step_below_1_is_refused(people: Project, every: int) -> None:
-    with pytest.raises(ConfigError, match="give 1 or more"):
-        simulated(people, BoxKind.BOX, every)
+@pytest.mark.parametrize(
+    ("change", "kind", "classes", "every", "problem"),
+    [
+        (masks_only, BoxKind.BOX, ("person",), 1, "`box` needs true boxes"),
+        (masks_only, BoxKind.SILHOUETTE, ("person", "robot"), 1, r"class of an object \(person, robot\) is unknown"),
+        (without_truth, BoxKind.BOX, ("person",), 1, r"people: has no true boxes; looked for .*boxes\.json"),
+        (Path, BoxKind.BOX, ("robot",), 1, "no visible true boxes of robot"),
+        (Path, BoxKind.BOX, ("person",), 0, "give 1 or more"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(
+    make_project: Callable[..., Project],
+    own_copy: Callable[[str], Path],
+    change: Callable[[Path], Path],
+    kind: BoxKind,
+    classes: tuple[str, ...],
+    every: int,
+    problem: str,
+) -> None:
+    project = make_project(change(own_copy("people")), classes=classes)
+    with pytest.raises((ConfigError, RecordingError), match=problem):
+        simulated(project, kind, every)
+    assert project.statistics().image_boxes.boxes == 0
 
 
 def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
@@ -265,37 +260,21 @@ def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, gen
     assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
 
 
-def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> None:
-    stored = drawn.frames.of()[0]
-    image_box = drawn.boxes.on_image(stored.id).boxes[0]
-    offers = WholeBoxes(drawn)
-    frame = FrameSource(drawn).read(stored)
-    assert offers.of(frame, stored, image_box, None)
-    never_drawn = Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)
-    assert offers.of(frame, stored, never_drawn, None) == []
-
-
-def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> None:
-    stored = drawn.frames.of()[0]
-    image_box, frame = drawn.boxes.on_image(stored.id).boxes[0], FrameSource(drawn).read(stored)
-    offers = WholeBoxes(drawn)
-    upright = offers.of(frame, stored, image_box, None)
-    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
-    free = offers.of(frame, stored, image_box, None)
-    expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
-    assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
-    assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]
-
-
-def test_a_correction_of_the_calibration_applies_at_once(drawn: Project) -> None:
+def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhouettes(drawn: Project) -> None:
     stored = drawn.frames.of()[0]
     image_box, offers = drawn.boxes.on_image(stored.id).boxes[0], WholeBoxes(drawn)
-    before = offers.of(FrameSource(drawn).read(stored), stored, image_box, None)
+
+    def offered(offers: WholeBoxes, box: Box2D = image_box) -> list[list[float]]:
+        found = offers.of(FrameSource(drawn).read(stored), stored, box, None)
+        return [[*one.box.center_m.tolist(), *one.box.size_m.tolist()] for one in found]
+
+    assert offered(offers, Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)) == [], "never drawn"
+    seen = [offered(offers)]
+    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
+    seen.append(offered(offers))
     drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
-    frame = FrameSource(drawn).read(stored)
-    corrected = [one.box.center_m.tolist() for one in offers.of(frame, stored, image_box, None)]
-    assert corrected == [one.box.center_m.tolist() for one in WholeBoxes(drawn).of(frame, stored, image_box, None)]
-    assert corrected != [one.box.center_m.tolist() for one in before]
+    seen.append(offered(offers))
+    assert seen[2] == offered(WholeBoxes(drawn)) and seen[0] != seen[1] != seen[2]
 
 
 def test_frames_of_a_moved_recording_are_read_at_their_new_place(
