@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import nuscenes_samples
 import pytest
 from kitti_samples import OBJECT_CALIB
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -203,23 +202,6 @@ def test_nuscenes_global_frame_and_openlabels_world_are_the_map(cars: Callable[[
         base = np.array(cuboid["val"][:3])[[2, 0, 1]] * [1, -1, -1]
         there = Rotation.from_quat(pose["quaternion"]).apply(base) + pose["translation"]
         np.testing.assert_allclose(there, BOX.center_m, rtol=0, atol=1e-6)
-
-
-def test_a_vehicle_whose_poses_are_known_is_exported_with_them(make_project: Callable[..., Project], tmp_path: Path):
-    source = nuscenes_samples.small(tmp_path / "source", scenes=1)
-    project = make_project(classes=("vehicle.car",), rotation=BoxRotation.FREE)
-    (added,) = add_recordings(project, [source])
-    import_own_labels(project, added.recording.id)
-    export_project(project, tmp_path / "out", ExportFormat.NUSCENES)
-    have, want = (
-        sorted(row["translation"] for row in json.loads(next(folder.glob("v1.0-*/sample_annotation.json")).read_text()))
-        for folder in (tmp_path / "out", source)
-    )
-    assert len(have) == 2
-    for row in have:
-        assert np.linalg.norm(np.subtract(want, row), axis=1).min() < 1e-6
-    report = export_project(project, tmp_path / "kitti", ExportFormat.KITTI)
-    assert "origin" in {loss.kind for loss in report.losses}
 
 
 def labelcloud_json(folder: Path) -> None:

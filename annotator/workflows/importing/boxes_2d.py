@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -230,7 +229,9 @@ def store_on_image(
             return Stored.LEFT_ALONE
         before = () if page.image_boxes is None else page.image_boxes.boxes
         with storable(f"{path}: {image.labels.file_name}"):
-            on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
+            on_image = ImageBoxesSet(
+                boxes=tuple(_as_known([*drawn_from, *before], box) for box in boxes), box_kind=kind
+            )
         context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
         part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
         # retried if the frame was changed since it was read
@@ -240,13 +241,10 @@ def store_on_image(
             return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
 
 
-def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
-    """Returns the known box for each box that a file has only rounded, so that views rendered from it stay valid."""
-    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
-
-
-def _is_rounded(box: Box2D, known: Box2D) -> bool:
-    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
+def _as_known(known: Sequence[Box2D], box: Box2D) -> Box2D:
+    """Returns the known box for one that a file has only rounded, so that views rendered from it stay valid."""
+    same = (other for other in known if other.label == box.label)
+    return next((other for other in same if np.allclose(box.xyxy, other.xyxy, rtol=0, atol=ROUNDED_PX)), box)
 
 
 def store_on_view(
@@ -257,19 +255,17 @@ def store_on_view(
     Args:
         revisions: revisions of the project's views without a frame, by id.
     """
-    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
-        return Stored.LEFT_ALONE
-    view_id = project.views.store(read_file(view.file))
-    set_boxes = partial(
-        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
-    )
-    if view.frame_id is None:
-        set_boxes(context=WriteContext(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
-        return Stored.KEPT
-    while not (frame := project.frames.get(view.frame_id)).finalised:
-        context = WriteContext(frame.revision, AUTHOR, Source.IMPORTED)
+    content = read_file(view.file)
+    while True:
+        frame = None if view.frame_id is None else project.frames.get(view.frame_id)
+        if frame is not None and frame.finalised:
+            return Stored.LEFT_ALONE
+        view_id = project.views.store(content)
+        revision = revisions.get(view_id, 0) if frame is None else frame.revision
+        context = WriteContext(revision, AUTHOR, Source.IMPORTED)
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            set_boxes(context=context)
+            project.boxes.set_on_view(
+                view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+            )
             return Stored.KEPT
-    return Stored.LEFT_ALONE

@@ -14,7 +14,7 @@ import pytest
 
 from annotator.formats.kitti_tracking import sequence_ids
 from annotator.project import Project, WriteContext
-from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings import open_recording
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import add_recordings
@@ -244,10 +244,6 @@ def test_a_tracking_export_gives_every_box_a_track_id_and_opens_as_a_recording(
     assert sum(each.boxes.total() for each in imported) == report.objects
     for mine, theirs in zip(project.labels.select(), opened.labels.select(), strict=True):
         np.testing.assert_allclose(theirs.label.box.center_m, mine.label.box.center_m, atol=0.01)
-    with pytest.raises(ConfigError, match="has no scene 7; it has 0000, 0001"):
-        open_recording(out, ReaderOptions(scene="7"))
-    assert open_recording(out).notes == ("2 drives: 0000, 0001; this is the first (--scene names another, or all)",)
-
     with pytest.raises(ConfigError, match="a sequence cannot be divided, and people is in several parts"):
         export_project(project, tmp_path / "split", TRACKING, split=Split({"train": 0.5, "val": 0.5}))
 

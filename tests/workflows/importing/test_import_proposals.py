@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,17 +35,15 @@ def box(x: float) -> OrientedBox:
     return OrientedBox.from_parts(np.array([x, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
 
-def boxes_file(path: Path, frames: dict[str, list[tuple[str, float, float | None]]]) -> Path:
-    """A `boxes.json` with class, x and score of each box."""
+def boxes_file(path: Path, frames: dict[str, list[tuple[Any, ...]]]) -> Path:
+    """A `boxes.json` with class, x, score (None: without) and, if given, track of each box."""
     entry = {"size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist()}
-    content = {
-        key: [
-            entry | {"label": label, "center": [x, 0.2, 3.0]} | ({} if score is None else {"score": score})
-            for label, x, score in boxes
-        ]
-        for key, boxes in frames.items()
-    }
-    path.write_text(json.dumps(content))
+
+    def fields(label: str, x: float, score: float | None, track: int | None = None) -> dict[str, Any]:
+        more = {name: value for name, value in (("score", score), ("track", track)) if value is not None}
+        return entry | {"label": label, "center": [x, 0.2, 3.0]} | more
+
+    path.write_text(json.dumps({key: [fields(*each) for each in boxes] for key, boxes in frames.items()}))
     return path
 
 
@@ -176,31 +175,17 @@ def test_a_track_that_needs_another_id_does_not_get_one_of_the_same_file(people:
     first, second = people.frames.of()[:2]
     mine = NewLabel("person", box(5.0), track_id=1)
     people.labels.create(first.id, [mine], WriteContext(0, "me"))
-    entry = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist(), "score": 0.9}
     # track 1 becomes 2, or 3: the file uses 2 for another object
     tracks = {first.key: [(0.0, 1), (10.0, 2)], second.key: [(0.0, 1), (10.0, 2), (20.0, 3)]}
     for name in ("one", "one", "two"):
-        content = {
-            key: [entry | {"center": [x, 0.2, 3.0], "track": track} for x, track in boxes]
-            for key, boxes in tracks.items()
-        }
-        path = tmp_path / f"{name}.json"
-        path.write_text(json.dumps(content))
-        import_proposals(people, read_labels(BoxFormat.BOXES, path))
-        found = [stored.label for stored in people.labels.select(states=[ReviewState.PROPOSED])]
-        by_object = {x: {each.track_id for each in found if each.box.center_m[0] == x} for x in (0.0, 10.0, 20.0)}
-        ids = [track for tracks in by_object.values() for track in tracks]
+        import_proposals(people, read_labels(BoxFormat.BOXES, tracked(tmp_path / f"{name}.json", tracks)))
+        ids = [track for tracks in tracks_by_place(people).values() for track in tracks]
         assert len(ids) == len(set(ids)) == 3 and 1 not in ids
 
 
 def tracked(path: Path, frames: dict[str, list[tuple[float, int]]], score: float = 0.9) -> Path:
     """A `boxes.json` with x and track id of each box."""
-    entry = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist(), "score": score}
-    content = {
-        key: [entry | {"center": [x, 0.2, 3.0], "track": track} for x, track in boxes] for key, boxes in frames.items()
-    }
-    path.write_text(json.dumps(content))
-    return path
+    return boxes_file(path, {key: [("person", x, score, track) for x, track in each] for key, each in frames.items()})
 
 
 def tracks_by_place(project: Project) -> dict[float, set[int | None]]:
@@ -278,15 +263,7 @@ def test_a_track_that_a_file_has_twice_in_a_frame_is_kept_once_and_counted(
     people: Project, tmp_path: Path, run: Callable[..., ImportReport]
 ) -> None:
     first, second = people.frames.of()[:2]
-    path = boxes_file(
-        tmp_path / "theirs.json",
-        {
-            first.key: [("person", 0.0, 0.5), ("person", 1.0, 0.5), ("person", 2.0, 0.5)],
-            second.key: [("person", 0.0, 0.5)],
-        },
-    )
-    content = {key: [each | {"track": 7} for each in boxes] for key, boxes in json.loads(path.read_text()).items()}
-    path.write_text(json.dumps(content))
+    path = tracked(tmp_path / "theirs.json", {first.key: [(0.0, 7), (1.0, 7), (2.0, 7)], second.key: [(0.0, 7)]})
     done = run(people, read_labels(BoxFormat.BOXES, path))
     assert done[Note.TRACK] == 2
     tracks = [[label.track_id for label in people.labels.of_frame(frame.id)] for frame in (first, second)]
