@@ -67,11 +67,7 @@ class Options:
 
 
 def read_frame_names(path: Path) -> list[str]:
-    """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`.
-
-    Raises:
-        FormatError: the file cannot be read, or contains no name.
-    """
+    """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`."""
     try:
         lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
@@ -88,10 +84,6 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
     Args:
         detections, truth: kitti = folders or zip archives with one text file per frame, or datasets with
             training/label_2; sunrgbd = CSV files of boxes; oriented = `rcv` datasets.
-
-    Raises:
-        FormatError: a file cannot be read or violates its format; the message names file and line.
-        ConfigError: the frames of detections and truth do not match.
     """
     return _OF_FILES[protocol](detections, truth, options or Options())
 
@@ -120,11 +112,7 @@ def _kitti_files(detections: Path, truth: Path, options: Options) -> Report:
 def kitti_of(
     detected: Sequence[Sequence[KittiLabel]], true: Sequence[Sequence[KittiLabel]], relaxed: bool = False
 ) -> Report:
-    """Evaluates rows by frame with KITTI's protocol.
-
-    Raises:
-        ConfigError: no detection is of a class that KITTI evaluates.
-    """
+    """Evaluates rows by frame with KITTI's protocol."""
     result = evaluate_kitti(kitti_rows(detected), kitti_rows(true), RELAXED if relaxed else OFFICIAL)
     if not result.curves:
         raise ConfigError(
@@ -293,11 +281,6 @@ def evaluate_project(
 
     Args:
         options: its frames are named `RECORDING/KEY`.
-
-    Raises:
-        ConfigError: there are no true boxes, or labels would be compared with themselves.
-        RecordingError: a recording cannot be read.
-        FormatError: the labels of a recording are broken.
     """
     choice, options = choice or Choice(), options or Options()
     if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):

@@ -91,10 +91,6 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
 
     Args:
         options: how it is read.
-
-    Raises:
-        ConfigError: an option that its format does not take.
-        RecordingError: the path holds no recording.
     """
     recording = open_recording(path, options)
     frame, broken = None, dict[str, str]()
@@ -123,11 +119,7 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
 
 
 def bag_topics(path: Path, options: ReaderOptions = NO_OPTIONS) -> tuple[TopicReport, ...]:
-    """Returns the topics of a bag, for which they need not be chosen yet; none for other formats.
-
-    Raises:
-        RecordingError: the bag cannot be read.
-    """
+    """Returns the topics of a bag, for which they need not be chosen yet; none for other formats."""
     with path_errors(path):
         return list_topics(path, options) or ()
 

@@ -140,10 +140,6 @@ def rcv_config(
         view_px: size of pseudo-views if no setting gives one, pixels; None = the size that the project's view detector
             was trained at, or the default without a detector.
         without_frames: ids of frames whose reviewed boxes do not count for the typical sizes of classes.
-
-    Raises:
-        ConfigError: an unknown field or a value out of range; the message names the file and the field.
-        FormatError: the file cannot be read, or is not a JSON object.
     """
     # each source is checked on its own, so that the error names the place to correct
     stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
@@ -158,11 +154,7 @@ def rcv_config(
 
 
 def checked_config(settings: Settings) -> RcvConfig:
-    """Returns the default settings with these values replaced.
-
-    Raises:
-        ConfigError: an unknown field or a value out of its range; the message names the field.
-    """
+    """Returns the default settings with these values replaced."""
     return _validated(_checked(settings, "settings."))
 
 

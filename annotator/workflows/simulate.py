@@ -62,11 +62,6 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
 
     If the recording has masks but no boxes, the objects are those of the mask, of the project's only class, with the
     axis-aligned box around their points.
-
-    Raises:
-        RecordingError: the recording has neither boxes nor masks.
-        ConfigError: masks only, and the project has several classes.
-        FormatError: broken boxes, or a broken or missing mask.
     """
     mask = load_mask(recording, frame)
     if mask is not None and has_masks(recording) and not has_truth(recording):
@@ -183,12 +178,6 @@ def simulate_recording(
     Args:
         config: how pseudo-views are drawn; its orientation is set for each frame from the project's rotation.
         progress: called with (frames labelled, frames to label).
-
-    Raises:
-        ConfigError: `every` is less than 1; the recording has no truth of the project's classes; or it has masks only,
-            and the operator is `box` or the project has several classes.
-        RecordingError: the recording has no truth at all, or cannot be read.
-        FrameError: a frame cannot be read; those before it are labelled.
     """
     if every < 1:
         raise ConfigError(f"cannot label every {every} frames; give 1 or more")
@@ -286,11 +275,6 @@ def confirm_whole_boxes(
 
     Args:
         progress: called with (frames done, frames with drawn objects).
-
-    Raises:
-        RecordingError: the recording has no truth, or cannot be read.
-        FrameError: a frame cannot be read; those before it are done.
-        DetectionError, FormatError: the view detector cannot be loaded.
     """
     source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
     recording = source.recording(recording_id)

@@ -275,10 +275,6 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
     Args:
         out: a new folder for PNG images, `views.json`, and a `coco.json` that lists the images without boxes.
         step: 1 (from the boxes on camera images) or 2 (from those on the first step's views).
-
-    Raises:
-        ConfigError: the folder exists, there is no such step, or no object has the boxes it needs.
-        FormatError: the folder cannot be written.
     """
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; choose a new folder for the images")

@@ -356,9 +356,6 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
 
     Args:
         progress: called with (frames checked, frames of this dataset).
-
-    Raises:
-        RecordingError: there is no dataset.
     """
     findings, facts = Findings(), []
     for source in find_sources(path):

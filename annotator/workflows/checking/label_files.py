@@ -270,9 +270,6 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
 
     Lists are `ImageSets/*.txt` of KITTI (beside `training`, or in the folder itself) and VoteNet's `*_data_idx.txt`,
     which have the frames' numbers without leading zeros.
-
-    Raises:
-        FormatError: a list cannot be read.
     """
     if isinstance(recording, KittiObject):
         yield from _without_frame((recording.root / "calib").glob("*.txt"), recording.keys)

@@ -187,9 +187,6 @@ def check_project(project: Project, frame_id: int | None = None, budget_s: float
 
     Args:
         budget_s: time for reading frames, seconds; None = no limit.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     counts = PointCounts(project, budget_s)
     warnings = check(project, counts, frame_id)
@@ -210,9 +207,6 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
 
     Args:
         frame_id: warnings of this frame only (compared with the whole project); None = of all.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     if frame_id is not None:
         project.frames.get(frame_id)

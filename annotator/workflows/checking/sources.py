@@ -229,11 +229,7 @@ SourceOrError = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
 
 
 def find_sources(path: Path) -> Iterator[SourceOrError]:
-    """Yields the datasets at `path`, else those below it; for one that cannot be opened, its path and the error.
-
-    Raises:
-        RecordingError: there is no dataset.
-    """
+    """Yields the datasets at `path`, else those below it; for one that cannot be opened, its path and the error."""
     is_empty = True
     for source in _below(path, MOST_LEVELS):
         is_empty = False

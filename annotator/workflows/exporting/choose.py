@@ -48,12 +48,7 @@ class Split:
 
 
 def parse_shares(text: str) -> dict[str, float]:
-    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1".
-
-    Raises:
-        ConfigError: another form, a part that occurs twice, a share that is not positive, or shares (no ratios in whole
-            numbers) whose sum is not 1.
-    """
+    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1"."""
     shares: dict[str, float] = {}
     for part in text.split(","):
         name, sign, share = (word.strip() for word in part.partition("="))
@@ -81,9 +76,6 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
 
     Args:
         places: each frame's recording and key, all different.
-
-    Raises:
-        ConfigError: there are fewer frames (or recordings) than parts.
     """
     groups: dict[tuple[str, ...], int] = defaultdict(int)
     for recording, key in places:
@@ -163,9 +155,6 @@ def choose_frames(
     Args:
         states: the states of `choose`, or the format's default.
         split: how they are divided into parts.
-
-    Raises:
-        ConfigError: the project has no such class, no label fits, or there are too few frames for the parts.
     """
     labels = once(project, labels_by_frame(project, choose, states))
     if not labels and not choose.empty_frames:
@@ -197,11 +186,7 @@ def waiting_note(
 def labels_by_frame(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
 ) -> dict[int, tuple[StoredLabel, ...]]:
-    """Returns the labels to export, by frame id.
-
-    Raises:
-        ConfigError: the project has no such class.
-    """
+    """Returns the labels to export, by frame id."""
     name, classes = project.config.name, project.config.classes
     if unknown := sorted(set(choose.classes or ()) - set(classes)):
         raise ConfigError(f"project {name} has no class {unknown[0]!r}; {alternatives(unknown[0], classes)}")
@@ -217,11 +202,7 @@ def divided(
     labels: Mapping[int, tuple[StoredLabel, ...]],
     split: Split | None,
 ) -> list[Chosen]:
-    """Returns the frames with their labels and parts.
-
-    Raises:
-        ConfigError: there are too few frames for the parts.
-    """
+    """Returns the frames with their labels and parts."""
     names = {recording.id: recording.name for recording in project.recordings.all()}
     places = [(names[f.recording_id], f.key) for f in frames]
     parts = [None] * len(frames) if split is None else assign(split, places)
@@ -280,9 +261,6 @@ def choose_pictures(
     Args:
         states: review states of the labels to export.
         losses: counts the images that are not exported.
-
-    Raises:
-        ConfigError: the project has no such class, no image fits, or there are too few frames for the parts.
     """
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}

@@ -31,7 +31,7 @@ UNREGISTERED = "unregistered"
 
 
 def write_boxes(job: ExportJob) -> ExportReport:
-    """Writes a dataset of 3D boxes. Raises as `write_dataset` and `ExportJob.items`."""
+    """Writes a dataset of 3D boxes."""
     project, options = job.project, job.options
     recordings = {chosen.recording: chosen.stored.recording_id for chosen in job.chosen}
     is_tracking = job.format is ExportFormat.KITTI_TRACKING
@@ -108,11 +108,6 @@ def export_project(
     Args:
         split: how the dataset is divided into parts; None = one part.
         progress: called with (frames written, frames to write); if unreadable frames are skipped, frames count twice.
-
-    Raises:
-        ConfigError: no label (or image) fits the filter, or the frames cannot be divided as requested.
-        FormatError: `out` exists or cannot be written.
-        RecordingError: a frame cannot be read and such frames are not skipped, or no frame can be read.
     """
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), FORMATS[format], Losses()
     states = choose.states or writer.states
@@ -152,10 +147,6 @@ def readable_frames(
     Args:
         losses: counts the frames that are left out.
         progress: called with (frames read, frames to read).
-
-    Raises:
-        FrameError: no frame can be read; the error of the first one.
-        RecordingError: a recording has been moved.
     """
     source, left_out = FrameSource(project), []
     readable: list[Chosen] = []

@@ -68,11 +68,6 @@ def import_image_boxes(
         recording: name of the recording of the file names, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
         progress: called with (images stored, images).
-
-    Raises:
-        FormatError: not in this format; an image that fits two recordings, occurs twice, or has another size than the
-            frame; no image of the project; only boxes of other classes; or as `import_view_boxes`.
-        ProjectError: no such recording, or a view of a frame that the project does not have.
     """
     dataset = read_pictures(format, path)
     places = {folder: read_places(folder) for folder in {picture.folder for picture in dataset.pictures}}
@@ -96,11 +91,6 @@ def import_view_boxes(
 
     Images written by `annotator views` keep their frame and geometry; those without boxes are skipped, since not every
     view needs to be labelled. Other images are used for training only.
-
-    Raises:
-        FormatError: not in this format; an image is missing, not PNG, occurs twice, or has another size; or there are
-            only boxes of other classes.
-        ProjectError: a frame that the project does not have.
     """
     dataset, places = read_pictures(format, path, pictures), read_places(pictures)
     pairs = [(picture, places.get(picture.file_name)) for picture in dataset.pictures]
@@ -119,10 +109,6 @@ class _Import:
         names: Mapping[str, str],
         importer: Importer,
     ) -> None:
-        """
-        Raises:
-            FormatError: no box has a class of the project, so every image would be stored as empty.
-        """
         self._project, self._dataset, self._kind = project, dataset, kind
         self._names, self._importer = names, importer
         self._classes = project.config.classes

@@ -46,11 +46,6 @@ def import_labels(
         names: the project's class of each class of the dataset; classes that are not listed keep their names.
         fill: give labels that frames have already, and these frames, the values of attributes that they lack. Finalised
             frames stay as they are.
-
-    Raises:
-        FormatError: none of the labelled frames is in the project, or a name fits several.
-        NotFoundError: no such recording.
-        RecordingError: a recording has been moved.
     """
     reader = Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
     labels = _Labels(reader, importer, fill, choose)
@@ -75,10 +70,6 @@ def import_proposals(
         source: name under which the boxes are known, such as that of a detector; None = that of the file or folder.
         min_score: lowest score, as in the file, of the boxes to import; boxes without a score are imported.
         importer: who imports; None = the source itself.
-
-    Raises:
-        FormatError, NotFoundError, RecordingError: as `import_labels`.
-        ConfigError: the source's name is empty, longer than `MOST_NAME`, or means annotator itself.
     """
     source = (dataset.path.resolve().stem if source is None else source).strip()
     if not 0 < len(source) <= MOST_NAME or source == OWN:

@@ -69,9 +69,6 @@ class PictureLabels:
 
         Args:
             path: the dataset, for the message.
-
-        Raises:
-            FormatError: the name is invalid or leads out of its folder.
         """
         try:
             file = inside(self.folder, self.file_name)
@@ -106,9 +103,6 @@ def read_pictures(
     Args:
         path: an annotation file, or the folder of a dataset.
         folder: the image folder; None = the dataset's own.
-
-    Raises:
-        FormatError: the dataset does not follow the format.
     """
     if format is FlatFormat.COCO:
         root = dataset_folder(path)
@@ -192,11 +186,6 @@ def checked_images(
     Args:
         pictures: the camera images of `dataset`.
         recording: name of the only recording to search.
-
-    Raises:
-        FormatError: an image fits several recordings, occurs twice, has another size than the frame, or has an EXIF
-            orientation that its boxes may take into account or not; or no image has a frame in the project.
-        NotFoundError: no such recording.
     """
     placed = placed_pictures(project, dataset, pictures, recording).require_clear(dataset.path)
     source = FrameSource(project)
@@ -218,7 +207,7 @@ def checked_images(
 def placed_pictures(
     project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> Matched[PictureLabels]:
-    """Finds the frames of images; some may fit several recordings. Arguments and errors as `checked_images`."""
+    """Finds the frames of images; some may fit several recordings. Arguments as `checked_images`."""
     places = []
     for picture in pictures:
         origin = dataset.origins.get(picture.stem)
@@ -233,12 +222,7 @@ def placed_pictures(
 
 
 def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
-    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only.
-
-    Raises:
-        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
-            whether the boxes are for the image as stored or as shown (`annotator.image_bytes`).
-    """
+    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only."""
     size_px = (frame.camera.width_px, frame.camera.height_px)
     file = picture.file(path)
     said, orientation, is_as_stored = picture.size_px, frame.exif_orientation, True
@@ -317,10 +301,6 @@ def checked_views(
     Args:
         path: the dataset, for messages.
         pictures: the images, with their places if known.
-
-    Raises:
-        FormatError: an image is missing, not PNG, occurs twice, or has another size.
-        NotFoundError: a frame that the project does not have.
     """
     views: list[OnView] = []
     # repeated images are refused: their boxes would replace those of the first

@@ -26,11 +26,7 @@ def renamed_class(label: str, names: Mapping[str, str]) -> str:
 
 
 def class_names(text: str, project: Project) -> dict[str, str]:
-    """Parses `Car=car,Pedestrian=person`: classes of a file, and the project's classes that they become.
-
-    Raises:
-        ConfigError: another form, a class that is there twice, or one that the project does not have.
-    """
+    """Parses `Car=car,Pedestrian=person`: classes of a file, and the project's classes that they become."""
     names: dict[str, str] = {}
     for part in text.split(","):
         theirs, equals, ours = (word.strip() for word in part.rpartition("="))
@@ -63,9 +59,6 @@ def without_effect(names: Mapping[str, str], present: Collection[str]) -> list[s
     Args:
         names: as `class_names` returns them.
         present: classes of the dataset's boxes.
-
-    Raises:
-        ConfigError: the dataset has such a class in another spelling only, which `names` does not have.
     """
     lines = []
     others = set(present) - names.keys()
@@ -166,10 +159,6 @@ def match(
         path: the dataset, for messages.
         recording: name of the only recording to look in.
         nothing: the error if the project has no frame of the dataset.
-
-    Raises:
-        FormatError: two fit one frame, or none fits any.
-        NotFoundError: no such recording.
     """
     chosen = None if recording is None else [project.recordings.find(recording).id]
     names = {each.id: each.name for each in project.recordings.all()}
@@ -213,9 +202,6 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
 
     Args:
         names: "RECORDING/KEY", or "KEY" alone; all different.
-
-    Raises:
-        FormatError, NotFoundError: as `match`.
     """
     keys = {normal(frame.key) for frame in project.frames.of()}
     # a recording's name cannot contain "/", a key can

@@ -46,19 +46,19 @@ SAME_CAMERA = 0.01
 
 
 def boxes_labels(path: Path) -> PlacedBoxes:
-    """Reads a `boxes.json` file, or that of a folder. Raises FormatError: missing, or not valid."""
+    """Reads a `boxes.json` file, or that of a folder."""
     return PlacedBoxes(path, PackedTruths(each_frame(boxes_file(path))))
 
 
 def kitti_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a folder of KITTI object labels. Raises FormatError as `each_kitti_frame` and `read_kitti_shifts`."""
+    """Reads a folder of KITTI object labels."""
     found = KittiRows(Angles(angles))
     objects = PackedTruths(each_kitti_frame(path, found))
     return PlacedBoxes(path, objects, _from_rectified(read_kitti_shifts(path)), found.flat)
 
 
 def kitti_tracking_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads KITTI tracking labels of whole sequences. Raises FormatError as `read_kitti_tracks`."""
+    """Reads KITTI tracking labels of whole sequences."""
     found = KittiRows(Angles(angles))
     objects, shifts = read_kitti_tracks(path, found)
     return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts), found.flat)
@@ -80,10 +80,7 @@ def _from_rectified(shifts: Mapping[str, np.ndarray]) -> Pose:
 
 
 def sunrgbd_labels(path: Path) -> PlacedBoxes:
-    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes).
-
-    Raises FormatError for invalid labels, FrameError for invalid calibrations.
-    """
+    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes)."""
     if path.suffix == ".mat":
         frames = read_meta(path)
         poses = {each.name: each.T_camera_upright for each in frames}
@@ -99,7 +96,7 @@ def sunrgbd_labels(path: Path) -> PlacedBoxes:
 
 
 def box_csv_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a CSV file of boxes in upright depth. Raises FormatError as `read_upright_boxes`."""
+    """Reads a CSV file of boxes in upright depth."""
     return PlacedBoxes(path, PackedTruths(read_upright_boxes(path, angles).items()), _from_upright({}))
 
 
@@ -117,10 +114,7 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
 
 
 def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a labelCloud project.
-
-    Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
-    """
+    """Reads a labelCloud project."""
     return of_labelcloud(path, read_labelcloud(path, on_fault, angles))
 
 
@@ -135,10 +129,7 @@ def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBo
 
 
 def nuscenes_tables(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads the annotations of every camera's images in a folder of nuScenes tables.
-
-    Raises FormatError: no such folder, or rows that do not follow the schema.
-    """
+    """Reads the annotations of every camera's images in a folder of nuScenes tables."""
     objects = PackedTruths(read_nuscenes(path, on_fault).items())
     poses = read_world_poses(path)
     return PlacedBoxes(path, objects, lambda name, read: moved_in_world(poses.get(name), read))
@@ -149,8 +140,6 @@ def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedB
 
     They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
     are in the frame of the recording's own labels: for a folder of clouds, that of the clouds.
-
-    Raises FormatError: as `read_sustechpoints`.
     """
     frames = read_sustechpoints(path, angles)
     cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
@@ -229,7 +218,7 @@ class NuScenesResults(_SampleBoxes):
 
 
 def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
+    """Reads a file of results, or a folder of tables."""
     return (
         NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
     )
@@ -254,16 +243,13 @@ class ArgoverseLabels(_SampleBoxes):
 
 
 def argoverse_labels(path: Path) -> ArgoverseLabels:
-    """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
+    """Reads `annotations.feather`, or that of a log."""
     file = path / ANNOTATIONS if path.is_dir() else path
     return ArgoverseLabels(path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items()))
 
 
 def rcv_labels(path: Path) -> PlacedBoxes:
-    """Reads an `rcv` dataset.
-
-    Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format.
-    """
+    """Reads an `rcv` dataset."""
     dataset = read_rcv(path)
     frames = [dataset.named_labels(i) for i in range(len(dataset))]
     values = {name: values for name, _, values, _ in frames}
@@ -302,10 +288,7 @@ def _truth(label: Label) -> Truth:
 
 
 def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads OpenLABEL documents.
-
-    Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
-    """
+    """Reads OpenLABEL documents."""
     frames = read_openlabel(path, angles)
 
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
@@ -345,11 +328,6 @@ def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) 
 
     Args:
         angles: unit of the angles, if it is not what the format says, or if the labels do not show it.
-
-    Raises:
-        FormatError: they do not follow the format.
-        UnitError: they cannot be in the units that the format has.
-        ConfigError: `angles` for a format without angles.
     """
     if angles is not None and not FORMATS[format].angles:
         with_angles = ", ".join(name for name, each in FORMATS.items() if each.angles)

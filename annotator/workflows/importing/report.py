@@ -326,11 +326,6 @@ def preview_boxes(project: Project, path: Path, format: FlatFormat | BoxFormat, 
 
     Args:
         recording: name of the only recording to search; None = all.
-
-    Raises:
-        FormatError: not in this format, an image occurs twice, or no frame is in the project.
-        NotFoundError: no such recording.
-        RecordingError: a recording has been moved.
     """
     if isinstance(format, FlatFormat):
         return _of_pictures(project, path, format, recording)

@@ -58,7 +58,7 @@ def values_of_labels(dataset: LabelSet) -> FoundValues:
 
 
 def values_of_pictures(format: FlatFormat, path: Path) -> FoundValues:
-    """Returns the values of a dataset of 2D boxes. Raises FormatError: as `read_pictures`."""
+    """Returns the values of a dataset of 2D boxes."""
     found = FoundValues()
     for picture in read_pictures(format, path).pictures:
         found.add(picture.attributes, picture.values)
@@ -70,9 +70,6 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
 
     Those of boxes are not of tracks, since a file does not say what never changes. Names that an attribute cannot have
     are left out; the import reports their values.
-
-    Raises:
-        ProjectError: `project.json` cannot be written.
     """
     known = {each.name for each in project.config.attributes}
     new = [

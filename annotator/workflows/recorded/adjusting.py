@@ -69,11 +69,6 @@ class RecordingUp:
 def estimate_recording_up(project: Project, recording_id: int) -> RecordingUp:
     """Estimates the up direction of a recording from some of its frames, as they are corrected now; if these do not
     tell, from its reviewed boxes.
-
-    Raises:
-        NotFoundError: no such recording.
-        FrameError: none of the frames can be read.
-        RecordingError: the recording is missing or cannot be read.
     """
     project.recordings.get(recording_id)
     frames = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
@@ -203,11 +198,6 @@ def correct_calibration(
 
     Returns:
         number of labels in the recording.
-
-    Raises:
-        ConfigError: a time offset for a recording without times, or a recording whose images show its clouds.
-        StaleRevisionError: someone else has adjusted the recording since `basis`.
-        RecordingError: the recording is missing or cannot be read.
     """
     source, name = FrameSource(project), project.recordings.get(recording_id).name
     if correction != NO_CORRECTION and _has_virtual_images(project, source, recording_id):

@@ -43,9 +43,6 @@ def share_of(names: Iterable[FrameName], fraction: float, seed: int) -> frozense
         names: recording and key of each frame, in any order.
         fraction: above 0, at most 1; at least one frame is chosen if there is any.
         seed: of the choice.
-
-    Raises:
-        ConfigError: `fraction` is out of range.
     """
     if not 0 < fraction <= 1:
         raise ConfigError(f"cannot take a fraction of {fraction} of the frames; give more than 0, at most 1")
@@ -136,11 +133,6 @@ def boxes_from_3d(
         fraction: share of the labelled frames, as for `share_of`.
         seed: seed of that choice.
         progress: called with (frames done, frames chosen).
-
-    Raises:
-        ConfigError: `fraction` is out of range, or no frame has a box of the project's classes.
-        FormatError: a label file that holds several frames cannot be read, or matches no frame.
-        RecordingError: a recording is missing or cannot be read.
     """
     report = Report2d(Become.FLAT, project.config.classes)
     reader = Reader(project, labels, recording, names, report)
