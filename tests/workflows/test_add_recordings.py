@@ -179,16 +179,6 @@ def test_importing_labels_is_retried_after_a_concurrent_change(
     assert people.boxes.on_image(frame.id) is not None
 
 
-def test_a_recording_without_labels_imports_nothing(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    shutil.rmtree(folder / "truth")
-    project = make_project(folder)
-    found = import_own_labels(project, project.recordings.all()[0].id)
-    assert (found.boxes, list(found.of(Note.UNREADABLE))) == ({}, [])
-
-
 def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
@@ -216,16 +206,6 @@ def test_a_broken_label_file_affects_only_its_frame(
     assert len(list(found.of(Note.UNREADABLE))) == 1 and f"{broken}:1: " in next(iter(found.of(Note.UNREADABLE)))
     labelled = [bool(project.labels.of_frame(frame.id)) for frame in project.frames.of()]
     assert labelled == [True, False, True, True, True]
-
-
-def test_labels_of_missing_frames_are_skipped(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    remove_frame(folder, "000001")
-    add_recordings(project, [folder])
-    assert import_own_labels(project, project.recordings.all()[0].id).boxes == {"person": 12}
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------

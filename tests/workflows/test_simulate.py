@@ -133,19 +133,6 @@ def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> Non
     assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
 
 
-def test_views_use_the_projects_rotation(make_project: Callable[..., Project], generated: Path) -> None:
-    """In upright views of the second step, gravity points down; free views may have any orientation."""
-    level = {}
-    for rotation in (BoxRotation.AUTO, BoxRotation.FREE):
-        project = make_project(generated / "hands", classes=("hand",), rotation=rotation)
-        simulated(project, BoxKind.SILHOUETTE, every=5)
-        up = open_recording(generated / "hands").frame(0).up
-        assert up is not None
-        down = [np.array(view.geometry.axes)[1] @ -up for view in project.boxes.on_views() if view.geometry]
-        level[rotation] = np.allclose(down, 1, atol=1e-6)
-    assert level == {BoxRotation.AUTO: True, BoxRotation.FREE: False}
-
-
 def masks_only(folder: Path) -> Path:
     (folder / "truth" / "boxes.json").unlink()
     return folder

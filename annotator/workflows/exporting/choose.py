@@ -265,14 +265,9 @@ def choose_pictures(
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
     views = _views_by_frame(project, choose) if pictures != "images" else {}
-    selection = _Images(project, choose, states, labels, images) if pictures != "views" else None
-    frames: list[StoredFrame] = []
-    with_image: set[int] = set()
-    for frame in project.frames.of(choose.recordings):
-        if selection is not None and selection.is_exported(frame, losses):
-            with_image.add(frame.id)
-        if frame.id in with_image or frame.id in views:
-            frames.append(frame)
+    with_image = _exported(project, choose, states, labels, images, losses) if pictures != "views" else set()
+    shown = with_image | views.keys()
+    frames = [frame for frame in project.frames.of(choose.recordings) if frame.id in shown]
     if not frames and not loose_views(project, choose, pictures):
         raise ConfigError(
             f"project {project.config.name} has no labelled {'images or views' if pictures == 'both' else pictures} to "
@@ -317,34 +312,30 @@ def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[Vi
     return views
 
 
-class _Images:
-    """Decides which camera images are exported."""
-
-    def __init__(
-        self,
-        project: Project,
-        choose: ExportFilter,
-        states: tuple[ReviewState, ...],
-        labels: dict[int, tuple[StoredLabel, ...]],
-        images: dict[int, ImageBoxes],
-    ) -> None:
-        self._choose, self._labels, self._images = choose, labels, images
-        # all states except rejected: an object is not background, even if its state was not chosen
-        existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
-        self._with_object = {entry.frame_id for entry in existing}
-        waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]
-        self._open = set() if ReviewState.PROPOSED in states else {entry.frame_id for entry in waiting}
-
-    def is_exported(self, frame: StoredFrame, losses: Losses) -> bool:
-        """True if this frame's image is exported; counts a loss if only unreviewed proposals prevent it."""
-        drawn = self._images.get(frame.id)
+def _exported(
+    project: Project,
+    choose: ExportFilter,
+    states: tuple[ReviewState, ...],
+    labels: Mapping[int, tuple[StoredLabel, ...]],
+    images: Mapping[int, ImageBoxes],
+    losses: Losses,
+) -> set[int]:
+    """Returns the frames whose camera images are exported; counts those that only unreviewed proposals prevent."""
+    # all states except rejected: an object is not background, even if its state was not chosen
+    existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+    with_object = {entry.frame_id for entry in existing}
+    waiting = {entry.frame_id for entry in existing if entry.label.state is ReviewState.PROPOSED}
+    chosen = set()
+    for frame in project.frames.of(choose.recordings):
+        drawn = images.get(frame.id)
         if drawn is not None:
-            return _is_drawn(drawn.boxes, self._choose)
-        if frame.id in self._open:
-            losses.add(Lost.OPEN, int(frame.id in self._labels))
-            return False
-        if frame.id in self._labels:
-            return True
-        if frame.id in self._with_object:
-            return False
-        return frame.index is not None and (frame.finalised or self._choose.empty_frames)
+            is_exported = _is_drawn(drawn.boxes, choose)
+        elif frame.id in waiting and ReviewState.PROPOSED not in states:
+            losses.add(Lost.OPEN, int(frame.id in labels))
+            is_exported = False
+        elif frame.id in labels or frame.id in with_object:
+            is_exported = frame.id in labels
+        else:
+            is_exported = frame.index is not None and (frame.finalised or choose.empty_frames)
+        chosen |= {frame.id} if is_exported else set()
+    return chosen

@@ -130,14 +130,20 @@ class _Import:
     ) -> ImportReport:
         """Checks all images, then stores their boxes."""
         project, dataset, report = self._project, self._dataset, self._report
-        images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
+        images: Sequence[OnImage] = ()
+        if on_images or not on_views:
+            images, placed, unreadable = checked_images(project, dataset, on_images, recording)
+            report.add_all(Note.UNMATCHED_IMAGE, placed.unmatched)
+            report.add_all(Note.UNREADABLE, unreadable)
+            if placed.renamed is not None:
+                report.add(Note.RENAMED, of=str(placed.renamed))
         views = checked_views(project, dataset.path, on_views)
         # an imported view was rendered from a box on its image; the file may have rounded that box
         drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
         for view in views:
             drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
         values = ImageValues(project, report)
-        for done, image in enumerate(images.matched if images is not None else (), start=1):
+        for done, image in enumerate(images, start=1):
             known, measured = self._known(image.boxes), self._kind or image.labels.box_kind or BoxKind.SILHOUETTE
             base = drawn_from[image.frame_id]
             stored = store_on_image(project, dataset.path, image, known, measured, base, self._importer)
@@ -145,8 +151,8 @@ class _Import:
                 report.frames += 1
                 values.take(image, self._names, self._importer)
                 report.add(Note.AROUND, image.labels.around)
-            if progress is not None and images is not None:
-                progress(done, len(images.matched))
+            if progress is not None:
+                progress(done, len(images))
         revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
         for picture, _ in on_views:
             values.leave_out(picture)
@@ -155,11 +161,6 @@ class _Import:
             known, measured = self._known(view.boxes), self._kind or view.box_kind or BoxKind.SILHOUETTE
             report.views += self._count(view.boxes, known, store_on_view(project, view, known, measured, revisions))
         values.report_left_out()
-        if images is not None:
-            report.add_all(Note.UNMATCHED_IMAGE, images.unmatched)
-            report.add_all(Note.UNREADABLE, images.unreadable)
-            if images.renamed is not None:
-                report.add(Note.RENAMED, of=str(images.renamed))
         return report
 
     def _known(self, boxes: Sequence[Box2D]) -> list[Box2D]:

@@ -29,7 +29,7 @@ from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind, Camera, Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.placing import Matched, Place, Renamed, match
+from annotator.workflows.importing.placing import Matched, Place, match
 from annotator.workflows.views import ViewPlace
 
 
@@ -162,26 +162,13 @@ class OnImage:
     camera: Camera | None
 
 
-@dataclass(frozen=True)
-class CheckedImages:
-    """Images matched with frames, and the others.
-
-    Attributes:
-        unmatched: file names of images without a frame.
-        unreadable: frames that cannot be read, as `key: reason`.
-        renamed: the dataset's only recording, if it was matched with one of another name.
-    """
-
-    matched: tuple[OnImage, ...]
-    unmatched: tuple[str, ...]
-    unreadable: tuple[str, ...]
-    renamed: Renamed | None
-
-
 def checked_images(
     project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
-) -> CheckedImages:
+) -> tuple[list[OnImage], Matched[PictureLabels], list[str]]:
     """Finds each image's frame, and its boxes in the frame's pixels.
+
+    Returns:
+        The images, all matches, and the frames that cannot be read, as `key: reason`.
 
     Args:
         pictures: the camera images of `dataset`.
@@ -201,7 +188,7 @@ def checked_images(
                 unreadable.append(f"{stored.key}: {error}")
             continue
         ready.append(OnImage(stored.id, picture, _boxes_on(dataset.path, picture, frame), frame.camera))
-    return CheckedImages(tuple(ready), placed.unmatched, tuple(unreadable), placed.renamed)
+    return ready, placed, unreadable
 
 
 def placed_pictures(

@@ -179,6 +179,14 @@ class _SampleBoxes(PlacedBoxes):
         found = set(self.places.values())
         return (*self.places, *(sample for sample in self.objects if sample not in found))
 
+    def _placed(self, places: Mapping[str, str | None], what: str, of: str) -> LabelSet:
+        """Returns the boxes by the project's frames, by "RECORDING/KEY" with their sample."""
+        found = {name: sample for name, sample in places.items() if sample is not None and sample in self.objects}
+        if not found:
+            problem = f"the project has none of its {what} ({len(self.objects)}); add {of} to the project first"
+            raise FormatError(self.path, problem)
+        return replace(self, places=found)
+
     def unseen(self) -> int:
         return sum(len(self.objects[sample]) - len(seen) for sample, seen in self._seen.items())
 
@@ -199,22 +207,14 @@ class NuScenesResults(_SampleBoxes):
 
     def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
-        source, places = FrameSource(project), dict[str, str]()
+        source, places = FrameSource(project), dict[str, str | None]()
         for stored in project.recordings.all():
-            if stored.format not in (NuScenes.format, LookAround.format):
-                continue
-            recording = source.recording(stored.id)
-            base = recording.base if isinstance(recording, LookAround) else recording
-            if isinstance(base, NuScenes):
-                samples = {key: base.sample(key) for key in base.keys}
-                found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
-                places |= {name: each for name, each in found.items() if each in self.objects}
-        if not places:
-            problem = (
-                f"the project has none of its samples ({len(self.objects)}); add their scenes to the project first"
-            )
-            raise FormatError(self.path, problem)
-        return replace(self, places=places)
+            if stored.format in (NuScenes.format, LookAround.format):
+                recording = source.recording(stored.id)
+                base = recording.base if isinstance(recording, LookAround) else recording
+                if isinstance(base, NuScenes):
+                    places |= {f"{stored.name}/{key}": base.sample(key) for key in base.keys}
+        return self._placed(places, "samples", "their scenes")
 
 
 def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
@@ -229,17 +229,12 @@ class ArgoverseLabels(_SampleBoxes):
 
     def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the log."""
-        names = {
-            stored.id: stored.name
-            for stored in project.recordings.all()
-            if stored.format in (ArgoverseLog.format, LookAround.format)
-        }
+        formats = (ArgoverseLog.format, LookAround.format)
+        names = {stored.id: stored.name for stored in project.recordings.all() if stored.format in formats}
         frames = project.frames.of(tuple(names))
-        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.objects}
-        if not places:
-            problem = f"the project has none of its sweeps ({len(self.objects)}); add their log to the project first"
-            raise FormatError(self.path, problem)
-        return replace(self, places=places)
+        return self._placed(
+            {f"{names[each.recording_id]}/{each.key}": each.key for each in frames}, "sweeps", "their log"
+        )
 
 
 def argoverse_labels(path: Path) -> ArgoverseLabels:

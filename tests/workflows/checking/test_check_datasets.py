@@ -390,69 +390,56 @@ COCO = {
     "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}],
     "categories": [{"id": 1, "name": "cup"}],
 }
-FOREIGN = [
-    ("labelCloud labels", {"labels/_classes.json": '{"classes": []}', "labels/a.json": json.dumps({"objects": [BOX]})}),
-    ("COCO boxes", {"annotations/instances_all.json": json.dumps(COCO)}),
-    ("YOLO boxes", {"classes.txt": "cup\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
-    ("YOLO boxes", {"data.yaml": "train: images\nnames: [cup]\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
-]
-
-
-@pytest.mark.parametrize(("name", "files"), FOREIGN)
-def test_labels_of_other_tools_are_read(tmp_path: Path, name: str, files: dict[str, str]) -> None:
-    for file, text in files.items():
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        (tmp_path / file).write_text(text)
-    report = check_datasets(tmp_path)
-    assert [(facts.format, facts.frames, facts.labels) for facts in report.datasets] == [(name, 1, 1)]
-    assert [f.rule for f in report.findings] == ["unchecked-dataset"]
-    *_, last = files
-    cut(tmp_path / last, 5)
-    report = check_datasets(tmp_path)
-    assert report.datasets == ()
-    assert [(f.rule, f.file, f.line) for f in report.findings] == [("broken-label", str(tmp_path / last), 1)]
-
-
+CLASSES = {"labels/_classes.json": '{"classes": []}'}
 FLAT_BOX = BOX | {"dimensions": {"length": 1.0, "width": 1.0, "height": 0.0}}
 NOWHERE = [{"id": n, "image_id": 9, "category_id": 1, "bbox": [1, 2, 3, 4 + n]} for n in (2, 3)]
-SEVERAL = [
+INSTANCES = "annotations/instances_all.json"
+# The format, sound files, the same with several faults, and these: file, line, and beginning of the message.
+FOREIGN = [
     (
-        {
-            "labels/_classes.json": '{"classes": []}',
-            "labels/a.json": json.dumps({"objects": [BOX, FLAT_BOX]}),
-            "labels/b.json": "{",
-        },
+        "labelCloud labels",
+        CLASSES | {"labels/a.json": json.dumps({"objects": [BOX]})},
+        {"labels/a.json": json.dumps({"objects": [BOX, FLAT_BOX]}), "labels/b.json": "{"},
         [("b.json", 1, "is not valid JSON"), ("a.json", None, "objects.1.dimensions.height: ")],
     ),
     (
-        {"annotations/instances_all.json": json.dumps(COCO | {"annotations": COCO["annotations"] + NOWHERE})},
+        "COCO boxes",
+        {INSTANCES: json.dumps(COCO)},
+        {INSTANCES: json.dumps(COCO | {"annotations": COCO["annotations"] + NOWHERE})},
         [("instances_all.json", None, f"annotation {n}: image_id 9 is not in images") for n in (2, 3)],
     ),
     (
-        {
-            "classes.txt": "cup\n",
-            "labels/a.txt": "0 0.5\n7 0.5 0.5 0.1 0.1\n",
-            "labels/b.txt": "x\n",
-            "labels/c.txt": "",
-        },
+        "YOLO boxes",
+        {"classes.txt": "cup\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"},
+        {"labels/a.txt": "0 0.5\n7 0.5 0.5 0.1 0.1\n", "labels/b.txt": "x\n", "labels/c.txt": ""},
         [("a.txt", 1, "has 2 fields"), ("a.txt", 2, "class 7 has no name"), ("b.txt", 1, "has 1 fields")],
     ),
+    ("YOLO boxes", {"data.yaml": "train: images\nnames: [cup]\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}, {}, []),
 ]
 
 
-@pytest.mark.parametrize(("files", "faults"), SEVERAL, ids=["labelcloud", "coco", "yolo"])
-def test_all_errors_in_labels_of_other_tools_are_found(
-    tmp_path: Path, files: dict[str, str], faults: list[tuple[str, int | None, str]]
+@pytest.mark.parametrize(("name", "files", "wrong", "faults"), FOREIGN)
+def test_labels_of_other_tools_are_read_and_all_their_errors_found(
+    tmp_path: Path,
+    name: str,
+    files: dict[str, str],
+    wrong: dict[str, str],
+    faults: list[tuple[str, int | None, str]],
 ) -> None:
-    for file, text in files.items():
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        (tmp_path / file).write_text(text)
-    reported = check_datasets(tmp_path).findings
-    assert len(reported) == len(faults)
+    def put(files: dict[str, str]) -> None:
+        for file, text in files.items():
+            (tmp_path / file).parent.mkdir(exist_ok=True)
+            (tmp_path / file).write_text(text)
+
+    put(files)
+    report = check_datasets(tmp_path)
+    assert [(facts.format, facts.frames, facts.labels) for facts in report.datasets] == [(name, 1, 1)]
+    assert [f.rule for f in report.findings] == ["unchecked-dataset"]
+    put(wrong)
+    reported = [(Path(f.file).name, f.line, f.message) for f in check_datasets(tmp_path).findings]
     for file, line, message in faults:
-        assert any((Path(f.file).name, f.line) == (file, line) and f.message.startswith(message) for f in reported), (
-            reported
-        )
+        assert any(each[:2] == (file, line) and each[2].startswith(message) for each in reported), reported
+    assert len(reported) == max(len(faults), 1)
 
 
 def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

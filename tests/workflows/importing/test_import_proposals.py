@@ -171,18 +171,6 @@ def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> 
         import_proposals(people, read_labels(BoxFormat.BOXES, path), source)
 
 
-def test_a_track_that_needs_another_id_does_not_get_one_of_the_same_file(people: Project, tmp_path: Path) -> None:
-    first, second = people.frames.of()[:2]
-    mine = NewLabel("person", box(5.0), track_id=1)
-    people.labels.create(first.id, [mine], WriteContext(0, "me"))
-    # track 1 becomes 2, or 3: the file uses 2 for another object
-    tracks = {first.key: [(0.0, 1), (10.0, 2)], second.key: [(0.0, 1), (10.0, 2), (20.0, 3)]}
-    for name in ("one", "one", "two"):
-        import_proposals(people, read_labels(BoxFormat.BOXES, tracked(tmp_path / f"{name}.json", tracks)))
-        ids = [track for tracks in tracks_by_place(people).values() for track in tracks]
-        assert len(ids) == len(set(ids)) == 3 and 1 not in ids
-
-
 def tracked(path: Path, frames: dict[str, list[tuple[float, int]]], score: float = 0.9) -> Path:
     """A `boxes.json` with x and track id of each box."""
     return boxes_file(path, {key: [("person", x, score, track) for x, track in each] for key, each in frames.items()})
