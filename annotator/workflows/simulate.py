@@ -65,7 +65,12 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
     """
     mask = load_mask(recording, frame)
     if mask is not None and has_masks(recording) and not has_truth(recording):
-        return _masked_objects(frame, mask, only_class(recording, classes))
+        if len(classes) != 1:
+            raise ConfigError(
+                f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
+                "unknown; use a project with one class, or add a boxes.json"
+            )
+        return _masked_objects(frame, mask, classes[0])
     # the numbers of the mask count all labelled objects, those of other classes included
     objects = [
         TaughtObject(t.label, t.box, _own_points(t, number, frame, mask))
@@ -73,16 +78,6 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
         if t.label in classes
     ]
     return [o for o in objects if o.points is not None and o.points.sum() >= MIN_VISIBLE_POINTS]
-
-
-def only_class(recording: Recording, classes: Sequence[str]) -> str:
-    """Returns the class of the objects in masks without boxes."""
-    if len(classes) != 1:
-        raise ConfigError(
-            f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
-            "unknown; use a project with one class, or add a boxes.json"
-        )
-    return classes[0]
 
 
 def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
@@ -218,10 +213,8 @@ def _store(
     kind: BoxKind,
 ) -> int:
     """Stores the drawn boxes; returns the frame's new revision."""
-    revision = stored.revision
-    revision = project.boxes.set_on_image(
-        stored.id, on_image, kind, WriteContext(revision, AUTHOR, Source.MANUAL)
-    ).revision
+    context = WriteContext(stored.revision, AUTHOR, Source.MANUAL)
+    revision = project.boxes.set_on_image(stored.id, on_image, kind, context).revision
     for drawn in finished:
         for item in drawn.views:
             revision = project.boxes.set_on_view(

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -29,6 +28,7 @@ from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.dataset_writing import encoded_image, writing
 from annotator.formats.json_file import write_text
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
@@ -287,7 +287,8 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
         for drawn in _first(frames) if step == 1 else _second(frames):
             for side, view in zip(("front", "side"), drawn.views, strict=True):
                 place = _place(frames, drawn, side, view)
-                _write_image(folder / place.file_name, view)
+                with writing(out):
+                    (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
                 images.append(CocoImage(place.file_name, view.rgb.shape[1], view.rgb.shape[0], ()))
                 places.append(place)
         if not images:
@@ -309,14 +310,6 @@ def _place(frames: _Frames, drawn: _Drawn, side: str, view: PseudoView) -> ViewP
         step=drawn.step - 1,
         geometry=geometry_of(view, drawn.image_box),
     )
-
-
-def _write_image(path: Path, view: PseudoView) -> None:
-    _, data = cv2.imencode(".png", np.ascontiguousarray(view.rgb[:, :, ::-1]))
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise FormatError(path, f"cannot be written ({error.strerror}); no files were kept") from error
 
 
 class _Frames:

@@ -37,7 +37,6 @@ from annotator.workflows.importing.placing import (
     PROGRAM,
     Importer,
     how_to_map,
-    renamed_class,
 )
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.values import ImageValues
@@ -114,7 +113,7 @@ class _Import:
         self._classes = project.config.classes
         self._report = ImportReport(Become.FLAT, self._classes)
         theirs = {label for picture in dataset.pictures for label in picture.labels}
-        if theirs and not {renamed_class(label, names) for label in theirs} & set(self._classes):
+        if theirs and not {names.get(label, label) for label in theirs} & set(self._classes):
             raise FormatError(
                 dataset.path,
                 f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(theirs))}, the "
@@ -165,7 +164,7 @@ class _Import:
 
     def _known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Returns the boxes of the project's classes."""
-        renamed = [replace(box, label=renamed_class(box.label, self._names)) for box in boxes]
+        renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
         return [box for box in renamed if box.label in self._classes]
 
     def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], stored: Stored) -> bool:
@@ -175,7 +174,7 @@ class _Import:
             return False
         self._report.add(Note.REPLACED, stored is Stored.REPLACED)
         self._report.boxes.update(box.label for box in known)
-        others = (box.label for box in boxes if renamed_class(box.label, self._names) not in self._classes)
+        others = (box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)
         self._report.add_all(Note.OTHER_CLASS, others)
         return True
 

@@ -15,7 +15,7 @@ from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.label_set import LabelSet, near, truths_of
-from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, renamed_class
+from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer
 from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
 from annotator.workflows.importing.values import give_values, of_covered
 
@@ -134,13 +134,13 @@ class Reader:
 
     def known(self, truths: Sequence[Truth]) -> list[Truth]:
         """Returns the objects of the project's classes, with its names of these."""
-        named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
+        named = [replace(each, label=self._names.get(each.label, each.label)) for each in truths]
         return [each for each in named if each.label in self._classes]
 
     def count(self, truths: Sequence[Truth]) -> None:
         """Counts the sizes of boxes, and those of other classes."""
         for each in truths:
-            label = renamed_class(each.label, self._names)
+            label = self._names.get(each.label, each.label)
             self._sizes.add(label, each.box.size_m)
             if label not in self._classes:
                 self.report.add(Note.OTHER_CLASS, of=each.label)
@@ -158,7 +158,7 @@ class Reader:
 
     def _known(self, said: Sequence[Said]) -> tuple[Said, ...]:
         """Returns what sources said, in the project's classes; nothing of other classes."""
-        named = (replace(each, label=renamed_class(each.label, self._names)) for each in said)
+        named = (replace(each, label=self._names.get(each.label, each.label)) for each in said)
         return tuple(each for each in named if each.label in self._classes)
 
 

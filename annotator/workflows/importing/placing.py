@@ -20,11 +20,6 @@ T_co = TypeVar("T_co", covariant=True)
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
-def renamed_class(label: str, names: Mapping[str, str]) -> str:
-    """Returns the project's class of a dataset's class; classes that are not listed keep their names."""
-    return names.get(label, label)
-
-
 def class_names(text: str, project: Project) -> dict[str, str]:
     """Parses `Car=car,Pedestrian=person`: classes of a file, and the project's classes that they become."""
     names: dict[str, str] = {}

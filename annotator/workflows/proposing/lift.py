@@ -135,8 +135,8 @@ def boxes_of_file(
         FormatError: the dataset is invalid, or has no box of a class of the project.
     """
     dataset = read_pictures(format, path)
-    images = checked_images(project, dataset, dataset.pictures, recording)
-    chosen = _chosen(project, {image.frame_id: image.boxes for image in images.matched}, names)
+    images, placed, unreadable = checked_images(project, dataset, dataset.pictures, recording)
+    chosen = _chosen(project, {image.frame_id: image.boxes for image in images}, names)
     if not any(chosen.of_frame.values()):
         raise FormatError(
             path,
@@ -146,9 +146,9 @@ def boxes_of_file(
     return replace(
         chosen,
         origin=f"boxes of {path.name}",
-        unmatched=images.unmatched,
-        unreadable=images.unreadable,
-        renamed=images.renamed,
+        unmatched=placed.unmatched,
+        unreadable=tuple(unreadable),
+        renamed=placed.renamed,
         silhouettes=chosen.of_frame if kind is BoxKind.SILHOUETTE else (),
     )
 

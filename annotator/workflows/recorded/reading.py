@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
+from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import PLACES, read_boxes
@@ -36,13 +37,13 @@ from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti import KittiRaw, KittiTracking
-from annotator.recordings.look_around import LookAround, Scanned
+from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
 from annotator.types import Box2D, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.label_set import LabelSet, transformed
 from annotator.workflows.importing.readers import of_labelcloud, of_rcv, openlabel_labels
 
 Read = TypeVar("Read")
@@ -72,15 +73,18 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     key = recording.keys[index]
     try:
         if isinstance(recording, KittiRaw):
-            truths = _from_tracklets(file, recording, key)
+            # in LiDAR coordinates, unlike all other KITTI labels
+            truths = _tracked(read_tracklets, file, key, recording.calibration(key).T_camera_lidar)
         elif isinstance(recording, NuScenes):
             truths = _from_samples(file, recording, key, _as_recorded(frame))
+        elif isinstance(recording, LookAround) and isinstance(recording.base, NuScenes):
+            truths = _seen(_from_samples(file, recording.base, key, _as_recorded(frame)), frame)
         elif isinstance(recording, LookAround):
-            truths = _all_around(file, recording.base, key, _as_recorded(frame))
+            truths = _from_annotations(file, key, _as_recorded(frame))
         else:
             truths = _READERS[recording.format](file, key, _as_recorded(frame))
         T = frame.T_camera_recorded
-        truths = truths if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+        truths = transformed(truths, T)
         return _seen(truths, frame) if isinstance(recording, NuScenes) and not recording.is_export else truths
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
@@ -190,40 +194,27 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
     return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
 
 
-def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
-    T = frame.T_camera_label
-    truths = _whole(read_tracking_labels, path, None).get(frame_number(path, key), ())
-    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in truths]
-
-
-def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
-    """Reads tracklets, which are in LiDAR coordinates, unlike all other KITTI labels."""
-    T = recording.calibration(key).T_camera_lidar
-    truths = _whole(read_tracklets, path).get(frame_number(path, key), ())
-    return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
-
-
 def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a frame's sample; none between samples."""
-    T, sample = frame.T_camera_label, recording.sample(key)
-    if sample is None or T is None:
+    sample = recording.sample(key)
+    if sample is None or frame.T_camera_label is None:
         return []
     boxes = _whole(_samples, path, recording.tables, recording.samples)[sample]
-    return [replace(each, box=each.box.transformed(T)) for each in boxes]
+    return transformed(boxes, frame.T_camera_label)
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a sweep that the image shows."""
     T = frame.T_camera_label
     rows = () if T is None else _whole(argoverse.read_argoverse, path).get(int(key), ())
-    return _seen([replace(each, box=each.box.transformed(T)) for each in rows], frame)
+    return _seen(transformed(rows, T), frame)
 
 
-def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
-    """Returns the boxes that a virtual camera sees."""
-    if isinstance(base, NuScenes):
-        return _seen(_from_samples(path, base, key, frame), frame)
-    return _from_annotations(path, key, frame)
+def _tracked(
+    read: Callable[..., dict[int, list[Truth]]], path: Path, key: str, T: RigidTransform | None
+) -> list[Truth]:
+    """Returns the boxes of a frame in a file of KITTI's tracks or tracklets, which numbers its frames."""
+    return transformed(_whole(read, path).get(frame_number(path, key), ()), T)
 
 
 def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:
@@ -279,6 +270,11 @@ def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tu
     return read_sample_boxes(tables, samples)
 
 
+def _tracks(path: Path) -> dict[int, list[Truth]]:
+    """In label coordinates, since the transform may differ between frames."""
+    return read_tracking_labels(path, None)
+
+
 def _rcv(path: Path) -> RcvDataset:
     return read_rcv(path.parent)
 
@@ -311,7 +307,7 @@ _MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": lambda path, key, frame: list(_whole(_boxes, path).get(normal(key), ())),
     "kitti_object": lambda path, key, frame: read_object_labels(path, frame.T_camera_label),
-    "kitti_tracking": _from_label_02,
+    "kitti_tracking": lambda path, key, frame: _tracked(_tracks, path, key, frame.T_camera_label),
     "argoverse2": _from_annotations,
     "sunrgbd_extracted": lambda path, key, frame: read_extracted_labels(path, frame.T_camera_label),
     "sunrgbd_scenes": lambda path, key, frame: read_scene_labels(path, frame.T_camera_label),
