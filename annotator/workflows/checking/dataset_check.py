@@ -200,9 +200,8 @@ class DatasetCheck:
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
         file = self.source.calibration(index)
-        for rule, message in camera_rules(frame.camera):
-            self.findings.add(rule, file, message, frame=key)
-        for rule, message in cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted"):
+        of_cloud = cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted")
+        for rule, message in (*camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
         recording = self.source.recording
         try:
@@ -298,22 +297,13 @@ class DatasetCheck:
             self.findings.add(rules.FLAT_LABEL, path, message)
         for names in _spellings({each.label for each in self.sizes}):
             self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
-        for rule, kind, among, message in (
-            (
-                rules.BOXES_OFF_CLOUD,
-                rules.EMPTY_BOX,
-                self.seen,
-                "boxes contain no point; check that labels, clouds and calibration belong together",
-            ),
-            (
-                rules.BOXES_OFF_IMAGE,
-                rules.IMAGE_BOX_OFF,
-                self.with_row,
-                "2D boxes do not match their 3D boxes; check that the calibration is the right one",
-            ),
-        ):
-            if among >= LEAST_BOXES and self.faults[kind] * 2 > among:
-                self.findings.add(rule, path, f"{self.faults[kind]} of {among} {message}")
+        empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
+        if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
+            message = "boxes contain no point; check that labels, clouds and calibration belong together"
+            self.findings.add(rules.BOXES_OFF_CLOUD, path, f"{empty} of {self.seen} {message}")
+        if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
+            message = "2D boxes do not match their 3D boxes; check that the calibration is the right one"
+            self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
         declared = self.source.declared_objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
             message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
@@ -357,14 +347,14 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
     Args:
         progress: called with (frames checked, frames of this dataset).
     """
-    findings, facts = Findings(), []
+    findings, facts = Findings(), list[DatasetFacts]()
     for source in find_sources(path):
-        if isinstance(source, tuple):
-            findings.add_error(rules.UNREADABLE_DATASET, source[1], source[0])
+        if isinstance(source, Source):
+            facts.append(DatasetCheck(source, findings).run(progress))
         elif isinstance(source, OtherSoftwareDataset):
             facts += _read_other_software(source, findings)
         else:
-            facts.append(DatasetCheck(source, findings).run(progress))
+            findings.add_error(rules.UNREADABLE_DATASET, source[1], source[0])
     return DatasetReport(
         datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
     )

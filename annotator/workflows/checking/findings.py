@@ -121,8 +121,6 @@ TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later 
 
 
 MOST_A_FILE = 20
-# Findings beyond this number (about 20 MB) are no longer checked for repetitions.
-MOST_KNOWN = 200_000
 
 
 class Finding(BaseModel):
@@ -164,8 +162,7 @@ class Findings:
         fingerprint = hash((rule, str(file), line, message))
         if fingerprint in self._seen:
             return
-        if len(self._seen) < MOST_KNOWN:
-            self._seen.add(fingerprint)
+        self._seen.add(fingerprint)
         self._counts[rule, str(file)] += 1
         if self._counts[rule, str(file)] <= MOST_A_FILE:
             self._findings.append(_finding(rule, str(file), message, line, frame))

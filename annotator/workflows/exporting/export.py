@@ -117,23 +117,18 @@ def export_project(
         chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
     else:
         chosen = choose_frames(project, choose, states, split)
+    told = progress
     if choose.skip_unreadable:
         # all frames are read twice: the progress covers both passes, and either can be cancelled
-        first, progress = _halves(progress)
+        first = None if progress is None else lambda done, total: progress(done, 2 * total)
+        told = None if progress is None else lambda done, total: progress(total + done, 2 * total)
         chosen, unreadable = readable_frames(project, chosen, losses, first)
     if not writer.flat:
         note = waiting_note(project, choose, states, chosen)
-    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, progress, losses, choose)
+    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, told, losses, choose)
     report = write_pictures(job) if writer.flat else write_boxes(job)
     notes = report.notes if note is None else (*report.notes, note)
     return report.model_copy(update={"notes": notes, "unreadable": unreadable})
-
-
-def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
-    """Returns the progress functions of the first pass (reading) and the second pass (writing)."""
-    if progress is None:
-        return None, None
-    return lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total)
 
 
 def readable_frames(
