@@ -6,7 +6,7 @@ The typical sizes of the project's classes come from its reviewed boxes.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from itertools import permutations
 from pathlib import Path
@@ -21,7 +21,6 @@ from annotator.detection.trained import read_trained
 from annotator.formats.json_file import read_model
 from annotator.project import Project
 from annotator.project.config import CONFIG_FILE, BoxRotation
-from annotator.project.labels import ReviewedBox
 from annotator.rcv.config import RcvConfig, TypicalSize, typical_size
 from annotator.types import DetectorKind, OrientedBox
 from annotator.types.errors import ConfigError, FormatError
@@ -47,22 +46,15 @@ def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tu
     """
     sizes = []
     for label in project.config.classes:
-        reviewed = project.labels.recent_boxes(MOST_READ, label=label)
-        boxes = list(_of_each_track(item for item in reviewed if item.frame_id not in without_frames))[:MOST_BOXES]
+        # the latest box of each track, and all boxes without one
+        boxes: dict[tuple[int, ...], OrientedBox] = {}
+        for number, item in enumerate(project.labels.recent_boxes(MOST_READ, label=label)):
+            if item.frame_id not in without_frames:
+                track = (number,) if item.track_id is None else (item.recording_id, item.track_id)
+                boxes.setdefault(track, item.box)
         if boxes:
-            sizes.append(_typical(label, boxes, project.config.settings.rotation))
+            sizes.append(_typical(label, list(boxes.values())[:MOST_BOXES], project.config.settings.rotation))
     return tuple(sizes)
-
-
-def _of_each_track(reviewed: Iterator[ReviewedBox]) -> Iterator[OrientedBox]:
-    """The latest box of each track, and all boxes without one."""
-    known: set[tuple[int, int]] = set()
-    for item in reviewed:
-        if item.track_id is not None:
-            if (track := (item.recording_id, item.track_id)) in known:
-                continue
-            known.add(track)
-        yield item.box
 
 
 def _typical(label: str, boxes: list[OrientedBox], rotation: BoxRotation) -> TypicalSize:

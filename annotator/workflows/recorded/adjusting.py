@@ -14,7 +14,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
-from annotator.project import Basis, BoxRotation, Project, StoredFrame, StoredRecording
+from annotator.project import Basis, BoxRotation, Project, StoredFrame
 from annotator.project.adjusting import Up
 from annotator.project.labels import ReviewedBox
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
@@ -103,7 +103,10 @@ def learn_up(
         if found is None or found.up is None or _is_known(source, project.frames.get(boxes[0].frame_id)):
             continue
         project.adjustments.set_up(stored.id, found.up, AUTHOR)
-        messages.append(_learned(project, stored, found))
+        messages.append(
+            f"{stored.name}: boxes are upright from now on, since {found.reason}; "
+            f"annotator up {project.path.name} {stored.name} --clear takes the up direction back"
+        )
     return tuple(messages)
 
 
@@ -132,13 +135,6 @@ def _is_known(source: FrameSource, frame: StoredFrame) -> bool:
         return source.read(frame).up is not None
     except (FrameError, RecordingError):
         return True
-
-
-def _learned(project: Project, stored: StoredRecording, found: RecordingUp) -> str:
-    return (
-        f"{stored.name}: boxes are upright from now on, since {found.reason}; "
-        f"annotator up {project.path.name} {stored.name} --clear takes the up direction back"
-    )
 
 
 def _readable(source: FrameSource, stored: Sequence[StoredFrame]) -> Iterator[Frame]:
