@@ -170,7 +170,7 @@ def _boxes_file(recording: Recording, path: Path) -> LabelFiles:
     entries: dict[str, list[object]] = {}
     problems: tuple[AnnotatorError, ...] = ()
     try:
-        entries.update(each_entries(path))
+        entries = dict(each_entries(path))
     except FormatError as error:
         problems = (error,)
 
@@ -180,7 +180,7 @@ def _boxes_file(recording: Recording, path: Path) -> LabelFiles:
     return LabelFiles(
         lambda _, key, frame: _read(partial(entry, key, number) for number in range(len(entries.get(key, ())))),
         problems,
-        lambda: ((path, None, key) for key in entries if key not in set(recording.keys)),
+        lambda: ((path, None, key) for key in entries.keys() - {*recording.keys}),
     )
 
 
