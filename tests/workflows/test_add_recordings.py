@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +15,7 @@ from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, FrameError, ProjectError, RecordingError
+from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
 from annotator.workflows import add_recordings as adding
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
@@ -194,6 +195,17 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     assert line.startswith("000004: ")
     assert "depth/000004.png" in line
     assert told[-1] == (5, 5)
+
+
+def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    file = folder / "truth" / "boxes.json"
+    content = json.loads(file.read_text())
+    content["000002"][0]["size"] = [0, 1, 1]
+    file.write_text(json.dumps(content))
+    with pytest.raises(FormatError, match=r"boxes\.json"):
+        import_own_labels(project, project.recordings.all()[0].id)
 
 
 def test_a_broken_label_file_affects_only_its_frame(

@@ -53,6 +53,8 @@ def test_five_boxes_per_object_are_drawn(people: Project, kind: BoxKind) -> None
     counts = people.statistics()
     assert (counts.image_boxes.pictures, counts.image_boxes.boxes) == (3, 9)
     assert (counts.view_boxes.pictures, counts.view_boxes.boxes) == (36, 36)
+    # true boxes are labels, too
+    assert counts.labels.total == (drawn.objects if kind is BoxKind.BOX else 0)
     views = people.boxes.on_views()
     assert Counter(view.step for view in views) == {0: 18, 1: 18}
     assert {(view.box_kind, view.source) for view in views} == {(kind, Source.MANUAL)}

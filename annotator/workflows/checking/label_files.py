@@ -168,7 +168,7 @@ def _tracking_file(recording: Recording, path: Path) -> LabelFiles:
 def _boxes_file(recording: Recording, path: Path) -> LabelFiles:
     """`boxes.json`: all frames in one file, kept in memory during the check."""
     entries: dict[str, list[object]] = {}
-    problems: tuple[AnnotatorError, ...] = ()
+    known, problems = set(recording.keys), tuple[AnnotatorError, ...]()
     try:
         entries = dict(each_entries(path))
     except FormatError as error:
@@ -180,7 +180,7 @@ def _boxes_file(recording: Recording, path: Path) -> LabelFiles:
     return LabelFiles(
         lambda _, key, frame: _read(partial(entry, key, number) for number in range(len(entries.get(key, ())))),
         problems,
-        lambda: ((path, None, key) for key in entries.keys() - {*recording.keys}),
+        lambda: ((path, None, key) for key in entries if key not in known),
     )
 
 

@@ -16,7 +16,8 @@ from annotator.cli.main import main
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import OrientedBox
-from annotator.types.errors import ConfigError, UnitError, UnitKind
+from annotator.types.errors import ConfigError, FormatError, UnitError, UnitKind
+from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.importing import (
     BoxFormat,
     Note,
@@ -175,9 +176,21 @@ def test_quaternions_in_the_other_order_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnitError, match="as w x y z, 2 of 2 boxes are tilted, and as x y z w 0"):
         read_labels(BoxFormat.NUSCENES, results(tmp_path, W_LAST, W_LAST))
     assert len(list(read_labels(BoxFormat.NUSCENES, results(tmp_path, W_FIRST, W_FIRST)).sizes_m)) == 2
-    values = [cuboid(15.0, 1.0, 0.8, *each, 4.0, 2.0, 1.6) for each in (W_FIRST, W_LAST)]
+    path = openlabel_of(tmp_path / "o" / "a.json", cuboid(15.0, 1.0, 0.8, *W_FIRST, 4.0, 2.0, 1.6))
     with pytest.raises(UnitError, match="as x y z w, 1 of 1 box is tilted, and as w x y z 0"):
-        read_labels(BoxFormat.OPENLABEL, openlabel_of(tmp_path / "a.json", values[0]))
+        read_labels(BoxFormat.OPENLABEL, path)
+    assert check_datasets(path.parent).by_rule == {"quaternion-order": 1}
+
+
+def test_left_handed_axes_are_refused_by_that_word(tmp_path: Path) -> None:
+    mirrored = np.diag([1.0, -1.0, 1.0, 1.0])
+    entry = {"label": "a", "center": [0, 0, 3], "size": [1, 1, 1], "rotation": mirrored[:3, :3].tolist()}
+    with pytest.raises(FormatError, match="left-handed"):
+        read_labels(BoxFormat.BOXES, put(tmp_path / "boxes.json", {"0": entry}))
+    camera = {"extrinsic": mirrored.ravel().tolist(), "intrinsic": np.eye(3).ravel().tolist()}
+    put(tmp_path / "calib/camera/front.json", camera)
+    with pytest.raises(FormatError, match=r"front\.json: extrinsic has left-handed axes"):
+        read_labels(BoxFormat.SUSTECHPOINTS, sustechpoints(tmp_path, 0.0))
 
 
 def test_millimetres_are_refused(tmp_path: Path) -> None:
