@@ -78,7 +78,6 @@ def add_recordings(
     Args:
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
-        options: how the recordings are read.
         scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
         as_new: add a recording even if it seems to be one of the project whose path is gone.
         leave_out_broken: leave out the frames that cannot be read; their labels, if they have any, stay.
@@ -140,9 +139,6 @@ def register_recording(
 ) -> StoredRecording:
     """Adds an open recording, or updates the frames of one that the project has already.
 
-    Args:
-        options: with which it was opened.
-
     Raises:
         ProjectError: as `add_recordings`.
     """
@@ -155,9 +151,6 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     A removed recording comes back with its labels.
 
     Other recordings with the same path, such as the other cameras of a rig, are moved with it: all or none.
-
-    Args:
-        author: of the change.
 
     Raises:
         NotFoundError: no such recording.

@@ -87,11 +87,7 @@ NO_OPTIONS = ReaderOptions()
 
 
 def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> RecordingReport:
-    """Describes a recording by its list of frames and its first readable frame.
-
-    Args:
-        options: how it is read.
-    """
+    """Describes a recording by its list of frames and its first readable frame."""
     recording = open_recording(path, options)
     frame, broken = None, dict[str, str]()
     index = 0

@@ -39,11 +39,7 @@ REORDERED = 0.1
 
 
 def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tuple[TypicalSize, ...]:
-    """The typical size of each class with reviewed boxes.
-
-    Args:
-        without_frames: ids of frames whose boxes do not count.
-    """
+    """The typical size of each class with reviewed boxes."""
     sizes = []
     for label in project.config.classes:
         # the latest box of each track, and all boxes without one

@@ -168,11 +168,7 @@ SAME_IOU = 0.2
 
 
 def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_SIDE_PX) -> dict[str, Box2D]:
-    """Returns the image box of each label by uid; labels outside the image are left out.
-
-    Args:
-        min_side_px: boxes with a shorter side are left out.
-    """
+    """Returns the image box of each label by uid; labels outside the image, or thinner on it, are left out."""
     pairs = [(label.uid, box_on_image(camera, label.box, label.label, min_side_px)) for label in labels]
     return {uid: box for uid, box in pairs if box is not None}
 
@@ -180,11 +176,7 @@ def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_S
 def undrawn(
     camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
 ) -> dict[str, Box2D]:
-    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one.
-
-    Args:
-        min_side_px: as for `outlines`.
-    """
+    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one."""
     boxes = outlines(camera, labels, min_side_px)
     matched = drawn_of(boxes, drawn)
     return {uid: box for uid, box in boxes.items() if uid not in matched}
@@ -368,10 +360,6 @@ def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSe
 
     A drawn label that is deleted or rejected removes its box on the image. A rejected label that is accepted or edited
     restores it, so that detectors do not learn the object as background.
-
-    Args:
-        page: the frame before the change.
-        payloads: the changes to its labels.
     """
     if page.image_boxes is None:
         return None
@@ -404,10 +392,7 @@ def view_followers(
     of the frame changes, that of the views changes as well.
 
     Args:
-        page: the frame before the change.
-        on_image: the new boxes on the image.
         redrawn: the image box of an object that is being stored: all its views except `kept` are removed.
-        kept: ids of views that are not changed.
     """
     events: list[Payload] = []
     for (_, image_box), steps in views_by_object(page.view_boxes).items():

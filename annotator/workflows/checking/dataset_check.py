@@ -80,13 +80,7 @@ class BoxSet:
         self._sizes.add(entry.truth.label, entry.truth.box.size_m)
 
     def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
-        """Adds a frame.
-
-        Args:
-            xyz_m: its points.
-            boxes: how many boxes it has.
-            empty: those of them without points.
-        """
+        """Adds a frame."""
         self._boxes += boxes
         for axis in MIRRORED:
             counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)

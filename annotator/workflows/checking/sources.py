@@ -61,11 +61,7 @@ class OtherSoftwareDataset:
     opened_as: str | None = None
 
     def frames(self, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-        """Yields the boxes of each frame.
-
-        Args:
-            on_fault: called with each fault.
-        """
+        """Yields the boxes of each frame."""
         try:
             yield from self.read(self.path, on_fault)
         except FormatError as fault:

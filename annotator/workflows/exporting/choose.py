@@ -118,7 +118,6 @@ class ExportFilter:
     Attributes:
         states: review states; None = the format's default.
         classes: class names; None = all of the project.
-        recordings: ids; None = all.
         empty_frames: also export frames without such a label, if they are still in their recordings.
         skip_unreadable: leave out frames that cannot be read; otherwise such a frame ends the export with an error.
     """
@@ -154,7 +153,6 @@ def choose_frames(
 
     Args:
         states: the states of `choose`, or the format's default.
-        split: how they are divided into parts.
     """
     labels = once(project, labels_by_frame(project, choose, states))
     if not labels and not choose.empty_frames:
@@ -257,10 +255,6 @@ def choose_pictures(
     without boxes is exported as background if an operator confirmed it: its drawn boxes were saved as empty, or the
     frame is finalised and has only rejected labels. An image with unreviewed proposals and without drawn boxes is not
     exported, because a detector would learn to treat these objects as background.
-
-    Args:
-        states: review states of the labels to export.
-        losses: counts the images that are not exported.
     """
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}

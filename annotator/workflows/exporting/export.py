@@ -140,7 +140,6 @@ def readable_frames(
     an unreadable frame are still exported, because the project stores them.
 
     Args:
-        losses: counts the frames that are left out.
         progress: called with (frames read, frames to read).
     """
     source, left_out = FrameSource(project), []

@@ -62,7 +62,6 @@ def import_image_boxes(
     pseudo-views, imported as in `import_view_boxes`.
 
     Args:
-        path: a file, or the folder of a dataset.
         kind: what the boxes measure; None = as the dataset says, else silhouettes.
         recording: name of the recording of the file names, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
@@ -206,7 +205,6 @@ def store_on_image(
     """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
 
     Args:
-        path: the dataset, for messages.
         drawn_from: boxes on this image that imported views were rendered from.
     """
     while True:

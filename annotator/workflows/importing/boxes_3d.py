@@ -69,7 +69,6 @@ def import_proposals(
     Args:
         source: name under which the boxes are known, such as that of a detector; None = that of the file or folder.
         min_score: lowest score, as in the file, of the boxes to import; boxes without a score are imported.
-        importer: who imports; None = the source itself.
     """
     source = (dataset.path.resolve().stem if source is None else source).strip()
     if not 0 < len(source) <= MOST_NAME or source == OWN:

@@ -259,7 +259,6 @@ def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Fram
 
     Args:
         T_world_there: where the dataset says that its camera (or other frame of reference) is; None if it does not.
-        read: reads the project's frame.
 
     Returns:
         None if the dataset or the project does not know the place: then both are taken as one.

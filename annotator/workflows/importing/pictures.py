@@ -65,11 +65,7 @@ class PictureLabels:
         return normal(stem_of(self.file_name))
 
     def file(self, path: Path) -> Path | None:
-        """Returns the image file; None if it does not exist, such as one that was on another computer.
-
-        Args:
-            path: the dataset, for the message.
-        """
+        """Returns the image file; None if it does not exist, such as one that was on another computer."""
         try:
             file = inside(self.folder, self.file_name)
         except OutsideError as error:
@@ -101,7 +97,6 @@ def read_pictures(
     """Reads the labelled images at `path`.
 
     Args:
-        path: an annotation file, or the folder of a dataset.
         folder: the image folder; None = the dataset's own.
     """
     if format is FlatFormat.COCO:
@@ -169,10 +164,6 @@ def checked_images(
 
     Returns:
         The images, all matches, and the frames that cannot be read, as `key: reason`.
-
-    Args:
-        pictures: the camera images of `dataset`.
-        recording: name of the only recording to search.
     """
     placed = placed_pictures(project, dataset, pictures, recording).require_clear(dataset.path)
     source = FrameSource(project)
@@ -283,12 +274,7 @@ class OnView:
 def checked_views(
     project: Project, path: Path, pictures: Sequence[tuple[PictureLabels, ViewPlace | None]]
 ) -> tuple[OnView, ...]:
-    """Checks the views of a dataset and finds their frames.
-
-    Args:
-        path: the dataset, for messages.
-        pictures: the images, with their places if known.
-    """
+    """Checks the views of a dataset and finds their frames."""
     views: list[OnView] = []
     # repeated images are refused: their boxes would replace those of the first
     names: dict[tuple[str, int | None], str] = {}

@@ -49,12 +49,7 @@ def how_to_map(theirs: Collection[str], project: Project) -> str:
 
 
 def without_effect(names: Mapping[str, str], present: Collection[str]) -> list[str]:
-    """Returns a line for each class in `names` that a dataset does not have.
-
-    Args:
-        names: as `class_names` returns them.
-        present: classes of the dataset's boxes.
-    """
+    """Returns a line for each class in `names` that a dataset does not have."""
     lines = []
     others = set(present) - names.keys()
     for theirs, ours in names.items():
@@ -149,11 +144,6 @@ def match(
     Keys such as 000012 occur in many recordings, so frames of another recording do not match. Exception: if the
     dataset has a single recording and the project has none of this name, it is matched with the project's recordings
     by key alone, and `renamed` reports it.
-
-    Args:
-        path: the dataset, for messages.
-        recording: name of the only recording to look in.
-        nothing: the error if the project has no frame of the dataset.
     """
     chosen = None if recording is None else [project.recordings.find(recording).id]
     names = {each.id: each.name for each in project.recordings.all()}

@@ -287,11 +287,7 @@ class Preview:
 
 
 def preview_boxes(project: Project, path: Path, format: FlatFormat | BoxFormat, recording: str | None) -> Preview:
-    """Reads a dataset and matches it with the project's frames.
-
-    Args:
-        recording: name of the only recording to search; None = all.
-    """
+    """Reads a dataset and matches it with the project's frames."""
     if isinstance(format, FlatFormat):
         return _of_pictures(project, path, format, recording)
     dataset = read_labels(format, path).in_project(project)

@@ -85,10 +85,6 @@ def learn_up(
     This is done if the rotation of boxes follows the up direction, for recordings whose files do not give it and which
     have never been adjusted. So a direction that was undone or cleared is not set again.
 
-    Args:
-        rotation: None = the project's setting.
-        recordings: ids; None = all.
-
     Returns:
         a message for each such recording.
     """

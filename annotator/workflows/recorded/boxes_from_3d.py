@@ -42,7 +42,6 @@ def share_of(names: Iterable[FrameName], fraction: float, seed: int) -> frozense
     Args:
         names: recording and key of each frame, in any order.
         fraction: above 0, at most 1; at least one frame is chosen if there is any.
-        seed: of the choice.
     """
     if not 0 < fraction <= 1:
         raise ConfigError(f"cannot take a fraction of {fraction} of the frames; give more than 0, at most 1")
@@ -129,9 +128,7 @@ def boxes_from_3d(
     author, and frames chosen only by an earlier import are not changed.
 
     Args:
-        recording, names: as for `import_labels`.
         fraction: share of the labelled frames, as for `share_of`.
-        seed: seed of that choice.
         progress: called with (frames done, frames chosen).
     """
     report = Report2d(Become.FLAT, project.config.classes)

@@ -59,8 +59,6 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     """Returns the labelled objects of a frame in file order; empty if it is labelled as empty, or not at all.
 
     Args:
-        recording: the recording with its labels.
-        index: of the frame in the recording.
         frame: the frame, which has the transform from the labels' coordinates.
 
     Raises:
@@ -184,7 +182,6 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
 
     Args:
         number: position of the label in `load_truth`.
-        mask: of the frame, or None.
     """
     if truth.image_box is not None or mask is None:
         return truth.image_box
