@@ -196,7 +196,12 @@ def requirements() -> dict[str, list[str]]:
 
 def installed(_: Path) -> Iterator[Line]:
     """Checks whether the required packages are installed, and tells which of the optional ones are."""
-    for extra, names in requirements().items():
+    try:
+        every = requirements()
+    except PackageNotFoundError:
+        yield packages("required", "unknown, since annotator runs without being installed", "scripts/setup")
+        return
+    for extra, names in every.items():
         versions = {name: _version(name) for name in names}
         missing = ", ".join(name for name, known in versions.items() if known is None)
         known = ", ".join(f"{name} {known}" for name, known in versions.items() if known is not None)

@@ -103,6 +103,9 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found["required"].state, found["required"].found) == (State.FAILED, "missing: nothing-like-it")
     assert re.fullmatch(r"numpy 2\S+, viser \S+", found["versions"].found)
     assert (found["ros"].state, found["ros"].found) == (State.OK, 'not installed: pip install "rcv-annotator[ros]"')
+    monkeypatch.undo()
+    monkeypatch.setattr(doctor, "DISTRIBUTION", "no-such-thing")
+    assert lines(doctor.installed)["required"].state is State.WARNING
 
 
 @pytest.mark.parametrize(
