@@ -84,7 +84,11 @@ def test_the_origin_is_stored_so_that_frames_stay_when_the_first_file_is_gone(
 ):
     project, folder = cars(), scans(tmp_path / "drive", 0, 4, 9)
     (added,) = add_recordings(project, [folder])
-    origin = inspect_recording(folder).origin
+    report = inspect_recording(folder)
+    origin = report.origin
+    assert origin == tuple(np.floor(np.median(XYZ[1:] + UTM_M, axis=0)))
+    assert report.frame is not None
+    assert (report.frame.place, report.frame.points) == (pytest.approx(origin), 999)
     assert stored_options(added.recording.options).origin == origin
     before = FrameSource(project).read(project.frames.of()[2])
     (folder / "000000.npy").unlink()
@@ -119,13 +123,6 @@ def test_a_recording_with_a_camera_is_not_one_that_has_moved_and_had_none(cars: 
     (added,) = add_recordings(project, [other])
     assert (added.is_new, added.recording.options) == (True, "")
     assert len(project.recordings.all()) == 2
-
-
-def test_inspect_tells_the_origin_and_where_the_camera_is(tmp_path: Path):
-    report = inspect_recording(scans(tmp_path / "drive", 0))
-    whole = tuple(np.floor(np.median(XYZ[1:] + UTM_M, axis=0)))
-    assert report.frame is not None
-    assert (report.origin, report.frame.place, report.frame.points) == (whole, pytest.approx(whole), 999)
 
 
 # --- exports and imports ---------------------------------------------------------------------------------------------
