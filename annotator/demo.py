@@ -17,6 +17,7 @@ import numpy as np
 
 from annotator import project as store
 from annotator.detection.pretrained import has_base
+from annotator.evaluation.report import Report
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
 from annotator.project.log.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
@@ -29,7 +30,7 @@ from annotator.types import Box2D, BoxKind, Label, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluate import Scores, score_project
+from annotator.workflows.evaluate import Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate
@@ -122,7 +123,7 @@ class TrainedResult:
     drawn: Drawn
     trained: list[Trained]
     annotated: AnnotateSummary
-    scores: list[Scores]
+    scores: Report
     dataset: ExportReport
     seconds: dict[str, float]
 
@@ -147,8 +148,9 @@ def run_trained(root: Path, plan: TrainedPlan, progress: Progress) -> TrainedRes
         watch.end("train")
         annotated = annotate(project, active_detectors(project), config, progress=counted(progress, "propose 3D boxes"))
         watch.end("propose")
-        unlabelled = {f.id for n, f in enumerate(project.frames.of([recording])) if n % plan.every}
-        scores = score_project(project, recording, unlabelled)
+        name = project.recordings.get(recording).name
+        unlabelled = [f"{name}/{f.key}" for n, f in enumerate(project.frames.of([recording])) if n % plan.every]
+        scores = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=unlabelled))
         dataset = export_project(
             project, dataset_folder(root, plan.preset), progress=counted(progress, "write the dataset")
         )

@@ -210,9 +210,9 @@ def _summary_with_training(root: Path, result: TrainedResult) -> list[str]:
         ),
         f"proposed   {amount(done.proposals, 'oriented 3D box')} in {amount(done.done, 'frame')}, {done.seconds:.0f} s",
         *(
-            f"scored     {s.label}: mean IoU {s.mean_iou:.2f}, AP25 {s.ap25:.2f}, AP50 {s.ap50:.2f} "
-            f"({amount(s.objects, 'object')} in {amount(s.frames, 'frame')} without labels)"
-            for s in result.scores
+            f"scored     {label}: mean IoU {s['mean_iou']:.2f}, AP25 {s['AP']['0.25']:.2f}, AP50 {s['AP']['0.5']:.2f} "
+            f"({amount(s['objects'], 'object')} in the frames without labels)"
+            for label, s in result.scores.content.model_dump()["classes"].items()
         ),
         *_ending(root, result),
     ]

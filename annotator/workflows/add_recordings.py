@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,6 @@ NO_OPTIONS = ReaderOptions()
 LONGEST_NAME = 100
 # In place of the names of scenes or cameras.
 ALL = "all"
-NONE_BROKEN = BrokenFrames()
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Added:
     missing_frames: int
     notes: tuple[str, ...] = ()
     came_back: bool = False
-    broken: BrokenFrames = NONE_BROKEN
+    broken: BrokenFrames = field(default_factory=BrokenFrames)
     left_out: int = 0
 
 
@@ -79,7 +78,6 @@ def add_recordings(
     Args:
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
-        options: how the recordings are read.
         scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
         as_new: add a recording even if it seems to be one of the project whose path is gone.
         leave_out_broken: leave out the frames that cannot be read; their labels, if they have any, stay.
@@ -103,11 +101,9 @@ def add_recordings(
             options = stored_options(known.options)
             recording = open_recording(recording.path, options)
         left_out = _left_out(project, known)
-        if leave_out_broken:
-            frame = _require_readable(recording, left_out, len(recording))
-        else:
-            hint = "; --leave-out-broken tries all" if len(recording) > FRAMES_TRIED else ""
-            frame = _require_readable(recording, left_out, FRAMES_TRIED, hint)
+        hint = "; --leave-out-broken tries all" if len(recording) > FRAMES_TRIED and not leave_out_broken else ""
+        most = len(recording) if leave_out_broken else FRAMES_TRIED
+        frame = _require_readable(recording, left_out, most, hint)
         _require_unchanged(project.path.name, known, name, up)
         if known is None:
             if frame.T_world_camera is not None:
@@ -143,9 +139,6 @@ def register_recording(
 ) -> StoredRecording:
     """Adds an open recording, or updates the frames of one that the project has already.
 
-    Args:
-        options: with which it was opened.
-
     Raises:
         ProjectError: as `add_recordings`.
     """
@@ -158,9 +151,6 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     A removed recording comes back with its labels.
 
     Other recordings with the same path, such as the other cameras of a rig, are moved with it: all or none.
-
-    Args:
-        author: of the change.
 
     Raises:
         NotFoundError: no such recording.
@@ -218,28 +208,25 @@ def _chosen(
     path: Path, given: ReaderOptions, scenes: tuple[str, ...], cameras: tuple[str, ...]
 ) -> Iterator[tuple[Recording, ReaderOptions]]:
     """Yields the recordings of a path, with the options to store, which name scene and camera if it has several."""
-    scenes, cameras = scenes or _named(given.scene), cameras or _named(given.camera)
-    one = _open(path, given, _first(scenes), _first(cameras))
+    scenes = scenes or tuple(filter(None, [given.scene]))
+    cameras = cameras or tuple(filter(None, [given.camera]))
+
+    def opened(scene: str | None, camera: str | None) -> Recording:
+        return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
+
+    one = opened(_first(scenes), _first(cameras))
     for scene in _names(path, "scene", scenes, one.scenes, one.scene) if isinstance(one, Scenes) else (None,):
         # opened without the name of what nobody named, so that its notes tell of the others
         asked = scene if scenes else None
-        one = _open(path, given, asked, _first(cameras))
+        one = opened(asked, _first(cameras))
         rig = one if isinstance(one, RigCamera) and one.cameras else None
         for camera in _names(path, "camera", cameras, rig.cameras, rig.camera) if rig else (None,):
-            recording = _open(path, given, asked, camera if cameras else None)
+            recording = opened(asked, camera if cameras else None)
             yield recording, given.model_copy(update={"scene": scene, "camera": camera})
 
 
-def _open(path: Path, given: ReaderOptions, scene: str | None, camera: str | None) -> Recording:
-    return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
-
-
-def _named(name: str | None) -> tuple[str, ...]:
-    return () if name is None else (name,)
-
-
 def _first(names: tuple[str, ...]) -> str | None:
-    return None if not names or ALL in names else names[0]
+    return None if ALL in names else next(iter(names), None)
 
 
 def _names(path: Path, what: str, wanted: tuple[str, ...], all_names: tuple[str, ...], own: str) -> tuple[str, ...]:
@@ -304,7 +291,7 @@ def _require_unchanged(
     """Refuses a different name or up direction for a known recording, instead of ignoring it."""
     if known is None:
         return
-    if name is not None and name != known.name:
+    if name not in (None, known.name):
         raise ConfigError(f"{known.path} is in the project already, as {known.name}; it cannot be called {name!r}")
     if up is not None and not _same_direction(up, known.up):
         raise ConfigError(

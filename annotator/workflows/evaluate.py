@@ -5,7 +5,6 @@ By a benchmark's protocol, or against the truth beside the project's recordings.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -16,13 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
 from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
-from annotator.evaluation.oriented import (
-    SUNRGBD_THRESHOLDS,
-    FrameResult,
-    average_precision,
-    evaluate_oriented,
-    matched_ious,
-)
+from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
@@ -30,7 +23,6 @@ from annotator.formats.kitti_objects import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.formats.rcv import MANIFEST, read_rcv
 from annotator.formats.reading import holds_texts
-from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.text import normal
 from annotator.types import Label, OrientedBox, ReviewState, Source
@@ -75,11 +67,7 @@ class Options:
 
 
 def read_frame_names(path: Path) -> list[str]:
-    """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`.
-
-    Raises:
-        FormatError: the file cannot be read, or contains no name.
-    """
+    """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`."""
     try:
         lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
@@ -96,10 +84,6 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
     Args:
         detections, truth: kitti = folders or zip archives with one text file per frame, or datasets with
             training/label_2; sunrgbd = CSV files of boxes; oriented = `rcv` datasets.
-
-    Raises:
-        FormatError: a file cannot be read or violates its format; the message names file and line.
-        ConfigError: the frames of detections and truth do not match.
     """
     return _OF_FILES[protocol](detections, truth, options or Options())
 
@@ -128,11 +112,7 @@ def _kitti_files(detections: Path, truth: Path, options: Options) -> Report:
 def kitti_of(
     detected: Sequence[Sequence[KittiLabel]], true: Sequence[Sequence[KittiLabel]], relaxed: bool = False
 ) -> Report:
-    """Evaluates rows by frame with KITTI's protocol.
-
-    Raises:
-        ConfigError: no detection is of a class that KITTI evaluates.
-    """
+    """Evaluates rows by frame with KITTI's protocol."""
     result = evaluate_kitti(kitti_rows(detected), kitti_rows(true), RELAXED if relaxed else OFFICIAL)
     if not result.curves:
         raise ConfigError(
@@ -156,7 +136,7 @@ def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
         (
             *(row.truncated, row.occluded, row.alpha, row.left, row.top, row.right, row.bottom),
             *(row.height, row.width, row.length, row.x, row.y, row.z, row.rotation_y),
-            DEFAULT_SCORE if row.score is None else row.score,
+            _score(row.score),
         )
         for rows in frames
         for row in rows
@@ -200,7 +180,7 @@ def box_rows(rows: Sequence[BoxRow], numbers: dict[str, int]) -> BoxTable:
         np.array([row.center_m for row in rows], np.float64).reshape(-1, 3),
         Rotation.from_rotvec(yaws * np.array([[0.0, 0.0, 1.0]])).as_matrix().reshape(-1, 3, 3),
         np.array([row.size_m for row in rows], np.float64).reshape(-1, 3),
-        np.array([DEFAULT_SCORE if row.score is None else row.score for row in rows], np.float64),
+        np.array([_score(row.score) for row in rows], np.float64),
     )
 
 
@@ -215,11 +195,8 @@ def _oriented(detections: Path, truth: Path, options: Options) -> Report:
         _require_some(set(options.frames), {*detected, *true}, truth)
     names = [name for name in dict.fromkeys([*true, *detected]) if options.frames is None or name in options.frames]
     _require_truth(truth, sum(len(true.get(name, ())) for name in names))
-    return oriented_report(
-        evaluate_oriented(
-            box_table([detected.get(name, ()) for name in names]), box_table([true.get(name, ()) for name in names])
-        )
-    )
+    found, wanted = (box_table([boxes.get(name, ()) for name in names]) for boxes in (detected, true))
+    return oriented_report(evaluate_oriented(found, wanted))
 
 
 def box_table(frames: Sequence[Sequence[ScoredBox]]) -> BoxTable:
@@ -237,8 +214,7 @@ def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
         name = normal(name)
         if name in boxes:
             raise FormatError(path, f"frame {name} occurs twice; remove one")
-        accepted = (label for label in labels if label.state is not ReviewState.REJECTED)
-        boxes[name] = [(x.label, x.box, DEFAULT_SCORE if x.score is None else x.score) for x in accepted]
+        boxes[name] = [_scored_box(label) for label in labels if label.state is not ReviewState.REJECTED]
     return boxes
 
 
@@ -305,35 +281,23 @@ def evaluate_project(
 
     Args:
         options: its frames are named `RECORDING/KEY`.
-
-    Raises:
-        ConfigError: there are no true boxes, or labels would be compared with themselves.
-        RecordingError: a recording cannot be read.
-        FormatError: the labels of a recording are broken.
     """
     choice, options = choice or Choice(), options or Options()
     if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):
         raise ConfigError("labels cannot be measured against reviewed labels, which are the same; measure proposals")
     source = _Source(project, choice, options)
-    report = _kitti_report(source, options.relaxed) if protocol is Protocol.KITTI else _boxes(source, protocol)
-    return replace(report, notes=source.notes())
-
-
-def _boxes(source: _Source, protocol: Protocol) -> Report:
-    compared = list(source.compared())
-    detected, true = (box_table(side) for side in zip(*compared, strict=True)) if compared else (box_table([]),) * 2
-    if len(true) == 0:
+    compare = source.kitti if protocol is Protocol.KITTI else source.boxes
+    compared = [compare(stored) for stored in source.frames()]
+    if not any(true for _, true in compared):
         raise ConfigError(f"there are no true boxes in the {amount(len(compared), 'frame')} to evaluate")
-    if protocol is Protocol.SUNRGBD:
-        return sunrgbd_report(evaluate_oriented(detected, true, SUNRGBD_THRESHOLDS))
-    return oriented_report(evaluate_oriented(detected, true))
-
-
-def _kitti_report(source: _Source, relaxed: bool) -> Report:
-    rows = [source.kitti(stored) for stored in source.frames()]
-    if not any(true for _, true in rows):
-        raise ConfigError(f"there are no true boxes in the {amount(len(rows), 'frame')} to evaluate")
-    return kitti_of([detected for detected, _ in rows], [true for _, true in rows], relaxed)
+    detected, true = zip(*compared, strict=True)
+    if protocol is Protocol.KITTI:
+        report = kitti_of(detected, true, options.relaxed)
+    elif protocol is Protocol.SUNRGBD:
+        report = sunrgbd_report(evaluate_oriented(box_table(detected), box_table(true), SUNRGBD_THRESHOLDS))
+    else:
+        report = oriented_report(evaluate_oriented(box_table(detected), box_table(true)))
+    return replace(report, notes=source.notes())
 
 
 class _Source:
@@ -348,19 +312,16 @@ class _Source:
         self._in_rigs = frozenset(self._rigs.recordings())
         self._labels_seen = 0
         self._unchanged = 0
-        self._require_names()
-
-    def _require_names(self) -> None:
-        """Refuses names of frames that the project does not have."""
-        if self._names is None:
-            return
-        of_id = {recording.id: recording.name for recording in self._project.recordings.all()}
-        known = {f"{of_id[frame.recording_id]}/{frame.key}" for frame in self._project.frames.of()}
-        if missing := sorted(self._names - known):
+        self._recordings = {recording.id: recording.name for recording in project.recordings.all()}
+        known = {self._name(frame) for frame in project.frames.of()}
+        if missing := sorted((self._names or set()) - known):
             raise ConfigError(
                 f"project {self._project.config.name} has no frame {missing[0]} (unknown: {len(missing)} of "
-                f"{amount(len(self._names), 'name')}); names are RECORDING/KEY"
+                f"{amount(len(self._names or ()), 'name')}); names are RECORDING/KEY"
             )
+
+    def _name(self, frame: StoredFrame) -> str:
+        return f"{self._recordings[frame.recording_id]}/{frame.key}"
 
     def notes(self) -> tuple[str, ...]:
         """Returns notes for the report, once all frames are compared."""
@@ -374,17 +335,14 @@ class _Source:
 
     def frames(self) -> Iterator[StoredFrame]:
         """Yields the frames to compare, in order."""
-        known = {recording.id: recording.name for recording in self._project.recordings.all()}
-        chosen = self._with_truth(known) if self._choice.against is Against.TRUTH else self._choice.recordings
+        chosen = self._with_truth() if self._choice.against is Against.TRUTH else self._choice.recordings
         for stored in self._project.frames.of(chosen):
-            name = f"{known[stored.recording_id]}/{stored.key}"
-            if (self._names is None or name in self._names) and self._is_compared(stored):
+            if (self._names is None or self._name(stored) in self._names) and self._is_compared(stored):
                 yield stored
 
-    def compared(self) -> Iterator[tuple[list[ScoredBox], list[ScoredBox]]]:
-        """Yields the boxes to evaluate and the true boxes of each frame."""
-        for stored in self.frames():
-            yield self._measured(stored), self._true(stored)
+    def boxes(self, stored: StoredFrame) -> tuple[list[ScoredBox], list[ScoredBox]]:
+        """Returns the boxes to evaluate and the true boxes of one frame."""
+        return self._measured(stored), self._true(stored)
 
     def kitti(self, stored: StoredFrame) -> tuple[Sequence[KittiLabel], Sequence[KittiLabel]]:
         """Returns the boxes to evaluate and the true boxes of one frame as KITTI's rows."""
@@ -395,9 +353,9 @@ class _Source:
         recording = self._frames.recording(stored.recording_id)
         return measured, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
 
-    def _with_truth(self, known: Mapping[int, str]) -> tuple[int, ...]:
+    def _with_truth(self) -> tuple[int, ...]:
         """Returns the chosen recordings, which must all have truth; without a choice, all that have truth."""
-        chosen = self._choice.recordings
+        known, chosen = self._recordings, self._choice.recordings
         with_truth = tuple(i for i in (known if chosen is None else chosen) if has_truth(self._frames.recording(i)))
         lacking = [known[i] for i in chosen or () if i not in with_truth]
         if lacking or not with_truth:
@@ -410,17 +368,13 @@ class _Source:
     def _is_compared(self, stored: StoredFrame) -> bool:
         labels = self._project.labels.of_frame(stored.id)
         worked_on = bool(labels) or stored.finalised
-        if self._choice.against is Against.TRUTH and not (
-            stored.index is not None and is_labelled(self._frames.recording(stored.recording_id), stored.key)
-        ):
-            return False
-        if self._choice.against is Against.REVIEWED and not (
-            worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)
-        ):
-            return False
-        if self._choice.measured is Measured.LABELS and worked_on:
-            return True
-        return self._project.proposals.latest(stored.id) is not None
+        if self._choice.against is Against.TRUTH:
+            recording = self._frames.recording(stored.recording_id)
+            has_true = stored.index is not None and is_labelled(recording, stored.key)
+        else:
+            has_true = worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)
+        is_measured = self._choice.measured is Measured.LABELS and worked_on
+        return has_true and (is_measured or self._project.proposals.latest(stored.id) is not None)
 
     def _measured(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._choice.measured is Measured.LABELS:
@@ -448,79 +402,8 @@ class _Source:
 
 
 def _scored_box(label: Label) -> ScoredBox:
-    return label.label, label.box, DEFAULT_SCORE if label.score is None else label.score
+    return label.label, label.box, _score(label.score)
 
 
-SCORED_STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED)
-
-
-@dataclass(frozen=True)
-class Scores:
-    """The scores of one class.
-
-    Attributes:
-        frames: number of evaluated frames.
-        objects: number of true objects.
-        found: share of the objects with an overlapping box (IoU above 0).
-        mean_iou: mean 3D IoU over the objects, 0 for those without a box.
-        ap25, ap50: average precision at IoU 0.25 and 0.5.
-    """
-
-    label: str
-    frames: int
-    objects: int
-    found: float
-    mean_iou: float
-    ap25: float
-    ap50: float
-
-
-def score_project(
-    project: Project, recording_id: int, frame_ids: Collection[int] | None = None, min_points: int = 100
-) -> list[Scores]:
-    """Compares the labels of a recording with its truth, class by class.
-
-    Args:
-        frame_ids: only these frames; None = all.
-        min_points: true objects with fewer points in their box are ignored, as are labels that match them.
-
-    Raises:
-        RecordingError: the recording has no truth.
-    """
-    source = FrameSource(project)
-    recording = source.recording(recording_id)
-    indices = {key: index for index, key in enumerate(recording.keys)}
-    results: dict[str, list[FrameResult]] = defaultdict(list)
-    for stored in project.frames.of([recording_id]):
-        if stored.index is None or (frame_ids is not None and stored.id not in frame_ids):
-            continue
-        frame = source.read(stored)
-        truths = load_truth(recording, indices[stored.key], frame)
-        has_points = [bool(contains(t.box, frame.cloud.xyz_m).sum() >= min_points) for t in truths]
-        labels = [label for label in project.labels.of_frame(stored.id) if label.state in SCORED_STATES]
-        for name in project.config.classes:
-            of_class = [label for label in labels if label.label == name]
-            scores = [1.0 if label.score is None else label.score for label in of_class]
-            true_boxes, ignored = (
-                [
-                    t.box
-                    for t, is_scored in zip(truths, has_points, strict=True)
-                    if t.label == name and is_scored is wanted
-                ]
-                for wanted in (True, False)
-            )
-            results[name].append(FrameResult([label.box for label in of_class], scores, true_boxes, ignored))
-    return [_scores(name, frame_results) for name, frame_results in results.items()]
-
-
-def _scores(label: str, results: list[FrameResult]) -> Scores:
-    ious = np.concatenate([matched_ious(result) for result in results] or [np.zeros(0)])
-    return Scores(
-        label=label,
-        frames=len(results),
-        objects=len(ious),
-        found=float((ious > 0).mean()) if len(ious) else float("nan"),
-        mean_iou=float(ious.mean()) if len(ious) else float("nan"),
-        ap25=average_precision(results, 0.25),
-        ap50=average_precision(results, 0.5),
-    )
+def _score(score: float | None) -> float:
+    return DEFAULT_SCORE if score is None else score

@@ -86,14 +86,6 @@ def open_stored(
 ) -> OpenedRecording:
     """Opens a recording of a project.
 
-    Args:
-        path: its folder or file.
-        name: its name in the project.
-        project: the project's name.
-        up: as in `OpenedRecording`.
-        options: as in `StoredRecording`.
-        correction: as in `OpenedRecording`.
-
     Raises:
         RecordingError: it is missing or cannot be read.
     """
@@ -281,12 +273,7 @@ class Rigs:
         ]
 
     def others_on_image(self, frame: StoredFrame, camera: Camera, own: Sequence[Label]) -> list[Label]:
-        """Returns the labels of `others` that the image shows, without rejected ones and those of own labels' objects.
-
-        Args:
-            camera: of the frame.
-            own: the frame's labels.
-        """
+        """Returns the labels of `others` that the image shows, without rejected ones and those of objects in `own`."""
         seen = [
             other.label
             for other in self.others(frame)

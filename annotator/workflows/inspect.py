@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -86,17 +87,16 @@ NO_OPTIONS = ReaderOptions()
 
 
 def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> RecordingReport:
-    """Describes a recording by its list of frames and its first readable frame.
-
-    Args:
-        options: how it is read.
-
-    Raises:
-        ConfigError: an option that its format does not take.
-        RecordingError: the path holds no recording.
-    """
+    """Describes a recording by its list of frames and its first readable frame."""
     recording = open_recording(path, options)
-    index, frame, broken = _first_frame(recording)
+    frame, broken = None, dict[str, str]()
+    index = 0
+    for index, key in enumerate(recording.keys[:FRAMES_TRIED]):
+        try:
+            frame = recording.frame(index)
+            break
+        except FrameError as error:
+            broken[key] = str(error)
     return RecordingReport(
         path=recording.path,
         format=recording.format,
@@ -115,29 +115,22 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
 
 
 def bag_topics(path: Path, options: ReaderOptions = NO_OPTIONS) -> tuple[TopicReport, ...]:
-    """Returns the topics of a bag, for which they need not be chosen yet; none for other formats.
-
-    Raises:
-        RecordingError: the bag cannot be read.
-    """
+    """Returns the topics of a bag, for which they need not be chosen yet; none for other formats."""
     with path_errors(path):
         return list_topics(path, options) or ()
 
 
-def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str]]:
-    """Returns the index of the first readable frame, that frame, and the errors of those before by key."""
-    broken: dict[str, str] = {}
-    for index, key in enumerate(recording.keys[:FRAMES_TRIED]):
-        try:
-            return index, recording.frame(index), broken
-        except FrameError as error:
-            broken[key] = str(error)
-    return 0, None, broken
-
-
 def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
     camera, cloud = frame.camera, frame.cloud
-    objects, problem, has_mask = _labels(recording, index, frame)
+    objects: Counter[str] | None = None
+    problem, has_mask = None, False
+    try:
+        if has_truth(recording):
+            objects = Counter()
+            objects.update(truth.label for truth in load_truth(recording, index, frame))
+        has_mask = load_mask(recording, frame) is not None
+    except FormatError as error:
+        problem = str(error)
     scanned = len(recording.scan(index).xyz_m) if isinstance(recording, Scanned) else None
     seen = int(inside_image(camera, project(camera, cloud.xyz_m)).sum())
     return FrameReport(
@@ -164,16 +157,3 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
         objects_problem=problem,
         has_mask=has_mask,
     )
-
-
-def _labels(recording: Recording, index: int, frame: Frame) -> tuple[dict[str, int] | None, str | None, bool]:
-    """Returns the objects by class (None without labels), the error of the labels, and whether there is a mask."""
-    counts: dict[str, int] | None = None
-    try:
-        if has_truth(recording):
-            counts = {}
-            for truth in load_truth(recording, index, frame):
-                counts[truth.label] = counts.get(truth.label, 0) + 1
-        return counts, None, load_mask(recording, frame) is not None
-    except FormatError as error:
-        return counts, str(error), False

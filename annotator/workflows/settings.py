@@ -6,7 +6,7 @@ The typical sizes of the project's classes come from its reviewed boxes.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from itertools import permutations
 from pathlib import Path
@@ -21,7 +21,6 @@ from annotator.detection.trained import read_trained
 from annotator.formats.reading import read_model
 from annotator.project import Project
 from annotator.project.config import CONFIG_FILE, BoxRotation
-from annotator.project.labels import ReviewedBox
 from annotator.rcv.config import RcvConfig, TypicalSize, typical_size
 from annotator.types import DetectorKind, OrientedBox
 from annotator.types.errors import ConfigError, FormatError
@@ -40,29 +39,18 @@ REORDERED = 0.1
 
 
 def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tuple[TypicalSize, ...]:
-    """The typical size of each class with reviewed boxes.
-
-    Args:
-        without_frames: ids of frames whose boxes do not count.
-    """
+    """The typical size of each class with reviewed boxes."""
     sizes = []
     for label in project.config.classes:
-        reviewed = project.labels.recent_boxes(MOST_READ, label=label)
-        boxes = list(_of_each_track(item for item in reviewed if item.frame_id not in without_frames))[:MOST_BOXES]
+        # the latest box of each track, and all boxes without one
+        boxes: dict[tuple[int, ...], OrientedBox] = {}
+        for number, item in enumerate(project.labels.recent_boxes(MOST_READ, label=label)):
+            if item.frame_id not in without_frames:
+                track = (number,) if item.track_id is None else (item.recording_id, item.track_id)
+                boxes.setdefault(track, item.box)
         if boxes:
-            sizes.append(_typical(label, boxes, project.config.settings.rotation))
+            sizes.append(_typical(label, list(boxes.values())[:MOST_BOXES], project.config.settings.rotation))
     return tuple(sizes)
-
-
-def _of_each_track(reviewed: Iterator[ReviewedBox]) -> Iterator[OrientedBox]:
-    """The latest box of each track, and all boxes without one."""
-    known: set[tuple[int, int]] = set()
-    for item in reviewed:
-        if item.track_id is not None:
-            if (track := (item.recording_id, item.track_id)) in known:
-                continue
-            known.add(track)
-        yield item.box
 
 
 def _typical(label: str, boxes: list[OrientedBox], rotation: BoxRotation) -> TypicalSize:
@@ -140,10 +128,6 @@ def rcv_config(
         view_px: size of pseudo-views if no setting gives one, pixels; None = the size that the project's view detector
             was trained at, or the default without a detector.
         without_frames: ids of frames whose reviewed boxes do not count for the typical sizes of classes.
-
-    Raises:
-        ConfigError: an unknown field or a value out of range; the message names the file and the field.
-        FormatError: the file cannot be read, or is not a JSON object.
     """
     # each source is checked on its own, so that the error names the place to correct
     stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
@@ -158,11 +142,7 @@ def rcv_config(
 
 
 def checked_config(settings: Settings) -> RcvConfig:
-    """Returns the default settings with these values replaced.
-
-    Raises:
-        ConfigError: an unknown field or a value out of its range; the message names the field.
-    """
+    """Returns the default settings with these values replaced."""
     return _validated(_checked(settings, "settings."))
 
 

@@ -62,15 +62,15 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
 
     If the recording has masks but no boxes, the objects are those of the mask, of the project's only class, with the
     axis-aligned box around their points.
-
-    Raises:
-        RecordingError: the recording has neither boxes nor masks.
-        ConfigError: masks only, and the project has several classes.
-        FormatError: broken boxes, or a broken or missing mask.
     """
     mask = load_mask(recording, frame)
     if mask is not None and has_masks(recording) and not has_truth(recording):
-        return _masked_objects(frame, mask, only_class(recording, classes))
+        if len(classes) != 1:
+            raise ConfigError(
+                f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
+                "unknown; use a project with one class, or add a boxes.json"
+            )
+        return _masked_objects(frame, mask, classes[0])
     # the numbers of the mask count all labelled objects, those of other classes included
     objects = [
         TaughtObject(t.label, t.box, _own_points(t, number, frame, mask))
@@ -78,16 +78,6 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
         if t.label in classes
     ]
     return [o for o in objects if o.points is not None and o.points.sum() >= MIN_VISIBLE_POINTS]
-
-
-def only_class(recording: Recording, classes: Sequence[str]) -> str:
-    """Returns the class of the objects in masks without boxes."""
-    if len(classes) != 1:
-        raise ConfigError(
-            f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
-            "unknown; use a project with one class, or add a boxes.json"
-        )
-    return classes[0]
 
 
 def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
@@ -183,12 +173,6 @@ def simulate_recording(
     Args:
         config: how pseudo-views are drawn; its orientation is set for each frame from the project's rotation.
         progress: called with (frames labelled, frames to label).
-
-    Raises:
-        ConfigError: `every` is less than 1; the recording has no truth of the project's classes; or it has masks only,
-            and the operator is `box` or the project has several classes.
-        RecordingError: the recording has no truth at all, or cannot be read.
-        FrameError: a frame cannot be read; those before it are labelled.
     """
     if every < 1:
         raise ConfigError(f"cannot label every {every} frames; give 1 or more")
@@ -229,10 +213,8 @@ def _store(
     kind: BoxKind,
 ) -> int:
     """Stores the drawn boxes; returns the frame's new revision."""
-    revision = stored.revision
-    revision = project.boxes.set_on_image(
-        stored.id, on_image, kind, WriteContext(revision, AUTHOR, Source.MANUAL)
-    ).revision
+    context = WriteContext(stored.revision, AUTHOR, Source.MANUAL)
+    revision = project.boxes.set_on_image(stored.id, on_image, kind, context).revision
     for drawn in finished:
         for item in drawn.views:
             revision = project.boxes.set_on_view(
@@ -286,11 +268,6 @@ def confirm_whole_boxes(
 
     Args:
         progress: called with (frames done, frames with drawn objects).
-
-    Raises:
-        RecordingError: the recording has no truth, or cannot be read.
-        FrameError: a frame cannot be read; those before it are done.
-        DetectionError, FormatError: the view detector cannot be loaded.
     """
     source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
     recording = source.recording(recording_id)

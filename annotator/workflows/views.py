@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -29,6 +28,7 @@ from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.dataset_writing import encoded_image, writing
 from annotator.formats.reading import write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
@@ -169,11 +169,7 @@ SAME_IOU = 0.2
 
 
 def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_SIDE_PX) -> dict[str, Box2D]:
-    """Returns the image box of each label by uid; labels outside the image are left out.
-
-    Args:
-        min_side_px: boxes with a shorter side are left out.
-    """
+    """Returns the image box of each label by uid; labels outside the image, or thinner on it, are left out."""
     pairs = [(label.uid, box_on_image(camera, label.box, label.label, min_side_px)) for label in labels]
     return {uid: box for uid, box in pairs if box is not None}
 
@@ -181,11 +177,7 @@ def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_S
 def undrawn(
     camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
 ) -> dict[str, Box2D]:
-    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one.
-
-    Args:
-        min_side_px: as for `outlines`.
-    """
+    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one."""
     boxes = outlines(camera, labels, min_side_px)
     matched = drawn_of(boxes, drawn)
     return {uid: box for uid, box in boxes.items() if uid not in matched}
@@ -276,10 +268,6 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
     Args:
         out: a new folder for PNG images, `views.json`, and a `coco.json` that lists the images without boxes.
         step: 1 (from the boxes on camera images) or 2 (from those on the first step's views).
-
-    Raises:
-        ConfigError: the folder exists, there is no such step, or no object has the boxes it needs.
-        FormatError: the folder cannot be written.
     """
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise ConfigError(f"{out}: exists already; choose a new folder for the images")
@@ -292,7 +280,8 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
         for drawn in _first(frames) if step == 1 else _second(frames):
             for side, view in zip(("front", "side"), drawn.views, strict=True):
                 place = _place(frames, drawn, side, view)
-                _write_image(folder / place.file_name, view)
+                with writing(out):
+                    (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
                 images.append(CocoImage(place.file_name, view.rgb.shape[1], view.rgb.shape[0], ()))
                 places.append(place)
         if not images:
@@ -314,14 +303,6 @@ def _place(frames: _Frames, drawn: _Drawn, side: str, view: PseudoView) -> ViewP
         step=drawn.step - 1,
         geometry=geometry_of(view, drawn.image_box),
     )
-
-
-def _write_image(path: Path, view: PseudoView) -> None:
-    _, data = cv2.imencode(".png", np.ascontiguousarray(view.rgb[:, :, ::-1]))
-    try:
-        path.write_bytes(data.tobytes())
-    except OSError as error:
-        raise FormatError(path, f"cannot be written ({error.strerror}); no files were kept") from error
 
 
 class _Frames:
@@ -380,10 +361,6 @@ def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSe
 
     A drawn label that is deleted or rejected removes its box on the image. A rejected label that is accepted or edited
     restores it, so that detectors do not learn the object as background.
-
-    Args:
-        page: the frame before the change.
-        payloads: the changes to its labels.
     """
     if page.image_boxes is None:
         return None
@@ -416,10 +393,7 @@ def view_followers(
     of the frame changes, that of the views changes as well.
 
     Args:
-        page: the frame before the change.
-        on_image: the new boxes on the image.
         redrawn: the image box of an object that is being stored: all its views except `kept` are removed.
-        kept: ids of views that are not changed.
     """
     events: list[Payload] = []
     for (_, image_box), steps in views_by_object(page.view_boxes).items():

@@ -65,7 +65,7 @@ def test_a_detector_follows_classes_that_were_changed_after_its_training(people:
 COMPILED = """
 import json
 from importlib import import_module
-from annotator.workflows.doctor.facts import KERNELS
+from annotator.workflows.doctor import KERNELS
 from annotator.workflows.warm_up import warm_up
 
 warm_up()

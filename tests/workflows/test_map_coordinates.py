@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import nuscenes_samples
 import pytest
 from kitti_samples import OBJECT_CALIB
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -85,7 +84,11 @@ def test_the_origin_is_stored_so_that_frames_stay_when_the_first_file_is_gone(
 ):
     project, folder = cars(), scans(tmp_path / "drive", 0, 4, 9)
     (added,) = add_recordings(project, [folder])
-    origin = inspect_recording(folder).origin
+    report = inspect_recording(folder)
+    origin = report.origin
+    assert origin == tuple(np.floor(np.median(XYZ[1:] + UTM_M, axis=0)))
+    assert report.frame is not None
+    assert (report.frame.place, report.frame.points) == (pytest.approx(origin), 999)
     assert stored_options(added.recording.options).origin == origin
     before = FrameSource(project).read(project.frames.of()[2])
     (folder / "000000.npy").unlink()
@@ -120,13 +123,6 @@ def test_a_recording_with_a_camera_is_not_one_that_has_moved_and_had_none(cars: 
     (added,) = add_recordings(project, [other])
     assert (added.is_new, added.recording.options) == (True, "")
     assert len(project.recordings.all()) == 2
-
-
-def test_inspect_tells_the_origin_and_where_the_camera_is(tmp_path: Path):
-    report = inspect_recording(scans(tmp_path / "drive", 0))
-    whole = tuple(np.floor(np.median(XYZ[1:] + UTM_M, axis=0)))
-    assert report.frame is not None
-    assert (report.origin, report.frame.place, report.frame.points) == (whole, pytest.approx(whole), 999)
 
 
 # --- exports and imports ---------------------------------------------------------------------------------------------
@@ -205,23 +201,6 @@ def test_nuscenes_global_frame_and_openlabels_world_are_the_map(cars: Callable[[
         np.testing.assert_allclose(there, BOX.center_m, rtol=0, atol=1e-6)
 
 
-def test_a_vehicle_whose_poses_are_known_is_exported_with_them(make_project: Callable[..., Project], tmp_path: Path):
-    source = nuscenes_samples.small(tmp_path / "source", scenes=1)
-    project = make_project(classes=("vehicle.car",), rotation=BoxRotation.FREE)
-    (added,) = add_recordings(project, [source])
-    import_own_labels(project, added.recording.id)
-    export_project(project, tmp_path / "out", ExportFormat.NUSCENES)
-    have, want = (
-        sorted(row["translation"] for row in json.loads(next(folder.glob("v1.0-*/sample_annotation.json")).read_text()))
-        for folder in (tmp_path / "out", source)
-    )
-    assert len(have) == 2
-    for row in have:
-        assert np.linalg.norm(np.subtract(want, row), axis=1).min() < 1e-6
-    report = export_project(project, tmp_path / "kitti", ExportFormat.KITTI)
-    assert "origin" in {loss.kind for loss in report.losses}
-
-
 def labelcloud_json(folder: Path) -> None:
     folder.mkdir()
     yaw = 0.5
@@ -243,27 +222,7 @@ def sustech_json(folder: Path) -> None:
         (folder / "drive" / "label" / f"{number:06}.json").write_text(json.dumps(content))
 
 
-def openlabel_json(folder: Path) -> None:
-    folder.mkdir()
-    quaternion = Rotation.from_matrix(BOX.rotation).as_quat().tolist()
-    cuboid = {"name": "box", "val": [*BOX.center_m.tolist(), *quaternion, 4, 2, 1.6], "coordinate_system": "lidar"}
-    data = {"7": {"object_data": {"cuboid": [cuboid]}}}
-    content = {
-        "metadata": {"schema_version": "1.0.0"},
-        "coordinate_systems": {"lidar": {"type": "sensor", "parent": ""}},
-        "streams": {"lidar": {"type": "lidar"}},
-        "objects": {"7": {"name": "car", "type": "car"}},
-        "frames": {
-            str(number): {
-                "objects": data, "frame_properties": {"streams": {"lidar": {"uri": f"clouds/{number:06}.npy"}}},
-            }
-            for number in range(2)
-        },
-    }  # fmt: skip
-    (folder / "a.json").write_text(json.dumps({"openlabel": content}))
-
-
-IN_MAP = {"labelcloud": labelcloud_json, "sustechpoints": sustech_json, "openlabel": openlabel_json}
+IN_MAP = {"labelcloud": labelcloud_json, "sustechpoints": sustech_json}
 
 
 @pytest.mark.parametrize("format", IN_MAP)
@@ -289,18 +248,3 @@ def test_map_coordinates_in_a_format_of_boxes_relative_to_the_camera_are_refused
         ):
             run(project, boxes)
     assert not project.labels.select()
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("clouds", ["plain", "stray"])
-def test_the_box_of_the_collected_case_holds_its_points(cars: Callable[[], Project], shared: Path, clouds: str):
-    case = shared / "cases" / "02_utm_stray_zero"
-    project = cars()
-    add_recordings(project, [case / clouds])
-    names = {"box": "car"}
-    import_labels(project, read_labels(BoxFormat.LABELCLOUD, case / "labels_plain"), names=names)
-    (stored,) = project.frames.of()
-    (label,) = project.labels.of_frame(stored.id)
-    inside = label.box.T_camera_box.inv().apply(FrameSource(project).read(stored).cloud.xyz_m.astype(float))
-    # within 2 cm, since points lie on its faces
-    assert int((np.abs(inside) <= label.box.size_m / 2 + 0.02).all(axis=1).sum()) == 611

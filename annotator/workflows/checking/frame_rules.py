@@ -13,29 +13,9 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.recordings.plausible import DISTANCES_M
 from annotator.types import Camera, Frame
+from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_message
-from annotator.workflows.checking.findings import (
-    ALPHA_OFF,
-    BOX_BEHIND_CAMERA,
-    BOX_OUTSIDE_IMAGE,
-    BOX_OVERLAP,
-    BROKEN_LABEL,
-    CAMERA_OF_OTHER_SIZE,
-    CLOUD_OFF_DEPTH,
-    CLOUD_OFF_IMAGE,
-    CLOUD_SCALE,
-    DUPLICATE_LABEL,
-    EMPTY_BOX,
-    FIELD_RANGE,
-    IMAGE_BARE,
-    IMAGE_BOX_OFF,
-    IMPOSSIBLE_CAMERA,
-    IMPOSSIBLE_PLACE,
-    IMPOSSIBLE_SIZE,
-    SPARSE_BOX,
-    TRACK_TWICE,
-    Rule,
-)
+from annotator.workflows.checking.findings import Rule
 from annotator.workflows.checking.label_files import FoundLabel
 
 SHORTEST_M, LONGEST_M = 0.005, 60.0
@@ -58,9 +38,9 @@ def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
     for number, entry in enumerate(labels):
         size_m = entry.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
-            yield IMPOSSIBLE_SIZE, number, size_message(entry.truth.label, size_m)
+            yield rules.IMPOSSIBLE_SIZE, number, size_message(entry.truth.label, size_m)
         if np.abs(entry.truth.box.center_m).max() > FARTHEST_M:
-            yield IMPOSSIBLE_PLACE, number, f"the centre of this {entry.truth.label} is more than 10 km away"
+            yield rules.IMPOSSIBLE_PLACE, number, f"the centre of this {entry.truth.label} is more than 10 km away"
         if entry.row is not None:
             for rule, message in _row_rules(entry.row):
                 yield rule, number, message
@@ -80,34 +60,34 @@ def rules_among_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
         other = f"{a} of line {labels[first].line}" if labels[first].line else f"earlier {a}"
         message = f"overlaps the {other} by {iou:.0%} (exact 3D IoU)"
         if iou >= (SAME_OBJECT_IOU if a == b else SAME_PLACE_IOU):
-            yield DUPLICATE_LABEL, second, f"this {b} {message}; keep one of them"
+            yield rules.DUPLICATE_LABEL, second, f"this {b} {message}; keep one of them"
         elif a == b:
-            yield BOX_OVERLAP, second, f"this {b} {message}"
+            yield rules.BOX_OVERLAP, second, f"this {b} {message}"
     seen: set[int] = set()
     for number, truth in enumerate(truths):
         if truth.track_id is not None and truth.track_id in seen:
-            yield TRACK_TWICE, number, f"two objects of this frame have the track id {truth.track_id}"
+            yield rules.TRACK_TWICE, number, f"two objects of this frame have the track id {truth.track_id}"
         seen.update(() if truth.track_id is None else (truth.track_id,))
 
 
 def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
     if not TRUNCATED[0] <= row.truncated <= TRUNCATED[1]:
-        yield FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a fraction, 0 to 1 (tracking: 0, 1 or 2)"
+        yield rules.FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a fraction, 0 to 1 (tracking: 0, 1 or 2)"
     if row.occluded not in OCCLUDED:
-        yield FIELD_RANGE, f"occluded is {row.occluded}; it must be 0, 1, 2 or 3"
+        yield rules.FIELD_RANGE, f"occluded is {row.occluded}; it must be 0, 1, 2 or 3"
     if row.score is not None:
-        yield FIELD_RANGE, f"has a 16th field, a score ({row.score:g}), which only detections have; remove it"
+        yield rules.FIELD_RANGE, f"has a 16th field, a score ({row.score:g}), which only detections have; remove it"
     if row.right <= row.left or row.bottom <= row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
         yield (
-            BROKEN_LABEL,
+            rules.BROKEN_LABEL,
             f"the 2D box is empty: left top right bottom = {edges}; left < right and top < bottom must hold",
         )
     expected = observation_angle(row.rotation_y, row.x, row.z)
     off = math.remainder(row.alpha - expected, 2 * math.pi)
     if row.alpha != UNKNOWN_ALPHA and abs(off) > MOST_ALPHA_OFF_RAD:
         yield (
-            ALPHA_OFF,
+            rules.ALPHA_OFF,
             f"alpha is {row.alpha:g}; rotation_y {row.rotation_y:g} and the position give {expected:.2f}",
         )
 
@@ -120,14 +100,14 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
         truth = entry.truth
         if not all_around:
             if (box_corners(truth.box)[:, 2] <= NEAR_M).all():
-                yield BOX_BEHIND_CAMERA, number, f"this {truth.label} is behind the camera"
+                yield rules.BOX_BEHIND_CAMERA, number, f"this {truth.label} is behind the camera"
                 continue
             if box_on_image(frame.camera, truth.box, truth.label, LEAST_SEEN_PX) is None:
-                yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is outside the image"
+                yield rules.BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is outside the image"
                 continue
         count = int(np.count_nonzero(contains(truth.box, frame.cloud.xyz_m)))
         if count < LEAST_POINTS:
-            yield EMPTY_BOX if count == 0 else SPARSE_BOX, number, few_points_message(truth.label, count)
+            yield rules.EMPTY_BOX if count == 0 else rules.SPARSE_BOX, number, few_points_message(truth.label, count)
         if entry.row is not None:
             for rule, message in _image_box(frame, entry.row):
                 yield rule, number, message
@@ -143,7 +123,7 @@ def _image_box(frame: Frame, row: KittiLabel) -> Iterator[tuple[Rule, str]]:
     if iou < LEAST_IMAGE_IOU:
         edges = " ".join(f"{edge:.0f}" for edge in projected)
         yield (
-            IMAGE_BOX_OFF,
+            rules.IMAGE_BOX_OFF,
             f"the 2D box of this {row.label} does not match the projection of its 3D box: {edges} (IoU {iou:.2f})",
         )
 
@@ -178,11 +158,11 @@ def camera_rules(camera: Camera) -> Iterator[CameraBreach]:
     low, high = FOCAL_LENGTHS
     aspect = max(shares) / min(shares)
     if min(shares) < low or max(shares) > high or aspect > MOST_ASPECT:
-        yield IMPOSSIBLE_CAMERA, f"focal lengths {camera.fx:g} and {camera.fy:g} px {size}"
+        yield rules.IMPOSSIBLE_CAMERA, f"focal lengths {camera.fx:g} and {camera.fy:g} px {size}"
     middle = np.array([camera.cx / camera.width_px, camera.cy / camera.height_px])
     if (middle < PRINCIPAL_POINT[0]).any() or (middle > PRINCIPAL_POINT[1]).any():
         yield (
-            CAMERA_OF_OTHER_SIZE,
+            rules.CAMERA_OF_OTHER_SIZE,
             f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; is it the camera of another image size?",
         )
 
@@ -196,7 +176,7 @@ def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[CameraBreach
     xyz_m = frame.cloud.xyz_m
     distance_m = float(np.median(np.linalg.norm(xyz_m, axis=1)))
     if not DISTANCES_M[0] <= distance_m <= DISTANCES_M[1]:
-        yield CLOUD_SCALE, f"half of the points are nearer than {distance_m:g} m; are they in metres?"
+        yield rules.CLOUD_SCALE, f"half of the points are nearer than {distance_m:g} m; are they in metres?"
     chosen = np.linspace(0, len(xyz_m) - 1, min(len(xyz_m), SAMPLE)).astype(np.int64)
     px = project(frame.camera, xyz_m[chosen])
     if frame.cloud.pixel_index is not None:
@@ -204,14 +184,20 @@ def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[CameraBreach
         off = np.linalg.norm(px - np.stack([u, v], axis=1), axis=1)
         typical = float(np.median(np.nan_to_num(off, nan=np.inf)))
         if typical > MOST_OFF_PIXEL_PX:
-            yield CLOUD_OFF_DEPTH, f"points project {typical:.1f} px away from their own pixels"
+            yield rules.CLOUD_OFF_DEPTH, f"points project {typical:.1f} px away from their own pixels"
     size = np.array([frame.camera.width_px, frame.camera.height_px])
     # points behind the camera are NaN and compare as false
     on_image = ((px >= -BORDER_PX) & (px <= size + BORDER_PX)).all(axis=1)
     if of_depth_camera and on_image.mean() < LEAST_ON_IMAGE:
-        yield CLOUD_OFF_IMAGE, f"{1 - on_image.mean():.0%} of the points of this depth camera are outside its image"
+        yield (
+            rules.CLOUD_OFF_IMAGE,
+            f"{1 - on_image.mean():.0%} of this depth camera's points are outside its image",
+        )
     elif frame.depth_m is None:
         cells = np.unique(np.floor(px[on_image] / CELL_PX).clip(0).astype(np.int64), axis=0)
         covered = len(cells) / np.prod(np.ceil(size / CELL_PX))
         if covered < LEAST_COVERED:
-            yield IMAGE_BARE, f"the points cover {covered:.1%} of the image; do calibration and cloud belong together?"
+            yield (
+                rules.IMAGE_BARE,
+                f"the points cover {covered:.1%} of the image; is the calibration that of the cloud?",
+            )

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
 
 from scipy.spatial.transform import RigidTransform
 
@@ -24,6 +24,7 @@ from annotator.formats.kitti_rows import (
     parse_tracking_fields,
     row_truth,
 )
+from annotator.formats.rcv import FOLDERS, SPLITS, RcvDataset
 from annotator.formats.reading import text_rows
 from annotator.formats.sunrgbd import extracted_truth
 from annotator.formats.units import Angles
@@ -32,7 +33,7 @@ from annotator.recordings.kitti import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems
 from annotator.recordings.sunrgbd import SunRgbdExtracted
 from annotator.text import normal, spelled
-from annotator.types import Frame, Truth
+from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.recorded.reading import is_labelled, label_file, load_truth
 
@@ -72,163 +73,162 @@ class FrameLabels:
     flat: int = 0
 
 
-class LabelFiles(ABC):
-    """The label files of a dataset."""
-
-    @abstractmethod
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        """Returns the labels of a frame; `frame` is None if it could not be read."""
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        """Returns the problems of files that hold the labels of all frames."""
-        return ()
-
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        """Yields file, line and frame name of labels whose frame is missing.
-
-        Raises:
-            FormatError: a list of frames cannot be read.
-        """
-        return iter(())
+Stray = tuple[Path, int | None, str]
+"""A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
+Entry = Callable[[], FoundLabel | bool]
+"""Returns the label of a row; True for a 2D box without a 3D box, False for a row that is no label."""
 
 
-RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | Literal["area", "flat"]]
-"""Returns the label of a row, or what the row has instead: a DontCare area, or a 2D box without a 3D box."""
+@dataclass(frozen=True, eq=False)
+class LabelFiles:
+    """The label files of a dataset.
+
+    Attributes:
+        of: returns the labels of a frame, by its number, key, and the frame; None if it could not be read.
+        problems: those of files that hold the labels of all frames.
+        strays: yields labels whose frame is missing; raises FormatError if a list of frames cannot be read.
+    """
+
+    of: Callable[[int, str, Frame | None], FrameLabels]
+    problems: Sequence[AnnotatorError] = ()
+    strays: Callable[[], Iterator[Stray]] = lambda: iter(())
 
 
-@dataclass(frozen=True)
-class RowFiles(LabelFiles):
+def _read(entries: Iterable[Entry]) -> FrameLabels:
+    """Reads rows; invalid ones do not hide the others."""
+    found, problems = list[FoundLabel | bool](), list[AnnotatorError]()
+    for entry in entries:
+        try:
+            found.append(entry())
+        except AnnotatorError as error:
+            problems.append(error)
+    objects = tuple(each for each in found if isinstance(each, FoundLabel))
+    return FrameLabels(objects, tuple(problems), flat=found.count(True))
+
+
+def _row_files(
+    recording: Recording,
+    folder: Path,
+    parse: Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | bool],
+) -> LabelFiles:
     """One text file per frame, one row per object."""
 
-    recording: Recording
-    folder: Path
-    parse: RowParser
-
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        path = spelled(self.folder, f"{key}.txt")
+    def of(index: int, key: str, frame: Frame | None) -> FrameLabels:
+        path = spelled(folder, f"{key}.txt")
         if not path.is_file():
             return FrameLabels(missing=path)
         try:
             rows = text_rows(path)
         except FormatError as error:
             return FrameLabels(problems=(error,))
-        objects, problems, flat = [], [], 0
         T = None if frame is None else frame.T_camera_label
-        for line, fields in rows:
-            try:
-                label = self.parse(fields, T, path, line)
-            except FormatError as error:
-                problems.append(error)
-            else:
-                if isinstance(label, FoundLabel):
-                    objects.append(label)
-                flat += label == "flat"
-        return FrameLabels(tuple(objects), tuple(problems), flat=flat)
+        return _read(partial(parse, fields, T, path, line) for line, fields in rows)
 
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        keys = set(map(normal, self.recording.keys))
-        for path in sorted(self.folder.glob("*.txt")):
-            if normal(path.stem) not in keys:
-                yield path, None, path.stem
+    return LabelFiles(of, strays=lambda: _without_frame(folder.glob("*.txt"), recording.keys))
 
 
-@dataclass(frozen=True)
-class TrackingFile(LabelFiles):
+def _without_frame(files: Iterable[Path], keys: Iterable[str]) -> Iterator[Stray]:
+    known = set(map(normal, keys))
+    return ((file, None, file.stem) for file in sorted(files) if normal(file.stem) not in known)
+
+
+def _tracking_file(recording: Recording, path: Path) -> LabelFiles:
     """KITTI's `label_02.txt`: all frames in one file, kept in memory during the check."""
+    rows: dict[int, list[FoundLabel]] = defaultdict(list)
+    flat: Counter[int] = Counter()
 
-    recording: Recording
-    path: Path
-    rows: dict[int, list[FoundLabel]] = field(default_factory=lambda: defaultdict(list))
-    flat: Counter[int] = field(default_factory=Counter)
-    wrong: list[AnnotatorError] = field(default_factory=list)
+    def add(line: int, fields: list[str]) -> bool:
+        number, track_id, row = parse_tracking_fields(fields, path, line)
+        flat[number] += row.label != DONT_CARE and row.is_flat
+        if has_solid(row):
+            # all angles of a dataset are judged together
+            rows[number].append(FoundLabel(row_truth(row, track_id, None, path, line, Angles()), path, line, row))
+        return False
 
-    def read(self) -> TrackingFile:
-        """Reads the file."""
-        try:
-            for line, fields in text_rows(self.path):
-                self._add_row(line, fields)
-        except FormatError as error:
-            self.wrong.append(error)
-        return self
+    try:
+        problems = _read(partial(add, *row) for row in text_rows(path)).problems
+    except FormatError as error:
+        problems = (error,)
 
-    def _add_row(self, line: int, fields: list[str]) -> None:
-        try:
-            number, track_id, row = parse_tracking_fields(fields, self.path, line)
-            self.flat[number] += row.label != DONT_CARE and row.is_flat
-            if has_solid(row):
-                # all angles of a dataset are judged together
-                truth = row_truth(row, track_id, None, self.path, line, Angles())
-                self.rows[number].append(FoundLabel(truth, self.path, line, row))
-        except FormatError as error:
-            self.wrong.append(error)
-
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
+    def of(index: int, key: str, frame: Frame | None) -> FrameLabels:
         if not key.isdecimal():
-            return FrameLabels(problems=(FormatError(self.path, f"frames must have numbers as names, not {key!r}"),))
-        labels = self.rows.get(int(key), ())
-        return FrameLabels(tuple(_in_camera_frame(each, frame) for each in labels), flat=self.flat[int(key)])
+            return FrameLabels(problems=(FormatError(path, f"frames must have numbers as names, not {key!r}"),))
+        T, found = None if frame is None else frame.T_camera_label, rows.get(int(key), ())
+        if T is not None:
+            found = [replace(each, truth=replace(each.truth, box=each.truth.box.transformed(T))) for each in found]
+        return FrameLabels(tuple(found), flat=flat[int(key)])
 
-    def problems(self) -> Sequence[AnnotatorError]:
-        return self.wrong
+    def strays() -> Iterator[Stray]:
+        known = {int(key) for key in recording.keys if key.isdecimal()}
+        return ((path, found[0].line, str(number)) for number, found in rows.items() if number not in known)
 
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        numbers = {int(key) for key in self.recording.keys if key.isdecimal()}
-        for number, rows in self.rows.items():
-            if number not in numbers:
-                yield self.path, rows[0].line, str(number)
+    return LabelFiles(of, problems, strays)
 
 
-@dataclass(frozen=True)
-class BoxesFile(LabelFiles):
+def _boxes_file(recording: Recording, path: Path) -> LabelFiles:
     """`boxes.json`: all frames in one file, kept in memory during the check."""
+    entries: dict[str, list[object]] = {}
+    known, problems = set(recording.keys), tuple[AnnotatorError, ...]()
+    try:
+        entries = dict(each_entries(path))
+    except FormatError as error:
+        problems = (error,)
 
-    recording: Recording
-    path: Path
-    entries: dict[str, list[object]] = field(default_factory=dict)
-    wrong: list[AnnotatorError] = field(default_factory=list)
+    def entry(key: str, number: int) -> FoundLabel:
+        return FoundLabel(entry_truth(entries[key][number], path, key, number), path)
 
-    def read(self) -> BoxesFile:
-        """Reads the file."""
-        try:
-            self.entries.update(dict(each_entries(self.path)))
-        except FormatError as error:
-            self.wrong.append(error)
-        return self
-
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        objects, problems = [], []
-        for number, entry in enumerate(self.entries.get(key, ())):
-            try:
-                objects.append(FoundLabel(entry_truth(entry, self.path, key, number), self.path))
-            except FormatError as error:
-                problems.append(error)
-        return FrameLabels(tuple(objects), tuple(problems))
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        return self.wrong
-
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        keys = set(self.recording.keys)
-        return ((self.path, None, key) for key in self.entries if key not in keys)
+    return LabelFiles(
+        lambda _, key, frame: _read(partial(entry, key, number) for number in range(len(entries.get(key, ())))),
+        problems,
+        lambda: ((path, None, key) for key in entries if key not in known),
+    )
 
 
-@dataclass(frozen=True)
-class WholeFiles(LabelFiles):
+def _whole_files(recording: Recording) -> LabelFiles:
     """Labels of any other format, read file by file: an invalid object makes the whole file invalid."""
 
-    recording: Recording
-
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        file = label_file(self.recording, key) or self.recording.path
+    def of(index: int, key: str, frame: Frame | None) -> FrameLabels:
+        file = label_file(recording, key) or recording.path
         if not file.exists():
             return FrameLabels(missing=file)
-        if frame is None or not is_labelled(self.recording, key):
+        if frame is None or not is_labelled(recording, key):
             return FrameLabels()
         try:
-            truths = load_truth(self.recording, index, frame)
+            return FrameLabels(tuple(FoundLabel(truth, file) for truth in load_truth(recording, index, frame)))
         except AnnotatorError as error:
             return FrameLabels(problems=(error,))
-        return FrameLabels(tuple(FoundLabel(truth, file) for truth in truths))
+
+    return LabelFiles(of)
+
+
+def rcv_files(dataset: RcvDataset) -> LabelFiles:
+    """The label files of an `rcv` dataset."""
+    frames = dataset.manifest.frames
+
+    def of(index: int, key: str, frame: Frame | None) -> FrameLabels:
+        path = dataset.label_path(index)
+        if not path.is_file():
+            return FrameLabels(missing=path)
+        try:
+            labels = dataset.labels(index)
+        except FormatError as error:
+            return FrameLabels(problems=(error,))
+        return FrameLabels(
+            tuple(
+                FoundLabel(
+                    Truth(each.label, each.box, each.track_id), path, rejected=each.state is ReviewState.REJECTED
+                )
+                for each in labels
+            )
+        )
+
+    def strays() -> Iterator[Stray]:
+        for folder in FOLDERS:
+            yield from _without_frame((dataset.path / folder).glob("*"), frames)
+        for file in sorted((dataset.path / SPLITS).glob("*.txt")):
+            yield from _not_listed(file, map(normal, frames))
+
+    return LabelFiles(of, strays=strays)
 
 
 def label_files(recording: Recording) -> LabelFiles | None:
@@ -236,23 +236,22 @@ def label_files(recording: Recording) -> LabelFiles | None:
     file = label_file(recording, recording.keys[0]) if recording.keys else None
     if file is None:
         return None
-    if recording.format == "kitti_object":
-        return RowFiles(recording, file.parent, _kitti_row)
-    if recording.format == "sunrgbd_extracted":
-        return RowFiles(recording, file.parent, _extracted_row)
-    if recording.format == "kitti_tracking":
-        return TrackingFile(recording, file).read()
-    if recording.format == "rgbd_folder":
-        return BoxesFile(recording, file).read()
-    return WholeFiles(recording)
+    match recording.format:
+        case "kitti_object":
+            return _row_files(recording, file.parent, _kitti_row)
+        case "sunrgbd_extracted":
+            return _row_files(recording, file.parent, _extracted_row)
+        case "kitti_tracking":
+            return _tracking_file(recording, file)
+        case "rgbd_folder":
+            return _boxes_file(recording, file)
+    return _whole_files(recording)
 
 
-def _kitti_row(
-    fields: list[str], T: RigidTransform | None, path: Path, line: int
-) -> FoundLabel | Literal["area", "flat"]:
+def _kitti_row(fields: list[str], T: RigidTransform | None, path: Path, line: int) -> FoundLabel | bool:
     row = parse_fields(fields, path, line)
     if not has_solid(row):
-        return "area" if row.label == DONT_CARE else "flat"
+        return row.label != DONT_CARE
     # all angles of a dataset are judged together
     return FoundLabel(row_truth(row, None, T, path, line, Angles()), path, line, row)
 
@@ -261,20 +260,9 @@ def _extracted_row(fields: list[str], T: RigidTransform | None, path: Path, line
     return FoundLabel(extracted_truth(fields, T, path, line), path, line)
 
 
-def _in_camera_frame(label: FoundLabel, frame: Frame | None) -> FoundLabel:
-    """Returns the label in the camera frame."""
-    T = None if frame is None else frame.T_camera_label
-    if T is None:
-        return label
-    return replace(label, truth=replace(label.truth, box=label.truth.box.transformed(T)))
-
-
 LISTS, INDICES = "ImageSets", "*_data_idx.txt"
 # KITTI's test frames, whose labels are not public: their folder, and their list.
 TESTING, TEST_LIST = "testing", "test.txt"
-
-Stray = tuple[Path, int | None, str]
-"""A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
 
 
 def stray_names(recording: Recording) -> Iterator[Stray]:
@@ -282,27 +270,14 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
 
     Lists are `ImageSets/*.txt` of KITTI (beside `training`, or in the folder itself) and VoteNet's `*_data_idx.txt`,
     which have the frames' numbers without leading zeros.
-
-    Raises:
-        FormatError: a list cannot be read.
     """
     if isinstance(recording, KittiObject):
-        yield from _calibrations(recording.root, recording)
+        yield from _without_frame((recording.root / "calib").glob("*.txt"), recording.keys)
         yield from _image_sets(recording)
     elif isinstance(recording, SunRgbdExtracted):
-        yield from _calibrations(recording.path, recording)
-        numbers = {int(key) for key in recording.keys if key.isdecimal()}
+        yield from _without_frame((recording.path / "calib").glob("*.txt"), recording.keys)
         for file in sorted(recording.path.glob(INDICES)):
-            for line, name in frame_names(file):
-                if not (name.isdecimal() and int(name) in numbers):
-                    yield file, line, name
-
-
-def _calibrations(folder: Path, recording: Recording) -> Iterator[Stray]:
-    keys = set(map(normal, recording.keys))
-    for file in sorted((folder / "calib").glob("*.txt")):
-        if normal(file.stem) not in keys:
-            yield file, None, file.stem
+            yield from _not_listed(file, {int(key) for key in recording.keys if key.isdecimal()}, int)
 
 
 def _image_sets(recording: KittiObject) -> Iterator[Stray]:
@@ -314,18 +289,17 @@ def _image_sets(recording: KittiObject) -> Iterator[Stray]:
         testing = set(map(normal, stems(pictures, IMAGE_SUFFIXES))) if pictures.is_dir() else set()
         for file in sorted((folder / LISTS).glob("*.txt")):
             # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
-            if file.name == TEST_LIST and not testing and not has_frames(folder):
+            if file.name != TEST_LIST:
+                yield from _not_listed(file, keys)
+            elif testing or has_frames(folder):
+                yield from _not_listed(file, keys | testing)
+
+
+def _not_listed(file: Path, known: Iterable[object], named: Callable[[str], object] = normal) -> Iterator[Stray]:
+    """Yields the frames in a list that are not known. Raises FormatError: the list is not text."""
+    every = set(known)
+    for line, (name, *_) in text_rows(file):
+        with suppress(ValueError):  # no number
+            if named(name) in every:
                 continue
-            listed = keys | testing if file.name == TEST_LIST else keys
-            for line, name in frame_names(file):
-                if normal(name) not in listed:
-                    yield file, line, name
-
-
-def frame_names(file: Path) -> Iterator[tuple[int, str]]:
-    """Returns line and name of each frame in a list.
-
-    Raises:
-        FormatError: the list is not text.
-    """
-    return ((line, words[0]) for line, words in text_rows(file))
+        yield file, line, name

@@ -20,8 +20,8 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
+from itertools import product
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, RootModel, ValidationError
@@ -74,7 +74,6 @@ class PointCounts:
         Args:
             budget_s: time for reading frames, seconds; None = no limit.
         """
-        self._project = project
         self._source = FrameSource(project)
         self._budget_s = budget_s
         self._spent_s = 0.0
@@ -153,27 +152,8 @@ class Kind(StrEnum):
     ATTRIBUTE = "attribute"
 
 
-@dataclass(frozen=True)
-class LabelWarning:
-    """One warning.
-
-    Attributes:
-        kind: kind of the warning.
-        frame: the label's frame.
-        recording: name of the frame's recording.
-        uid: the label; None: the warning is about the frame as a whole.
-        message: text to display.
-    """
-
-    kind: Kind
-    frame: StoredFrame
-    recording: str
-    uid: str | None
-    message: str
-
-
 class WarningRow(BaseModel):
-    """One warning as JSON: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole."""
+    """One warning: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -207,36 +187,26 @@ def check_project(project: Project, frame_id: int | None = None, budget_s: float
 
     Args:
         budget_s: time for reading frames, seconds; None = no limit.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     counts = PointCounts(project, budget_s)
     warnings = check(project, counts, frame_id)
     counts.save()
-    rows = tuple(
-        WarningRow(kind=w.kind, frame=w.frame.id, key=w.frame.key, recording=w.recording, uid=w.uid, message=w.message)
-        for w in warnings
-    )
     recordings = project.recordings.all() if frame_id is None else ()
     gone = (why_gone(each.path, each.name, project.path.name) for each in recordings)
     checked = [e for e in project.labels.select(states=CHECKED_STATES) if frame_id in (None, e.frame_id)]
     return CheckReport(
-        warnings=rows,
+        warnings=tuple(warnings),
         labels=len(checked),
         unreadable=(*filter(None, gone), *counts.unreadable),
         uncounted=counts.unknown,
     )
 
 
-def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[LabelWarning]:
+def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[WarningRow]:
     """Returns all warnings about frames, and about labels that are not rejected, frame by frame.
 
     Args:
         frame_id: warnings of this frame only (compared with the whole project); None = of all.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     if frame_id is not None:
         project.frames.get(frame_id)
@@ -251,7 +221,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     config = project.config
     classes, attributes, of_frames = set(config.classes), config.attributes, project.frames.attributes()
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
-    warnings: list[LabelWarning] = []
+    warnings: list[WarningRow] = []
     for frame in frames.values():
         labels, values = by_frame.get(frame.id, []), of_frames.get(frame.id, {})
         # nobody can complete a frame that its recording no longer has
@@ -260,7 +230,11 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
             continue
         earlier = by_frame.get(before.get(frame.id, -1), [])
         lines = [
-            *_class(labels, classes),
+            *(
+                (Kind.CLASS, each.uid, f"the project has no class {each.label!r}; {alternatives(each.label, classes)}")
+                for each in labels
+                if each.label not in classes
+            ),
             *_lines(Kind.ATTRIBUTE, labels, odd_values(labels, attributes)),
             *((Kind.ATTRIBUTE, None, message) for message in odd_frame_values(values, attributes, is_complete)),
             *tracks.contradicting(labels, frame, attributes),
@@ -270,8 +244,8 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
             *tracks.odd(labels, frame),
             *_empty(labels, count_points(frame, [label.box for label in labels]) if labels else None),
         ]
-        name = recordings[frame.recording_id].name
-        warnings += [LabelWarning(kind, frame, name, uid, message) for kind, uid, message in lines]
+        place = {"frame": frame.id, "key": frame.key, "recording": recordings[frame.recording_id].name}
+        warnings += [WarningRow(kind=kind, uid=uid, message=message, **place) for kind, uid, message in lines]
     return warnings
 
 
@@ -306,15 +280,14 @@ class _Tracks:
     ) -> Iterator[Line]:
         """Yields values of tracks that differ from those in other frames."""
         names = [each.name for each in attributes if each.of is AttributeOf.TRACK]
-        for label in labels if names else ():
-            for name in names if label.track_id is not None else ():
-                values = self._values[self.key(label, frame), name]
-                value = label.attributes.get(name)
-                if value is not None and len(values) > 1 and value != values.most_common(1)[0][0]:
-                    most = values.most_common(1)[0][0]
-                    texts = value_text(most), value_text(value)
-                    message = f"{name} of track {label.track_id} is mostly {texts[0]}, but {texts[1]} here"
-                    yield Kind.ATTRIBUTE, label.uid, message
+        for label, name in product(labels, names):
+            value = label.attributes.get(name)
+            if label.track_id is None or value is None:
+                continue
+            most = self._values[self.key(label, frame), name].most_common(1)[0][0]
+            if value != most:
+                here = f"{value_text(most)}, but {value_text(value)} here"
+                yield Kind.ATTRIBUTE, label.uid, f"{name} of track {label.track_id} is mostly {here}"
 
     def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:
         """Yields labels of a frame that contradict their tracks."""
@@ -352,16 +325,6 @@ def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict
         for (recording, index), frame_id in places.items()
         if recording in sequences and (recording, index - 1) in places
     }
-
-
-def _class(labels: Sequence[Label], classes: set[str]) -> Iterator[Line]:
-    for label in labels:
-        if label.label not in classes:
-            yield (
-                Kind.CLASS,
-                label.uid,
-                f"the project has no class {label.label!r}; {alternatives(label.label, classes)}",
-            )
 
 
 def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:

@@ -19,7 +19,7 @@ from annotator.files import read_file
 from annotator.formats import sustechpoints
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
-from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
+from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault, read_json
 from annotator.formats.recognising import format_of
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
@@ -29,9 +29,9 @@ from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Frame, ReviewState, Truth
+from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
-from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, frame_names, label_files
+from annotator.workflows.checking.label_files import LabelFiles, label_files, rcv_files
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.readers import READERS
 
@@ -60,11 +60,7 @@ class OtherSoftwareDataset:
     opened_as: str | None = None
 
     def frames(self, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-        """Yields the boxes of each frame.
-
-        Args:
-            on_fault: called with each fault.
-        """
+        """Yields the boxes of each frame."""
         try:
             yield from self.read(self.path, on_fault)
         except FormatError as fault:
@@ -216,7 +212,7 @@ def _of_rcv(dataset: RcvDataset, recording: Recording) -> Source:
         dataset.path,
         "rcv",
         dataset.manifest.frames,
-        RcvLabelFiles(dataset),
+        rcv_files(dataset),
         recording.frame,
         dataset.label_path,
         dataset.place,
@@ -224,50 +220,11 @@ def _of_rcv(dataset: RcvDataset, recording: Recording) -> Source:
     )
 
 
-@dataclass(frozen=True)
-class RcvLabelFiles(LabelFiles):
-    """The label files of an `rcv` dataset."""
-
-    dataset: RcvDataset
-
-    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        path = self.dataset.label_path(index)
-        if not path.is_file():
-            return FrameLabels(missing=path)
-        try:
-            labels = self.dataset.labels(index)
-        except FormatError as error:
-            return FrameLabels(problems=(error,))
-        return FrameLabels(
-            tuple(
-                FoundLabel(
-                    Truth(each.label, each.box, each.track_id), path, rejected=each.state is ReviewState.REJECTED
-                )
-                for each in labels
-            )
-        )
-
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        frames = set(map(normal, self.dataset.manifest.frames))
-        for folder in FOLDERS:
-            for file in sorted((self.dataset.path / folder).glob("*")):
-                if normal(file.stem) not in frames:
-                    yield file, None, file.stem
-        for file in sorted((self.dataset.path / SPLITS).glob("*.txt")):
-            for line, name in frame_names(file):
-                if normal(name) not in frames:
-                    yield file, line, name
-
-
 SourceOrError = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
 
 
 def find_sources(path: Path) -> Iterator[SourceOrError]:
-    """Yields the datasets at `path`, else those below it; for one that cannot be opened, its path and the error.
-
-    Raises:
-        RecordingError: there is no dataset.
-    """
+    """Yields the datasets at `path`, else those below it; for one that cannot be opened, its path and the error."""
     is_empty = True
     for source in _below(path, MOST_LEVELS):
         is_empty = False

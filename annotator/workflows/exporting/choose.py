@@ -48,12 +48,7 @@ class Split:
 
 
 def parse_shares(text: str) -> dict[str, float]:
-    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1".
-
-    Raises:
-        ConfigError: another form, a part that occurs twice, a share that is not positive, or shares (no ratios in whole
-            numbers) whose sum is not 1.
-    """
+    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1"."""
     shares: dict[str, float] = {}
     for part in text.split(","):
         name, sign, share = (word.strip() for word in part.partition("="))
@@ -81,9 +76,6 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
 
     Args:
         places: each frame's recording and key, all different.
-
-    Raises:
-        ConfigError: there are fewer frames (or recordings) than parts.
     """
     groups: dict[tuple[str, ...], int] = defaultdict(int)
     for recording, key in places:
@@ -126,7 +118,6 @@ class ExportFilter:
     Attributes:
         states: review states; None = the format's default.
         classes: class names; None = all of the project.
-        recordings: ids; None = all.
         empty_frames: also export frames without such a label, if they are still in their recordings.
         skip_unreadable: leave out frames that cannot be read; otherwise such a frame ends the export with an error.
     """
@@ -162,10 +153,6 @@ def choose_frames(
 
     Args:
         states: the states of `choose`, or the format's default.
-        split: how they are divided into parts.
-
-    Raises:
-        ConfigError: the project has no such class, no label fits, or there are too few frames for the parts.
     """
     labels = once(project, labels_by_frame(project, choose, states))
     if not labels and not choose.empty_frames:
@@ -197,11 +184,7 @@ def waiting_note(
 def labels_by_frame(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
 ) -> dict[int, tuple[StoredLabel, ...]]:
-    """Returns the labels to export, by frame id.
-
-    Raises:
-        ConfigError: the project has no such class.
-    """
+    """Returns the labels to export, by frame id."""
     name, classes = project.config.name, project.config.classes
     if unknown := sorted(set(choose.classes or ()) - set(classes)):
         raise ConfigError(f"project {name} has no class {unknown[0]!r}; {alternatives(unknown[0], classes)}")
@@ -217,11 +200,7 @@ def divided(
     labels: Mapping[int, tuple[StoredLabel, ...]],
     split: Split | None,
 ) -> list[Chosen]:
-    """Returns the frames with their labels and parts.
-
-    Raises:
-        ConfigError: there are too few frames for the parts.
-    """
+    """Returns the frames with their labels and parts."""
     names = {recording.id: recording.name for recording in project.recordings.all()}
     places = [(names[f.recording_id], f.key) for f in frames]
     parts = [None] * len(frames) if split is None else assign(split, places)
@@ -276,25 +255,13 @@ def choose_pictures(
     without boxes is exported as background if an operator confirmed it: its drawn boxes were saved as empty, or the
     frame is finalised and has only rejected labels. An image with unreviewed proposals and without drawn boxes is not
     exported, because a detector would learn to treat these objects as background.
-
-    Args:
-        states: review states of the labels to export.
-        losses: counts the images that are not exported.
-
-    Raises:
-        ConfigError: the project has no such class, no image fits, or there are too few frames for the parts.
     """
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
     views = _views_by_frame(project, choose) if pictures != "images" else {}
-    selection = _Images(project, choose, states, labels, images) if pictures != "views" else None
-    frames: list[StoredFrame] = []
-    with_image: set[int] = set()
-    for frame in project.frames.of(choose.recordings):
-        if selection is not None and selection.is_exported(frame, losses):
-            with_image.add(frame.id)
-        if frame.id in with_image or frame.id in views:
-            frames.append(frame)
+    with_image = _exported(project, choose, states, labels, images, losses) if pictures != "views" else set()
+    shown = with_image | views.keys()
+    frames = [frame for frame in project.frames.of(choose.recordings) if frame.id in shown]
     if not frames and not loose_views(project, choose, pictures):
         raise ConfigError(
             f"project {project.config.name} has no labelled {'images or views' if pictures == 'both' else pictures} to "
@@ -339,34 +306,30 @@ def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[Vi
     return views
 
 
-class _Images:
-    """Decides which camera images are exported."""
-
-    def __init__(
-        self,
-        project: Project,
-        choose: ExportFilter,
-        states: tuple[ReviewState, ...],
-        labels: dict[int, tuple[StoredLabel, ...]],
-        images: dict[int, ImageBoxes],
-    ) -> None:
-        self._choose, self._labels, self._images = choose, labels, images
-        # all states except rejected: an object is not background, even if its state was not chosen
-        existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
-        self._with_object = {entry.frame_id for entry in existing}
-        waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]
-        self._open = set() if ReviewState.PROPOSED in states else {entry.frame_id for entry in waiting}
-
-    def is_exported(self, frame: StoredFrame, losses: Losses) -> bool:
-        """True if this frame's image is exported; counts a loss if only unreviewed proposals prevent it."""
-        drawn = self._images.get(frame.id)
+def _exported(
+    project: Project,
+    choose: ExportFilter,
+    states: tuple[ReviewState, ...],
+    labels: Mapping[int, tuple[StoredLabel, ...]],
+    images: Mapping[int, ImageBoxes],
+    losses: Losses,
+) -> set[int]:
+    """Returns the frames whose camera images are exported; counts those that only unreviewed proposals prevent."""
+    # all states except rejected: an object is not background, even if its state was not chosen
+    existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+    with_object = {entry.frame_id for entry in existing}
+    waiting = {entry.frame_id for entry in existing if entry.label.state is ReviewState.PROPOSED}
+    chosen = set()
+    for frame in project.frames.of(choose.recordings):
+        drawn = images.get(frame.id)
         if drawn is not None:
-            return _is_drawn(drawn.boxes, self._choose)
-        if frame.id in self._open:
-            losses.add(Lost.OPEN, int(frame.id in self._labels))
-            return False
-        if frame.id in self._labels:
-            return True
-        if frame.id in self._with_object:
-            return False
-        return frame.index is not None and (frame.finalised or self._choose.empty_frames)
+            is_exported = _is_drawn(drawn.boxes, choose)
+        elif frame.id in waiting and ReviewState.PROPOSED not in states:
+            losses.add(Lost.OPEN, int(frame.id in labels))
+            is_exported = False
+        elif frame.id in labels or frame.id in with_object:
+            is_exported = frame.id in labels
+        else:
+            is_exported = frame.index is not None and (frame.finalised or choose.empty_frames)
+        chosen |= {frame.id} if is_exported else set()
+    return chosen

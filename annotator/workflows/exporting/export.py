@@ -31,7 +31,7 @@ UNREGISTERED = "unregistered"
 
 
 def write_boxes(job: ExportJob) -> ExportReport:
-    """Writes a dataset of 3D boxes. Raises as `write_dataset` and `ExportJob.items`."""
+    """Writes a dataset of 3D boxes."""
     project, options = job.project, job.options
     recordings = {chosen.recording: chosen.stored.recording_id for chosen in job.chosen}
     is_tracking = job.format is ExportFormat.KITTI_TRACKING
@@ -108,11 +108,6 @@ def export_project(
     Args:
         split: how the dataset is divided into parts; None = one part.
         progress: called with (frames written, frames to write); if unreadable frames are skipped, frames count twice.
-
-    Raises:
-        ConfigError: no label (or image) fits the filter, or the frames cannot be divided as requested.
-        FormatError: `out` exists or cannot be written.
-        RecordingError: a frame cannot be read and such frames are not skipped, or no frame can be read.
     """
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), FORMATS[format], Losses()
     states = choose.states or writer.states
@@ -122,23 +117,18 @@ def export_project(
         chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
     else:
         chosen = choose_frames(project, choose, states, split)
+    told = progress
     if choose.skip_unreadable:
         # all frames are read twice: the progress covers both passes, and either can be cancelled
-        first, progress = _halves(progress)
+        first = None if progress is None else lambda done, total: progress(done, 2 * total)
+        told = None if progress is None else lambda done, total: progress(total + done, 2 * total)
         chosen, unreadable = readable_frames(project, chosen, losses, first)
     if not writer.flat:
         note = waiting_note(project, choose, states, chosen)
-    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, progress, losses, choose)
+    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, told, losses, choose)
     report = write_pictures(job) if writer.flat else write_boxes(job)
     notes = report.notes if note is None else (*report.notes, note)
     return report.model_copy(update={"notes": notes, "unreadable": unreadable})
-
-
-def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
-    """Returns the progress functions of the first pass (reading) and the second pass (writing)."""
-    if progress is None:
-        return None, None
-    return lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total)
 
 
 def readable_frames(
@@ -150,12 +140,7 @@ def readable_frames(
     an unreadable frame are still exported, because the project stores them.
 
     Args:
-        losses: counts the frames that are left out.
         progress: called with (frames read, frames to read).
-
-    Raises:
-        FrameError: no frame can be read; the error of the first one.
-        RecordingError: a recording has been moved.
     """
     source, left_out = FrameSource(project), []
     readable: list[Chosen] = []

@@ -99,11 +99,7 @@ class ExportJob:
         return self.project.config.classes
 
     def items(self) -> Iterator[DatasetItem]:
-        """Reads the frames one by one.
-
-        Raises:
-            RecordingError, FrameError: a frame cannot be read.
-        """
+        """Reads the frames one by one."""
         source, has_areas = FrameSource(self.project), FORMATS[self.format].areas
         for number, chosen in enumerate(self.chosen, 1):
             recording = source.recording(chosen.stored.recording_id)

@@ -46,14 +46,7 @@ UNDIVIDED = (
 
 
 def write_pictures(job: ExportJob) -> ExportReport:
-    """Writes the dataset atomically.
-
-    Raises:
-        FormatError: `job.out` exists, or writing fails.
-        ConfigError: the format does not have these parts.
-        RecordingError: a frame cannot be read.
-        ProjectError: the image of a pseudo-view is damaged.
-    """
+    """Writes the dataset atomically."""
     format = FORMATS[job.format]
     assert format.pictures is not None
     parts = tuple(dict.fromkeys(c.split for c in job.chosen if c.split is not None))

@@ -12,7 +12,7 @@ from annotator.formats.table import BoxFormat, FlatFormat
 from annotator.workflows.importing.boxes_2d import import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import import_labels, import_proposals
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.placing import Importer, Renamed, without_effect
+from annotator.workflows.importing.placing import Importer, without_effect
 from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview_boxes
 
@@ -25,7 +25,6 @@ __all__ = [
     "LabelSet",
     "Note",
     "Preview",
-    "Renamed",
     "format_of",
     "import_image_boxes",
     "import_labels",

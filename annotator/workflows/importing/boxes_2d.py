@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +37,6 @@ from annotator.workflows.importing.placing import (
     PROGRAM,
     Importer,
     how_to_map,
-    renamed_class,
 )
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.values import ImageValues
@@ -64,16 +62,10 @@ def import_image_boxes(
     pseudo-views, imported as in `import_view_boxes`.
 
     Args:
-        path: a file, or the folder of a dataset.
         kind: what the boxes measure; None = as the dataset says, else silhouettes.
         recording: name of the recording of the file names, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
         progress: called with (images stored, images).
-
-    Raises:
-        FormatError: not in this format; an image that fits two recordings, occurs twice, or has another size than the
-            frame; no image of the project; only boxes of other classes; or as `import_view_boxes`.
-        ProjectError: no such recording, or a view of a frame that the project does not have.
     """
     dataset = read_pictures(format, path)
     places = {folder: read_places(folder) for folder in {picture.folder for picture in dataset.pictures}}
@@ -97,11 +89,6 @@ def import_view_boxes(
 
     Images written by `annotator views` keep their frame and geometry; those without boxes are skipped, since not every
     view needs to be labelled. Other images are used for training only.
-
-    Raises:
-        FormatError: not in this format; an image is missing, not PNG, occurs twice, or has another size; or there are
-            only boxes of other classes.
-        ProjectError: a frame that the project does not have.
     """
     dataset, places = read_pictures(format, path, pictures), read_places(pictures)
     pairs = [(picture, places.get(picture.file_name)) for picture in dataset.pictures]
@@ -120,16 +107,12 @@ class _Import:
         names: Mapping[str, str],
         importer: Importer,
     ) -> None:
-        """
-        Raises:
-            FormatError: no box has a class of the project, so every image would be stored as empty.
-        """
         self._project, self._dataset, self._kind = project, dataset, kind
         self._names, self._importer = names, importer
         self._classes = project.config.classes
         self._report = ImportReport(Become.FLAT, self._classes)
         theirs = {label for picture in dataset.pictures for label in picture.labels}
-        if theirs and not {renamed_class(label, names) for label in theirs} & set(self._classes):
+        if theirs and not {names.get(label, label) for label in theirs} & set(self._classes):
             raise FormatError(
                 dataset.path,
                 f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(theirs))}, the "
@@ -145,14 +128,20 @@ class _Import:
     ) -> ImportReport:
         """Checks all images, then stores their boxes."""
         project, dataset, report = self._project, self._dataset, self._report
-        images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
+        images: Sequence[OnImage] = ()
+        if on_images or not on_views:
+            images, placed, unreadable = checked_images(project, dataset, on_images, recording)
+            report.add_all(Note.UNMATCHED_IMAGE, placed.unmatched)
+            report.add_all(Note.UNREADABLE, unreadable)
+            if placed.renamed is not None:
+                report.add(Note.RENAMED, of=str(placed.renamed))
         views = checked_views(project, dataset.path, on_views)
         # an imported view was rendered from a box on its image; the file may have rounded that box
         drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
         for view in views:
             drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
         values = ImageValues(project, report)
-        for done, image in enumerate(images.matched if images is not None else (), start=1):
+        for done, image in enumerate(images, start=1):
             known, measured = self._known(image.boxes), self._kind or image.labels.box_kind or BoxKind.SILHOUETTE
             base = drawn_from[image.frame_id]
             stored = store_on_image(project, dataset.path, image, known, measured, base, self._importer)
@@ -160,8 +149,8 @@ class _Import:
                 report.frames += 1
                 values.take(image, self._names, self._importer)
                 report.add(Note.AROUND, image.labels.around)
-            if progress is not None and images is not None:
-                progress(done, len(images.matched))
+            if progress is not None:
+                progress(done, len(images))
         revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
         for picture, _ in on_views:
             values.leave_out(picture)
@@ -170,16 +159,11 @@ class _Import:
             known, measured = self._known(view.boxes), self._kind or view.box_kind or BoxKind.SILHOUETTE
             report.views += self._count(view.boxes, known, store_on_view(project, view, known, measured, revisions))
         values.report_left_out()
-        if images is not None:
-            report.add_all(Note.UNMATCHED_IMAGE, images.unmatched)
-            report.add_all(Note.UNREADABLE, images.unreadable)
-            if images.renamed is not None:
-                report.add(Note.RENAMED, of=str(images.renamed))
         return report
 
     def _known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Returns the boxes of the project's classes."""
-        renamed = [replace(box, label=renamed_class(box.label, self._names)) for box in boxes]
+        renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
         return [box for box in renamed if box.label in self._classes]
 
     def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], stored: Stored) -> bool:
@@ -189,7 +173,7 @@ class _Import:
             return False
         self._report.add(Note.REPLACED, stored is Stored.REPLACED)
         self._report.boxes.update(box.label for box in known)
-        others = (box.label for box in boxes if renamed_class(box.label, self._names) not in self._classes)
+        others = (box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)
         self._report.add_all(Note.OTHER_CLASS, others)
         return True
 
@@ -221,7 +205,6 @@ def store_on_image(
     """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
 
     Args:
-        path: the dataset, for messages.
         drawn_from: boxes on this image that imported views were rendered from.
     """
     while True:
@@ -230,7 +213,9 @@ def store_on_image(
             return Stored.LEFT_ALONE
         before = () if page.image_boxes is None else page.image_boxes.boxes
         with storable(f"{path}: {image.labels.file_name}"):
-            on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
+            on_image = ImageBoxesSet(
+                boxes=tuple(_as_known([*drawn_from, *before], box) for box in boxes), box_kind=kind
+            )
         context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
         part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
         # retried if the frame was changed since it was read
@@ -240,13 +225,10 @@ def store_on_image(
             return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
 
 
-def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
-    """Returns the known box for each box that a file has only rounded, so that views rendered from it stay valid."""
-    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
-
-
-def _is_rounded(box: Box2D, known: Box2D) -> bool:
-    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
+def _as_known(known: Sequence[Box2D], box: Box2D) -> Box2D:
+    """Returns the known box for one that a file has only rounded, so that views rendered from it stay valid."""
+    same = (other for other in known if other.label == box.label)
+    return next((other for other in same if np.allclose(box.xyxy, other.xyxy, rtol=0, atol=ROUNDED_PX)), box)
 
 
 def store_on_view(
@@ -257,19 +239,17 @@ def store_on_view(
     Args:
         revisions: revisions of the project's views without a frame, by id.
     """
-    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
-        return Stored.LEFT_ALONE
-    view_id = project.views.store(read_file(view.file))
-    set_boxes = partial(
-        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
-    )
-    if view.frame_id is None:
-        set_boxes(context=WriteContext(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
-        return Stored.KEPT
-    while not (frame := project.frames.get(view.frame_id)).finalised:
-        context = WriteContext(frame.revision, AUTHOR, Source.IMPORTED)
+    content = read_file(view.file)
+    while True:
+        frame = None if view.frame_id is None else project.frames.get(view.frame_id)
+        if frame is not None and frame.finalised:
+            return Stored.LEFT_ALONE
+        view_id = project.views.store(content)
+        revision = revisions.get(view_id, 0) if frame is None else frame.revision
+        context = WriteContext(revision, AUTHOR, Source.IMPORTED)
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            set_boxes(context=context)
+            project.boxes.set_on_view(
+                view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+            )
             return Stored.KEPT
-    return Stored.LEFT_ALONE

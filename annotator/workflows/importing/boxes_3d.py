@@ -15,7 +15,7 @@ from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.label_set import LabelSet, near, truths_of
-from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, renamed_class
+from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer
 from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
 from annotator.workflows.importing.values import give_values, of_covered
 
@@ -46,13 +46,8 @@ def import_labels(
         names: the project's class of each class of the dataset; classes that are not listed keep their names.
         fill: give labels that frames have already, and these frames, the values of attributes that they lack. Finalised
             frames stay as they are.
-
-    Raises:
-        FormatError: none of the labelled frames is in the project, or a name fits several.
-        NotFoundError: no such recording.
-        RecordingError: a recording has been moved.
     """
-    reader = _Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
+    reader = Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
     labels = _Labels(reader, importer, fill, choose)
     reader.read_all(labels.add, progress)
     return reader.report
@@ -74,11 +69,6 @@ def import_proposals(
     Args:
         source: name under which the boxes are known, such as that of a detector; None = that of the file or folder.
         min_score: lowest score, as in the file, of the boxes to import; boxes without a score are imported.
-        importer: who imports; None = the source itself.
-
-    Raises:
-        FormatError, NotFoundError, RecordingError: as `import_labels`.
-        ConfigError: the source's name is empty, longer than `MOST_NAME`, or means annotator itself.
     """
     source = (dataset.path.resolve().stem if source is None else source).strip()
     if not 0 < len(source) <= MOST_NAME or source == OWN:
@@ -87,7 +77,7 @@ def import_proposals(
             "this project's own proposals"
         )
     report = ImportReport(Become.PROPOSALS, project.config.classes, source)
-    reader = _Reader(project, dataset, recording, names, report)
+    reader = Reader(project, dataset, recording, names, report)
     proposals = _Proposals(reader, source, min_score, importer or Importer(source))
     reader.read_all(proposals.add, progress)
     proposals.store()
@@ -96,7 +86,7 @@ def import_proposals(
     return report
 
 
-class _Reader:
+class Reader:
     """Reads a dataset frame by frame, its boxes as labels of the project's classes."""
 
     def __init__(
@@ -139,13 +129,17 @@ class _Reader:
         Args:
             label: makes a label of an object, whose class is the project's; None: with all that the object has.
         """
-        named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
-        return [(label or self._label)(each) for each in named if each.label in self._classes]
+        return list(map(label or self._label, self.known(truths)))
+
+    def known(self, truths: Sequence[Truth]) -> list[Truth]:
+        """Returns the objects of the project's classes, with its names of these."""
+        named = [replace(each, label=self._names.get(each.label, each.label)) for each in truths]
+        return [each for each in named if each.label in self._classes]
 
     def count(self, truths: Sequence[Truth]) -> None:
         """Counts the sizes of boxes, and those of other classes."""
         for each in truths:
-            label = renamed_class(each.label, self._names)
+            label = self._names.get(each.label, each.label)
             self._sizes.add(label, each.box.size_m)
             if label not in self._classes:
                 self.report.add(Note.OTHER_CLASS, of=each.label)
@@ -163,14 +157,14 @@ class _Reader:
 
     def _known(self, said: Sequence[Said]) -> tuple[Said, ...]:
         """Returns what sources said, in the project's classes; nothing of other classes."""
-        named = (replace(each, label=renamed_class(each.label, self._names)) for each in said)
+        named = (replace(each, label=self._names.get(each.label, each.label)) for each in said)
         return tuple(each for each in named if each.label in self._classes)
 
 
 class _Labels:
     """Stores boxes as labels."""
 
-    def __init__(self, reader: _Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
+    def __init__(self, reader: Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
         self._reader, self._importer, self._fill, self._choose = reader, importer, fill, choose
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._attributes = {each.name for each in reader.project.config.attributes}
@@ -256,7 +250,7 @@ def create_if_unlabelled(
 class _Proposals:
     """Stores boxes as proposals of a source."""
 
-    def __init__(self, reader: _Reader, source: str, min_score: float | None, importer: Importer) -> None:
+    def __init__(self, reader: Reader, source: str, min_score: float | None, importer: Importer) -> None:
         self._reader, self._source, self._min_score, self._importer = reader, source, min_score, importer
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._scores = self._dataset.scores

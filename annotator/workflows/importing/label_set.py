@@ -136,12 +136,12 @@ class LabelSet(ABC):
         return self
 
     def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
-        """Returns the labelled frames as frames of a project; some may be of several. Raises as `match_frames`."""
+        """Returns the labelled frames as frames of a project; some may be of several."""
         return match_frames(project, self.path, self.frames, recording)
 
 
 def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
-    """Returns the accepted objects of a frame, in the camera frame. Raises as `near`."""
+    """Returns the accepted objects of a frame, in the camera frame."""
     return near(dataset, name, lambda: dataset.truths(name, frame))
 
 
@@ -259,7 +259,6 @@ def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Fram
 
     Args:
         T_world_there: where the dataset says that its camera (or other frame of reference) is; None if it does not.
-        read: reads the project's frame.
 
     Returns:
         None if the dataset or the project does not know the place: then both are taken as one.

@@ -29,7 +29,7 @@ from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind, Camera, Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.placing import Matched, Place, Renamed, match
+from annotator.workflows.importing.placing import Matched, Place, match
 from annotator.workflows.views import ViewPlace
 
 
@@ -65,14 +65,7 @@ class PictureLabels:
         return normal(stem_of(self.file_name))
 
     def file(self, path: Path) -> Path | None:
-        """Returns the image file; None if it does not exist, such as one that was on another computer.
-
-        Args:
-            path: the dataset, for the message.
-
-        Raises:
-            FormatError: the name is invalid or leads out of its folder.
-        """
+        """Returns the image file; None if it does not exist, such as one that was on another computer."""
         try:
             file = inside(self.folder, self.file_name)
         except OutsideError as error:
@@ -104,11 +97,7 @@ def read_pictures(
     """Reads the labelled images at `path`.
 
     Args:
-        path: an annotation file, or the folder of a dataset.
         folder: the image folder; None = the dataset's own.
-
-    Raises:
-        FormatError: the dataset does not follow the format.
     """
     if format is FlatFormat.COCO:
         root = dataset_folder(path)
@@ -168,35 +157,13 @@ class OnImage:
     camera: Camera | None
 
 
-@dataclass(frozen=True)
-class CheckedImages:
-    """Images matched with frames, and the others.
-
-    Attributes:
-        unmatched: file names of images without a frame.
-        unreadable: frames that cannot be read, as `key: reason`.
-        renamed: the dataset's only recording, if it was matched with one of another name.
-    """
-
-    matched: tuple[OnImage, ...]
-    unmatched: tuple[str, ...]
-    unreadable: tuple[str, ...]
-    renamed: Renamed | None
-
-
 def checked_images(
     project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
-) -> CheckedImages:
+) -> tuple[list[OnImage], Matched[PictureLabels], list[str]]:
     """Finds each image's frame, and its boxes in the frame's pixels.
 
-    Args:
-        pictures: the camera images of `dataset`.
-        recording: name of the only recording to search.
-
-    Raises:
-        FormatError: an image fits several recordings, occurs twice, has another size than the frame, or has an EXIF
-            orientation that its boxes may take into account or not; or no image has a frame in the project.
-        NotFoundError: no such recording.
+    Returns:
+        The images, all matches, and the frames that cannot be read, as `key: reason`.
     """
     placed = placed_pictures(project, dataset, pictures, recording).require_clear(dataset.path)
     source = FrameSource(project)
@@ -212,13 +179,13 @@ def checked_images(
                 unreadable.append(f"{stored.key}: {error}")
             continue
         ready.append(OnImage(stored.id, picture, _boxes_on(dataset.path, picture, frame), frame.camera))
-    return CheckedImages(tuple(ready), placed.unmatched, tuple(unreadable), placed.renamed)
+    return ready, placed, unreadable
 
 
 def placed_pictures(
     project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> Matched[PictureLabels]:
-    """Finds the frames of images; some may fit several recordings. Arguments and errors as `checked_images`."""
+    """Finds the frames of images; some may fit several recordings. Arguments as `checked_images`."""
     places = []
     for picture in pictures:
         origin = dataset.origins.get(picture.stem)
@@ -233,12 +200,7 @@ def placed_pictures(
 
 
 def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
-    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only.
-
-    Raises:
-        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
-            whether the boxes are for the image as stored or as shown (`annotator.image_bytes`).
-    """
+    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only."""
     size_px = (frame.camera.width_px, frame.camera.height_px)
     file = picture.file(path)
     said, orientation, is_as_stored = picture.size_px, frame.exif_orientation, True
@@ -312,16 +274,7 @@ class OnView:
 def checked_views(
     project: Project, path: Path, pictures: Sequence[tuple[PictureLabels, ViewPlace | None]]
 ) -> tuple[OnView, ...]:
-    """Checks the views of a dataset and finds their frames.
-
-    Args:
-        path: the dataset, for messages.
-        pictures: the images, with their places if known.
-
-    Raises:
-        FormatError: an image is missing, not PNG, occurs twice, or has another size.
-        NotFoundError: a frame that the project does not have.
-    """
+    """Checks the views of a dataset and finds their frames."""
     views: list[OnView] = []
     # repeated images are refused: their boxes would replace those of the first
     names: dict[tuple[str, int | None], str] = {}

@@ -20,17 +20,8 @@ T_co = TypeVar("T_co", covariant=True)
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
-def renamed_class(label: str, names: Mapping[str, str]) -> str:
-    """Returns the project's class of a dataset's class; classes that are not listed keep their names."""
-    return names.get(label, label)
-
-
 def class_names(text: str, project: Project) -> dict[str, str]:
-    """Parses `Car=car,Pedestrian=person`: classes of a file, and the project's classes that they become.
-
-    Raises:
-        ConfigError: another form, a class that is there twice, or one that the project does not have.
-    """
+    """Parses `Car=car,Pedestrian=person`: classes of a file, and the project's classes that they become."""
     names: dict[str, str] = {}
     for part in text.split(","):
         theirs, equals, ours = (word.strip() for word in part.rpartition("="))
@@ -58,15 +49,7 @@ def how_to_map(theirs: Collection[str], project: Project) -> str:
 
 
 def without_effect(names: Mapping[str, str], present: Collection[str]) -> list[str]:
-    """Returns a line for each class in `names` that a dataset does not have.
-
-    Args:
-        names: as `class_names` returns them.
-        present: classes of the dataset's boxes.
-
-    Raises:
-        ConfigError: the dataset has such a class in another spelling only, which `names` does not have.
-    """
+    """Returns a line for each class in `names` that a dataset does not have."""
     lines = []
     others = set(present) - names.keys()
     for theirs, ours in names.items():
@@ -161,15 +144,6 @@ def match(
     Keys such as 000012 occur in many recordings, so frames of another recording do not match. Exception: if the
     dataset has a single recording and the project has none of this name, it is matched with the project's recordings
     by key alone, and `renamed` reports it.
-
-    Args:
-        path: the dataset, for messages.
-        recording: name of the only recording to look in.
-        nothing: the error if the project has no frame of the dataset.
-
-    Raises:
-        FormatError: two fit one frame, or none fits any.
-        NotFoundError: no such recording.
     """
     chosen = None if recording is None else [project.recordings.find(recording).id]
     names = {each.id: each.name for each in project.recordings.all()}
@@ -213,9 +187,6 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
 
     Args:
         names: "RECORDING/KEY", or "KEY" alone; all different.
-
-    Raises:
-        FormatError, NotFoundError: as `match`.
     """
     keys = {normal(frame.key) for frame in project.frames.of()}
     # a recording's name cannot contain "/", a key can

@@ -45,19 +45,19 @@ SAME_CAMERA = 0.01
 
 
 def boxes_labels(path: Path) -> PlacedBoxes:
-    """Reads a `boxes.json` file, or that of a folder. Raises FormatError: missing, or not valid."""
+    """Reads a `boxes.json` file, or that of a folder."""
     return PlacedBoxes(path, PackedTruths(each_frame(boxes_file(path))))
 
 
 def kitti_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a folder of KITTI object labels. Raises FormatError as `each_kitti_frame` and `read_kitti_shifts`."""
+    """Reads a folder of KITTI object labels."""
     found = KittiRows(Angles(angles))
     objects = PackedTruths(each_kitti_frame(path, found))
     return PlacedBoxes(path, objects, _from_rectified(read_kitti_shifts(path)), found.flat)
 
 
 def kitti_tracking_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads KITTI tracking labels of whole sequences. Raises FormatError as `read_kitti_tracks`."""
+    """Reads KITTI tracking labels of whole sequences."""
     found = KittiRows(Angles(angles))
     objects, shifts = read_kitti_tracks(path, found)
     return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts), found.flat)
@@ -79,10 +79,7 @@ def _from_rectified(shifts: Mapping[str, np.ndarray]) -> Pose:
 
 
 def sunrgbd_labels(path: Path) -> PlacedBoxes:
-    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes).
-
-    Raises FormatError for invalid labels, FrameError for invalid calibrations.
-    """
+    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes)."""
     if path.suffix == ".mat":
         frames = read_meta(path)
         poses = {each.name: each.T_camera_upright for each in frames}
@@ -98,7 +95,7 @@ def sunrgbd_labels(path: Path) -> PlacedBoxes:
 
 
 def box_csv_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a CSV file of boxes in upright depth. Raises FormatError as `read_upright_boxes`."""
+    """Reads a CSV file of boxes in upright depth."""
     return PlacedBoxes(path, PackedTruths(read_upright_boxes(path, angles).items()), _from_upright({}))
 
 
@@ -116,10 +113,7 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
 
 
 def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a labelCloud project.
-
-    Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
-    """
+    """Reads a labelCloud project."""
     return of_labelcloud(path, read_labelcloud(path, on_fault, angles))
 
 
@@ -134,10 +128,7 @@ def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBo
 
 
 def nuscenes_tables(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads the annotations of every camera's images in a folder of nuScenes tables.
-
-    Raises FormatError: no such folder, or rows that do not follow the schema.
-    """
+    """Reads the annotations of every camera's images in a folder of nuScenes tables."""
     objects = PackedTruths(read_nuscenes(path, on_fault).items())
     poses = read_world_poses(path)
     return PlacedBoxes(path, objects, lambda name, read: moved_in_world(poses.get(name), read))
@@ -148,8 +139,6 @@ def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedB
 
     They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
     are in the frame of the recording's own labels: for a folder of clouds, that of the clouds.
-
-    Raises FormatError: as `read_sustechpoints`.
     """
     frames = read_sustechpoints(path, angles)
     cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
@@ -189,6 +178,14 @@ class _SampleBoxes(PlacedBoxes):
         found = set(self.places.values())
         return (*self.places, *(sample for sample in self.objects if sample not in found))
 
+    def _placed(self, places: Mapping[str, str | None], what: str, of: str) -> LabelSet:
+        """Returns the boxes by the project's frames, by "RECORDING/KEY" with their sample."""
+        found = {name: sample for name, sample in places.items() if sample is not None and sample in self.objects}
+        if not found:
+            problem = f"the project has none of its {what} ({len(self.objects)}); add {of} to the project first"
+            raise FormatError(self.path, problem)
+        return replace(self, places=found)
+
     def unseen(self) -> int:
         return sum(len(self.objects[sample]) - len(seen) for sample, seen in self._seen.items())
 
@@ -209,26 +206,18 @@ class NuScenesResults(_SampleBoxes):
 
     def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
-        source, places = FrameSource(project), dict[str, str]()
+        source, places = FrameSource(project), dict[str, str | None]()
         for stored in project.recordings.all():
-            if stored.format not in (NuScenes.format, LookAround.format):
-                continue
-            recording = source.recording(stored.id)
-            base = recording.base if isinstance(recording, LookAround) else recording
-            if isinstance(base, NuScenes):
-                samples = {key: base.sample(key) for key in base.keys}
-                found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
-                places |= {name: each for name, each in found.items() if each in self.objects}
-        if not places:
-            problem = (
-                f"the project has none of its samples ({len(self.objects)}); add their scenes to the project first"
-            )
-            raise FormatError(self.path, problem)
-        return replace(self, places=places)
+            if stored.format in (NuScenes.format, LookAround.format):
+                recording = source.recording(stored.id)
+                base = recording.base if isinstance(recording, LookAround) else recording
+                if isinstance(base, NuScenes):
+                    places |= {f"{stored.name}/{key}": base.sample(key) for key in base.keys}
+        return self._placed(places, "samples", "their scenes")
 
 
 def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
+    """Reads a file of results, or a folder of tables."""
     return (
         NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
     )
@@ -239,30 +228,22 @@ class ArgoverseLabels(_SampleBoxes):
 
     def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the log."""
-        names = {
-            stored.id: stored.name
-            for stored in project.recordings.all()
-            if stored.format in (ArgoverseLog.format, LookAround.format)
-        }
+        formats = (ArgoverseLog.format, LookAround.format)
+        names = {stored.id: stored.name for stored in project.recordings.all() if stored.format in formats}
         frames = project.frames.of(tuple(names))
-        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.objects}
-        if not places:
-            problem = f"the project has none of its sweeps ({len(self.objects)}); add their log to the project first"
-            raise FormatError(self.path, problem)
-        return replace(self, places=places)
+        return self._placed(
+            {f"{names[each.recording_id]}/{each.key}": each.key for each in frames}, "sweeps", "their log"
+        )
 
 
 def argoverse_labels(path: Path) -> ArgoverseLabels:
-    """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
+    """Reads `annotations.feather`, or that of a log."""
     file = path / ANNOTATIONS if path.is_dir() else path
     return ArgoverseLabels(path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items()))
 
 
 def rcv_labels(path: Path) -> PlacedBoxes:
-    """Reads an `rcv` dataset.
-
-    Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format.
-    """
+    """Reads an `rcv` dataset."""
     dataset = read_rcv(path)
     frames = [dataset.named_labels(i) for i in range(len(dataset))]
     values = {name: values for name, _, values, _ in frames}
@@ -301,10 +282,7 @@ def _truth(label: Label) -> Truth:
 
 
 def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads OpenLABEL documents.
-
-    Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
-    """
+    """Reads OpenLABEL documents."""
     frames = read_openlabel(path, angles)
 
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
@@ -344,11 +322,6 @@ def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) 
 
     Args:
         angles: unit of the angles, if it is not what the format says, or if the labels do not show it.
-
-    Raises:
-        FormatError: they do not follow the format.
-        UnitError: they cannot be in the units that the format has.
-        ConfigError: `angles` for a format without angles.
     """
     if angles is not None and not FORMATS[format].angles:
         with_angles = ", ".join(name for name, each in FORMATS.items() if each.angles)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum
 from itertools import islice, permutations
 from pathlib import Path
 
@@ -32,88 +32,53 @@ class Become(StrEnum):
     FLAT = "2d"
 
 
-class Note(StrEnum):
-    """What an import tells beside the boxes that it stored; `_WORDS` says what is counted.
+class Note(Enum):
+    """What an import tells beside the boxes that it stored: the noun of what is counted, and the sentence.
 
-    Some have a detail: DOUBT, UNREADABLE (`key: reason`), RENAMED and SCALED a text; OTHER_CLASS, WITHOUT_VIEWS,
-    OUTSIDE and HIDDEN the class; VALUE the attribute, with the reason; the unmatched ones the name.
+    In a sentence, {n} is the number with the noun, {by} the number of each detail, {names} the first details. One with
+    {of} is one for each detail. Details are texts for DOUBT, UNREADABLE (`key: reason`), RENAMED and SCALED; the class
+    for OTHER_CLASS, WITHOUT_VIEWS, OUTSIDE and HIDDEN; the attribute, with the reason, for VALUE; the name for the
+    unmatched ones.
     """
 
-    MERGED = "merged"
-    AROUND = "around"
-    REPLACED = "replaced"
-    WITHOUT_VIEWS = "without_views"
-    OUTSIDE = "outside"
-    HIDDEN = "hidden"
-    ALREADY = "already"
-    FINALISED = "finalised"
-    DRAWN = "drawn"
-    OTHERS_VIEWS = "others_views"
-    FILLED = "filled"
-    SHOWN = "shown"
-    CONTRADICTED = "contradicted"
-    COVERED = "covered"
-    UNSURE = "unsure"
-    REJECTED = "rejected"
-    NOT_REVIEWED = "not_reviewed"
-    UNSEEN = "unseen"
-    OTHER_CAMERA = "other_camera"
-    PARTIAL = "partial"
-    FLAT = "flat"
-    DOUBT = "doubt"
-    CONFLICT = "conflict"
-    UNSCORED = "unscored"
-    SCALED = "scaled"
-    SCORE = "score"
-    TRACK = "track"
-    UNREADABLE = "unreadable"
-    RENAMED = "renamed"
-    VALUE = "value"
-    OTHER_CLASS = "other_class"
-    UNMATCHED = "unmatched"
-    UNMATCHED_IMAGE = "unmatched_image"
-
-
-# The noun of what is counted, and the sentence: {n} is the number with the noun, {by} the number of each detail,
-# {names} the first details. A sentence with {of} is one for each detail.
-_WORDS = {
-    Note.MERGED: ("box", "merged: {n} with proposals of other sources"),
-    Note.AROUND: ("box", "turned or polygons: {n}; the rectangles around them were imported"),
-    Note.REPLACED: ("camera image", "replaced: the boxes on {n}"),
-    Note.WITHOUT_VIEWS: ("box", "on the image only, too few points for pseudo-views: {by}"),
-    Note.OUTSIDE: ("box", "outside the image: {by}"),
-    Note.HIDDEN: ("box", "hidden, without points of their own: {by}"),
-    Note.ALREADY: (
+    MERGED = ("box", "merged: {n} with proposals of other sources")
+    AROUND = ("box", "turned or polygons: {n}; the rectangles around them were imported")
+    REPLACED = ("camera image", "replaced: the boxes on {n}")
+    WITHOUT_VIEWS = ("box", "on the image only, too few points for pseudo-views: {by}")
+    OUTSIDE = ("box", "outside the image: {by}")
+    HIDDEN = ("box", "hidden, without points of their own: {by}")
+    ALREADY = (
         "frame",
         "unchanged: {n} with labels or proposals already, or finalised; boxes imported as proposals come beside labels",
-    ),
-    Note.FINALISED: ("finalised frame", "unchanged: {n}"),
-    Note.DRAWN: ("frame", "unchanged: {n} with drawn boxes, or finalised"),
-    Note.OTHERS_VIEWS: ("pseudo-view", "unchanged: {n} with boxes from elsewhere"),
-    Note.FILLED: ("value", "attributes: {n} for labels and frames that had none"),
-    Note.SHOWN: ("value", "attributes: {n} for the 3D labels and frames that these images show"),
-    Note.CONTRADICTED: ("value", "unchanged: {n} of labels and frames in conflict with the file"),
-    Note.COVERED: ("box", "skipped: {n} of reviewed objects"),
-    Note.UNSURE: ("box", "skipped: {n} with a lower score"),
-    Note.REJECTED: ("box", "skipped: {n} rejected before"),
-    Note.NOT_REVIEWED: ("box", "skipped: {n} not accepted"),
-    Note.UNSEEN: ("box", "skipped: {n} outside the images of these frames"),
-    Note.OTHER_CAMERA: ("box", "skipped: {n} left to other cameras of the rig"),
-    Note.PARTIAL: ("box", "no labels imported: those of the recording are only of what its own camera sees"),
-    Note.FLAT: ("row", "skipped: {n} with a 2D box and no 3D box (its height, width and length are -1)"),
-    Note.DOUBT: ("box", "doubtful: {of}"),
-    Note.CONFLICT: ("value", "in conflict with other sources: {n}; those of the surer boxes are shown"),
-    Note.UNSCORED: ("box", "the boxes have no scores, so --min-score has no effect"),
-    Note.SCALED: ("score", "scaled: scores from {of} are now 0 to 1"),
-    Note.SCORE: ("score", "dropped: {n} outside 0..1"),
-    Note.TRACK: ("track id", "dropped: {n} that an earlier box of the same frame has"),
-    Note.UNREADABLE: ("frame", "unreadable: {of}"),
-    Note.RENAMED: ("recording", "recording {of}"),
-    Note.VALUE: ("value", "skipped: {n} of attribute {of}"),
-    Note.OTHER_CLASS: ("box", "skipped: {n} of class {of}, which is not in the project"),
-    Note.UNMATCHED: ("frame", "skipped: {n} without a match in the project: {names}"),
-    Note.UNMATCHED_IMAGE: ("image", "skipped: {n} without a match in the project: {names}"),
-}
+    )
+    FINALISED = ("finalised frame", "unchanged: {n}")
+    DRAWN = ("frame", "unchanged: {n} with drawn boxes, or finalised")
+    OTHERS_VIEWS = ("pseudo-view", "unchanged: {n} with boxes from elsewhere")
+    FILLED = ("value", "attributes: {n} for labels and frames that had none")
+    SHOWN = ("value", "attributes: {n} for the 3D labels and frames that these images show")
+    CONTRADICTED = ("value", "unchanged: {n} of labels and frames in conflict with the file")
+    COVERED = ("box", "skipped: {n} of reviewed objects")
+    UNSURE = ("box", "skipped: {n} with a lower score")
+    REJECTED = ("box", "skipped: {n} rejected before")
+    NOT_REVIEWED = ("box", "skipped: {n} not accepted")
+    UNSEEN = ("box", "skipped: {n} outside the images of these frames")
+    OTHER_CAMERA = ("box", "skipped: {n} left to other cameras of the rig")
+    PARTIAL = ("box", "no labels imported: those of the recording are only of what its own camera sees")
+    FLAT = ("row", "skipped: {n} with a 2D box and no 3D box (its height, width and length are -1)")
+    DOUBT = ("box", "doubtful: {of}")
+    CONFLICT = ("value", "in conflict with other sources: {n}; those of the surer boxes are shown")
+    UNSCORED = ("box", "the boxes have no scores, so --min-score has no effect")
+    SCALED = ("score", "scaled: scores from {of} are now 0 to 1")
+    SCORE = ("score", "dropped: {n} outside 0..1")
+    TRACK = ("track id", "dropped: {n} that an earlier box of the same frame has")
+    UNREADABLE = ("frame", "unreadable: {of}")
+    RENAMED = ("recording", "recording {of}")
+    VALUE = ("value", "skipped: {n} of attribute {of}")
+    OTHER_CLASS = ("box", "skipped: {n} of class {of}, which is not in the project")
+    UNMATCHED = ("frame", "skipped: {n} without a match in the project: {names}")
+    UNMATCHED_IMAGE = ("image", "skipped: {n} without a match in the project: {names}")
+
+
 # Names that a sentence shows.
 MOST_NAMES = 5
 
@@ -187,7 +152,7 @@ class ImportReport:
         return "; ".join([self.headline(), *self.sentences(most)])
 
     def _lines(self, note: Note, most: int | None) -> Iterable[str]:
-        noun, words = _WORDS[note]
+        noun, words = note.value
         numbers = self.of(note)
         if "{of}" not in words:
             more = " ..." if len(numbers) > MOST_NAMES else ""
@@ -322,16 +287,7 @@ class Preview:
 
 
 def preview_boxes(project: Project, path: Path, format: FlatFormat | BoxFormat, recording: str | None) -> Preview:
-    """Reads a dataset and matches it with the project's frames.
-
-    Args:
-        recording: name of the only recording to search; None = all.
-
-    Raises:
-        FormatError: not in this format, an image occurs twice, or no frame is in the project.
-        NotFoundError: no such recording.
-        RecordingError: a recording has been moved.
-    """
+    """Reads a dataset and matches it with the project's frames."""
     if isinstance(format, FlatFormat):
         return _of_pictures(project, path, format, recording)
     dataset = read_labels(format, path).in_project(project)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from annotator.formats.attributes import Values as Given
 from annotator.formats.attributes import typed_value
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
@@ -32,34 +34,34 @@ from annotator.workflows.views import drawn_of, outlines
 MOST_CHOICES = 20
 LONGEST_CHOICE = 64
 
-_Values = dict[str, list[AttributeValue]]
 
-
-@dataclass(frozen=True)
 class FoundValues:
     """All values in a dataset, by attribute: of boxes, and of frames."""
 
-    of_boxes: _Values
-    of_frames: _Values
+    def __init__(self) -> None:
+        self.of_boxes: dict[str, list[AttributeValue]] = defaultdict(list)
+        self.of_frames: dict[str, list[AttributeValue]] = defaultdict(list)
+
+    def add(self, of_frame: Given, of_boxes: Iterable[Given]) -> None:
+        """Adds those of a frame and of its boxes."""
+        for found, every in ((self.of_frames, (of_frame,)), (self.of_boxes, of_boxes)):
+            for name, value in chain.from_iterable(values.items() for values in every):
+                found[name].append(value)
 
 
 def values_of_labels(dataset: LabelSet) -> FoundValues:
     """Returns the values of a dataset of 3D boxes."""
-    found = FoundValues(defaultdict(list), defaultdict(list))
+    found = FoundValues()
     for name in dataset.frames:
-        for values in dataset.values_of_boxes(name):
-            _add(found.of_boxes, values.items())
-        _add(found.of_frames, dataset.values_of(name).items())
+        found.add(dataset.values_of(name), dataset.values_of_boxes(name))
     return found
 
 
 def values_of_pictures(format: FlatFormat, path: Path) -> FoundValues:
-    """Returns the values of a dataset of 2D boxes. Raises FormatError: as `read_pictures`."""
-    found = FoundValues(defaultdict(list), defaultdict(list))
+    """Returns the values of a dataset of 2D boxes."""
+    found = FoundValues()
     for picture in read_pictures(format, path).pictures:
-        for values in picture.values:
-            _add(found.of_boxes, values.items())
-        _add(found.of_frames, picture.attributes.items())
+        found.add(picture.attributes, picture.values)
     return found
 
 
@@ -68,9 +70,6 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
 
     Those of boxes are not of tracks, since a file does not say what never changes. Names that an attribute cannot have
     are left out; the import reports their values.
-
-    Raises:
-        ProjectError: `project.json` cannot be written.
     """
     known = {each.name for each in project.config.attributes}
     new = [
@@ -82,12 +81,9 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
     return tuple(new)
 
 
-def _add(values: _Values, named: Iterable[tuple[str, AttributeValue]]) -> None:
-    for name, value in named:
-        values[name].append(value)
-
-
-def _attributes(values: _Values, known: Iterable[str], of: AttributeOf) -> Iterator[Attribute]:
+def _attributes(
+    values: Mapping[str, list[AttributeValue]], known: Iterable[str], of: AttributeOf
+) -> Iterator[Attribute]:
     for name in sorted(values.keys() - set(known)):
         kind = _kind(values[name])
         choices = sorted({str(each) for each in values[name]}) if kind is AttributeKind.CHOICE else ()
@@ -109,11 +105,8 @@ def _kind(values: Sequence[AttributeValue]) -> AttributeKind:
         return AttributeKind.INTEGER if kinds == {int} else AttributeKind.NUMBER
     different = {str(each) for each in values}
     repeats = 2 * len(different) <= len(values) and len(different) <= MOST_CHOICES
-    return AttributeKind.CHOICE if repeats and all(map(_is_choice, different)) else AttributeKind.TEXT
-
-
-def _is_choice(text: str) -> bool:
-    return 0 < len(text) <= LONGEST_CHOICE
+    is_choice = repeats and all(0 < len(text) <= LONGEST_CHOICE for text in different)
+    return AttributeKind.CHOICE if is_choice else AttributeKind.TEXT
 
 
 def give_values(

@@ -123,10 +123,10 @@ def boxes_of_file(
         kind: what the boxes enclose.
     """
     dataset = read_pictures(format, path)
-    images = checked_images(project, dataset, dataset.pictures, recording)
+    images, placed, unreadable = checked_images(project, dataset, dataset.pictures, recording)
     classes, other = set(project.config.classes), Counter[str]()
     of_frame: dict[int, tuple[Box2D, ...]] = {}
-    for image in images.matched:
+    for image in images:
         renamed = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
         of_frame[image.frame_id] = tuple(box for box in renamed if box.label in classes)
         other.update(box.label for box in renamed if box.label not in classes)
@@ -137,7 +137,7 @@ def boxes_of_file(
             "map its classes to those of the project",
         )
     silhouettes = of_frame if kind is BoxKind.SILHOUETTE else ()
-    left_out = images.unmatched, images.unreadable, images.renamed
+    left_out = placed.unmatched, tuple(unreadable), placed.renamed
     return GivenBoxes(f"boxes of {path.name}", of_frame, other, *left_out, silhouettes)
 
 

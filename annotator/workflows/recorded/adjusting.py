@@ -14,7 +14,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
-from annotator.project import Basis, BoxRotation, Project, StoredFrame, StoredRecording
+from annotator.project import Basis, BoxRotation, Project, StoredFrame
 from annotator.project.adjusting import Up
 from annotator.project.labels import ReviewedBox
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
@@ -69,11 +69,6 @@ class RecordingUp:
 def estimate_recording_up(project: Project, recording_id: int) -> RecordingUp:
     """Estimates the up direction of a recording from some of its frames, as they are corrected now; if these do not
     tell, from its reviewed boxes.
-
-    Raises:
-        NotFoundError: no such recording.
-        FrameError: none of the frames can be read.
-        RecordingError: the recording is missing or cannot be read.
     """
     project.recordings.get(recording_id)
     frames = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
@@ -90,10 +85,6 @@ def learn_up(
     This is done if the rotation of boxes follows the up direction, for recordings whose files do not give it and which
     have never been adjusted. So a direction that was undone or cleared is not set again.
 
-    Args:
-        rotation: None = the project's setting.
-        recordings: ids; None = all.
-
     Returns:
         a message for each such recording.
     """
@@ -108,7 +99,10 @@ def learn_up(
         if found is None or found.up is None or _is_known(source, project.frames.get(boxes[0].frame_id)):
             continue
         project.adjustments.set_up(stored.id, found.up, AUTHOR)
-        messages.append(_learned(project, stored, found))
+        messages.append(
+            f"{stored.name}: boxes are upright from now on, since {found.reason}; "
+            f"annotator up {project.path.name} {stored.name} --clear takes the up direction back"
+        )
     return tuple(messages)
 
 
@@ -137,13 +131,6 @@ def _is_known(source: FrameSource, frame: StoredFrame) -> bool:
         return source.read(frame).up is not None
     except (FrameError, RecordingError):
         return True
-
-
-def _learned(project: Project, stored: StoredRecording, found: RecordingUp) -> str:
-    return (
-        f"{stored.name}: boxes are upright from now on, since {found.reason}; "
-        f"annotator up {project.path.name} {stored.name} --clear takes the up direction back"
-    )
 
 
 def _readable(source: FrameSource, stored: Sequence[StoredFrame]) -> Iterator[Frame]:
@@ -203,11 +190,6 @@ def correct_calibration(
 
     Returns:
         number of labels in the recording.
-
-    Raises:
-        ConfigError: a time offset for a recording without times, or a recording whose images show its clouds.
-        StaleRevisionError: someone else has adjusted the recording since `basis`.
-        RecordingError: the recording is missing or cannot be read.
     """
     source, name = FrameSource(project), project.recordings.get(recording_id).name
     if correction != NO_CORRECTION and _has_virtual_images(project, source, recording_id):

@@ -19,9 +19,10 @@ from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.messages import amount
-from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.frame_source import orientation_for
+from annotator.workflows.importing.boxes_3d import Reader
 from annotator.workflows.importing.label_set import LabelSet, truths_of
-from annotator.workflows.importing.placing import NO_NAMES, renamed_class
+from annotator.workflows.importing.placing import NO_NAMES
 from annotator.workflows.importing.report import Become, ImportReport, Note, by_class
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
@@ -41,10 +42,6 @@ def share_of(names: Iterable[FrameName], fraction: float, seed: int) -> frozense
     Args:
         names: recording and key of each frame, in any order.
         fraction: above 0, at most 1; at least one frame is chosen if there is any.
-        seed: of the choice.
-
-    Raises:
-        ConfigError: `fraction` is out of range.
     """
     if not 0 < fraction <= 1:
         raise ConfigError(f"cannot take a fraction of {fraction} of the frames; give more than 0, at most 1")
@@ -131,68 +128,43 @@ def boxes_from_3d(
     author, and frames chosen only by an earlier import are not changed.
 
     Args:
-        recording, names: as for `import_labels`.
         fraction: share of the labelled frames, as for `share_of`.
-        seed: seed of that choice.
         progress: called with (frames done, frames chosen).
-
-    Raises:
-        ConfigError: `fraction` is out of range, or no frame has a box of the project's classes.
-        FormatError: a label file that holds several frames cannot be read, or matches no frame.
-        RecordingError: a recording is missing or cannot be read.
     """
-    labels = labels.in_project(project)
-    placed = labels.placed(project, recording).require_clear(labels.path)
-    known = [(name, stored) for name, stored in placed.matched if stored.index is not None]
+    report = Report2d(Become.FLAT, project.config.classes)
+    reader = Reader(project, labels, recording, names, report)
+    known = [(name, stored) for name, stored in reader.matched.matched if stored.index is not None]
     recordings = {each.id: each.name for each in project.recordings.all()}
     keys = {stored.id: (recordings[stored.recording_id], stored.key) for _, stored in known}
     share = share_of(keys.values(), fraction, seed)
     chosen = [(name, stored) for name, stored in known if keys[stored.id] in share]
-    report = Report2d(Become.FLAT, project.config.classes, labelled=len(known), chosen=len(chosen))
-    converter = _Converter(project, labels, names, report)
-    for number, (name, stored) in enumerate(chosen, 1):
-        try:
-            converter.convert(name, stored)
-        except labels.faults_of_frames as error:
-            report.add(Note.UNREADABLE, of=f"{stored.key}: {error}")
-        if progress is not None:
-            progress(number, len(chosen))
-    _require_boxes(project, report)
-    report.in_all = sum(boxes.author == AUTHOR for boxes in project.boxes.on_images())
-    flat = (
-        labels.flat if isinstance(labels, RecordedLabels) else sum(labels.left_out_of(name).flat for name, _ in known)
-    )
-    report.add(Note.FLAT, flat)
-    report.add_all(Note.UNMATCHED, placed.unmatched)
-    if placed.renamed is not None:
-        report.add(Note.RENAMED, of=str(placed.renamed))
-    return report
+    reader.matched = replace(reader.matched, matched=tuple(chosen))
+    report.labelled, report.chosen = len(known), len(chosen)
+    config, rotation = rcv_config(project), project.config.settings.rotation
 
-
-class _Converter:
-    def __init__(self, project: Project, labels: LabelSet, names: Mapping[str, str], report: Report2d) -> None:
-        self._project, self._labels, self._names, self._report = project, labels, names, report
-        self._source, self._config = FrameSource(project), rcv_config(project)
-
-    def convert(self, name: str, stored: StoredFrame) -> None:
+    def convert(name: str, stored: StoredFrame) -> None:
         """Stores the boxes of one frame."""
-        report, settings = self._report, self._project.config
-        if _is_drawn(read_page(self._project, stored.id)):  # checked first, before the slow steps
+        if _is_drawn(read_page(project, stored.id)):  # checked first, before the slow steps
             report.add(Note.DRAWN)
             return
-        frame = self._source.read(stored)
-        truths = truths_of(self._labels, name, frame)
-        named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
-        report.add_all(Note.OTHER_CLASS, (each.label for each in named if each.label not in settings.classes))
-        chosen = [each for each in named if each.label in settings.classes]
-        orientation = orientation_for(settings.settings.rotation, frame)
-        known = boxes_of_known(frame, chosen, self._config.model_copy(update={"orientation": orientation}))
-        result = _store(self._project, stored.id, known)
+        frame = reader.frames.read(stored)
+        truths = truths_of(reader.dataset, name, frame)
+        reader.count(truths)
+        in_frame = config.model_copy(update={"orientation": orientation_for(rotation, frame)})
+        drawn = boxes_of_known(frame, reader.known(truths), in_frame)
+        result = _store(project, stored.id, drawn)
         if result is None:
             report.add(Note.DRAWN)
         else:
-            report.count(known, result)
-            report.add(Note.NOT_REVIEWED, self._labels.left_out_of(name).not_reviewed)
+            report.count(drawn, result)
+            report.add(Note.NOT_REVIEWED, reader.dataset.left_out_of(name).not_reviewed)
+
+    reader.read_all(convert, progress)
+    _require_boxes(project, report)
+    report.in_all = sum(boxes.author == AUTHOR for boxes in project.boxes.on_images())
+    own = labels.flat if isinstance(labels, RecordedLabels) else None
+    report.add(Note.FLAT, sum(reader.dataset.left_out_of(name).flat for name, _ in known) if own is None else own)
+    return report
 
 
 def _is_drawn(page: FramePage) -> bool:

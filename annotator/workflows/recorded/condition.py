@@ -55,8 +55,7 @@ def require_not_moved(project: Project, recording: Recording, options: ReaderOpt
             as_known = recording if stored.origin is None else open_recording(recording.path, stored)
         except ConfigError:  # it has a camera, and the other one had none
             continue
-        is_same = _is_same(project, known, as_known)
-        if not is_same:
+        if not (is_same := _is_same(project, known, as_known)):
             continue
         name = project.path.name
         # the page lists only those that are in the project
@@ -115,7 +114,8 @@ class BrokenFrames:
             return ()
         kinds: dict[str, list[str]] = {}
         for key, error in self.errors.items():
-            kinds.setdefault(_kind(key, error), []).append(key)
+            # errors of one kind differ in keys and numbers
+            kinds.setdefault(_NUMBER.sub("#", error.replace(key, "#")), []).append(key)
         first = f"{len(self.errors)} of {amount(self.frames, 'frame')} cannot be read"
         if self.unread:
             first += f" (of {self.unread}, at most the files were looked at)"
@@ -182,8 +182,3 @@ def _is_suspicious(recording: Recording, i: int) -> bool:
         if not head or (file.suffix.lower() in IMAGE_SUFFIXES and not head.startswith((PNG_SIGNATURE, JPEG_START))):
             return True
     return False
-
-
-def _kind(key: str, error: str) -> str:
-    """Returns what the errors of one kind have in common: they differ in keys and numbers."""
-    return _NUMBER.sub("#", error.replace(key, "#"))

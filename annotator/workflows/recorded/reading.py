@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
+from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import PLACES, read_boxes
@@ -36,16 +37,15 @@ from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti import KittiRaw, KittiTracking
-from annotator.recordings.look_around import LookAround, Scanned
+from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
 from annotator.types import Box2D, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.label_set import LabelSet, transformed
 from annotator.workflows.importing.readers import of_labelcloud, of_rcv, openlabel_labels
 
-P = ParamSpec("P")
 Read = TypeVar("Read")
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
@@ -59,8 +59,6 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     """Returns the labelled objects of a frame in file order; empty if it is labelled as empty, or not at all.
 
     Args:
-        recording: the recording with its labels.
-        index: of the frame in the recording.
         frame: the frame, which has the transform from the labels' coordinates.
 
     Raises:
@@ -73,15 +71,18 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     key = recording.keys[index]
     try:
         if isinstance(recording, KittiRaw):
-            truths = _from_tracklets(file, recording, key)
+            # in LiDAR coordinates, unlike all other KITTI labels
+            truths = _tracked(read_tracklets, file, key, recording.calibration(key).T_camera_lidar)
         elif isinstance(recording, NuScenes):
             truths = _from_samples(file, recording, key, _as_recorded(frame))
+        elif isinstance(recording, LookAround) and isinstance(recording.base, NuScenes):
+            truths = _seen(_from_samples(file, recording.base, key, _as_recorded(frame)), frame)
         elif isinstance(recording, LookAround):
-            truths = _all_around(file, recording.base, key, _as_recorded(frame))
+            truths = _from_annotations(file, key, _as_recorded(frame))
         else:
             truths = _READERS[recording.format](file, key, _as_recorded(frame))
         T = frame.T_camera_recorded
-        truths = truths if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+        truths = transformed(truths, T)
         return _seen(truths, frame) if isinstance(recording, NuScenes) and not recording.is_export else truths
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
@@ -181,7 +182,6 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
 
     Args:
         number: position of the label in `load_truth`.
-        mask: of the frame, or None.
     """
     if truth.image_box is not None or mask is None:
         return truth.image_box
@@ -191,40 +191,27 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
     return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
 
 
-def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
-    T = frame.T_camera_label
-    truths = _tracks(path).get(frame_number(path, key), ())
-    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in truths]
-
-
-def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
-    """Reads tracklets, which are in LiDAR coordinates, unlike all other KITTI labels."""
-    T = recording.calibration(key).T_camera_lidar
-    truths = _tracklets(path).get(frame_number(path, key), ())
-    return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
-
-
 def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a frame's sample; none between samples."""
-    T, sample = frame.T_camera_label, recording.sample(key)
-    if sample is None or T is None:
+    sample = recording.sample(key)
+    if sample is None or frame.T_camera_label is None:
         return []
-    boxes = _samples(path, recording.tables, recording.samples)[sample]
-    return [replace(each, box=each.box.transformed(T)) for each in boxes]
+    boxes = _whole(_samples, path, recording.tables, recording.samples)[sample]
+    return transformed(boxes, frame.T_camera_label)
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a sweep that the image shows."""
     T = frame.T_camera_label
-    rows = () if T is None else _annotations(path).get(int(key), ())
-    return _seen([replace(each, box=each.box.transformed(T)) for each in rows], frame)
+    rows = () if T is None else _whole(argoverse.read_argoverse, path).get(int(key), ())
+    return _seen(transformed(rows, T), frame)
 
 
-def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
-    """Returns the boxes that a virtual camera sees."""
-    if isinstance(base, NuScenes):
-        return _seen(_from_samples(path, base, key, frame), frame)
-    return _from_annotations(path, key, frame)
+def _tracked(
+    read: Callable[..., dict[int, list[Truth]]], path: Path, key: str, T: RigidTransform | None
+) -> list[Truth]:
+    """Returns the boxes of a frame in a file of KITTI's tracks or tracklets, which numbers its frames."""
+    return transformed(_whole(read, path).get(frame_number(path, key), ()), T)
 
 
 def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:
@@ -247,12 +234,12 @@ def frame_number(path: Path, key: str) -> int:
 
 def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
     manifest = path.parent.parent / MANIFEST
-    labels = _rcv(manifest).labels(frame.index)
+    labels = _whole(_rcv, manifest).labels(frame.index)
     return of_rcv(path, key, labels).truths(key, frame)
 
 
 def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
-    labels, names = _openlabel(path)
+    labels, names = _whole(_openlabel, path)
     return labels.truths(names.get(normal(key), key), frame)
 
 
@@ -260,60 +247,35 @@ def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:
     return of_labelcloud(path, {key: read_labelcloud_file(path)}).truths(key, frame)
 
 
-def _until_changed(read: Callable[Concatenate[Path, P], Read]) -> Callable[Concatenate[Path, P], Read]:
-    """Caches what a reader returns for a whole file, so that the file is not parsed again for every frame."""
-
-    @lru_cache(maxsize=4)
-    def cached(path: Path, version: tuple[int, int], *args: P.args, **options: P.kwargs) -> Read:
-        return read(path, *args, **options)
-
-    def reading(path: Path, *args: P.args, **options: P.kwargs) -> Read:
-        status = path.stat()
-        return cached(path, (status.st_mtime_ns, status.st_size), *args, **options)  # type: ignore[arg-type]
-
-    return reading
+def _whole(read: Callable[..., Read], path: Path, *args: object) -> Read:
+    """Returns what a reader gives for a whole file, which is not parsed again for every frame until it changes."""
+    status = path.stat()
+    return _kept(read, path, (status.st_mtime_ns, status.st_size), *args)  # type: ignore[return-value]
 
 
-@_until_changed
+@lru_cache(maxsize=16)
+def _kept(read: Callable[..., object], path: Path, _version: tuple[int, int], *args: object) -> object:
+    return read(path, *args)
+
+
 def _boxes(path: Path) -> dict[str, list[Truth]]:
     return {normal(key): truths for key, truths in read_boxes(path).items()}
 
 
-@_until_changed
-def _samples(path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tuple[Truth, ...]]:
+def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tuple[Truth, ...]]:
     """The boxes of the samples of a nuScenes scene, in the global frame."""
     return read_sample_boxes(tables, samples)
 
 
-@_until_changed
-def _annotations(path: Path) -> dict[int, list[Truth]]:
-    """The annotations of an Argoverse log, in the ego frame."""
-    return argoverse.read_argoverse(path)
-
-
-@_until_changed
 def _tracks(path: Path) -> dict[int, list[Truth]]:
-    """KITTI's tracks, in label coordinates, since the transform may differ between frames."""
+    """In label coordinates, since the transform may differ between frames."""
     return read_tracking_labels(path, None)
 
 
-@_until_changed
-def _tracklets(path: Path) -> dict[int, list[Truth]]:
-    """The tracklets of a raw drive, in LiDAR coordinates."""
-    return read_tracklets(path)
-
-
-@_until_changed
-def _areas(path: Path) -> dict[int, list[KittiLabel]]:
-    return read_tracking_areas(path)
-
-
-@_until_changed
 def _rcv(path: Path) -> RcvDataset:
     return read_rcv(path.parent)
 
 
-@_until_changed
 def _openlabel(path: Path) -> tuple[LabelSet, dict[str, str]]:
     """A document, and the frames' names in it, by key."""
     origins = read_frames(path.parent) or read_frames(path.parent.parent)
@@ -340,9 +302,9 @@ _PLACES = {
 _SUFFIXES = {"rcv": ".json", "cloud_folder": ".json"}
 _MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
-    "rgbd_folder": lambda path, key, frame: list(_boxes(path).get(normal(key), ())),
+    "rgbd_folder": lambda path, key, frame: list(_whole(_boxes, path).get(normal(key), ())),
     "kitti_object": lambda path, key, frame: read_object_labels(path, frame.T_camera_label),
-    "kitti_tracking": _from_label_02,
+    "kitti_tracking": lambda path, key, frame: _tracked(_tracks, path, key, frame.T_camera_label),
     "argoverse2": _from_annotations,
     "sunrgbd_extracted": lambda path, key, frame: read_extracted_labels(path, frame.T_camera_label),
     "sunrgbd_scenes": lambda path, key, frame: read_scene_labels(path, frame.T_camera_label),
@@ -382,7 +344,7 @@ def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
     if file is None or not file.is_file():
         return []
     if recording.format == TRACKING:
-        return list(_areas(file).get(frame_number(file, key), ()))
+        return list(_whole(read_tracking_areas, file).get(frame_number(file, key), ()))
     return [row for row in read_kitti_file(file, scored=False) if row.label == DONT_CARE]
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import degrees
 from pathlib import Path
 
 import cv2
@@ -23,6 +25,7 @@ from annotator.types.errors import RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.checking.findings import RULES, Findings, Severity
 from annotator.workflows.checking.label_files import stray_names
+from annotator.workflows.importing.report import SizeOrders
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
 CAMERA = Camera(WIDTH, HEIGHT, F, F, 119.5, 59.5)
@@ -53,23 +56,28 @@ def line(row: KittiLabel) -> str:
 ROWS = [car(-4.0, 14.0), car(0.0, 20.0, -2.0), car(5.0, 25.0, 0.1)]
 
 
-@pytest.fixture
-def kitti(tmp_path: Path) -> Path:
-    """Three frames without errors: three cars each, ten points in each car, and points all over the image."""
+def write_kitti(folder: Path, rows: Sequence[KittiLabel], keys: Sequence[str] = ("000000",), tail: str = "") -> Path:
+    """Frames with ten points in each car of `ROWS`, points all over the image, and labels that may be others."""
     for name in ("image_2", "velodyne", "calib", "label_2"):
-        (tmp_path / "data" / name).mkdir(parents=True)
+        (folder / name).mkdir(parents=True)
     random = np.random.default_rng(0)
     inside = [label_box(row).T_camera_box.apply(random.uniform(-0.5, 0.5, (10, 3))) for row in ROWS]
     x, y = random.uniform(-1, 1, (2, 400)) * [[0.75], [0.35]]
     xyz = np.concatenate([*inside, np.column_stack([x, y, np.ones(400)]) * 60.0])
     scan = np.column_stack([xyz[:, 2], -xyz[:, 0], -xyz[:, 1], np.zeros(len(xyz))]).astype("<f4")
     image = random.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
-    for key in KEYS:
-        cv2.imwrite(str(tmp_path / f"data/image_2/{key}.png"), image)
-        (tmp_path / f"data/velodyne/{key}.bin").write_bytes(scan.tobytes())
-        (tmp_path / f"data/calib/{key}.txt").write_text(CALIB)
-        (tmp_path / f"data/label_2/{key}.txt").write_text("\n".join([*map(line, ROWS), DONT_CARE, ""]))
-    return tmp_path / "data"
+    for key in keys:
+        cv2.imwrite(str(folder / f"image_2/{key}.png"), image)
+        (folder / f"velodyne/{key}.bin").write_bytes(scan.tobytes())
+        (folder / f"calib/{key}.txt").write_text(CALIB)
+        (folder / f"label_2/{key}.txt").write_text("\n".join([*map(line, rows), tail]))
+    return folder
+
+
+@pytest.fixture
+def kitti(tmp_path: Path) -> Path:
+    """Three frames without errors: three cars each."""
+    return write_kitti(tmp_path / "data", ROWS, KEYS, f"{DONT_CARE}\n")
 
 
 def found(path: Path) -> Found:
@@ -179,6 +187,78 @@ def test_repeated_findings_are_counted_once(tmp_path: Path) -> None:
             findings.add(RULES["broken-label"], tmp_path, f"fault {number}")
     assert findings.counts() == {Severity.ERROR: 30, Severity.WARNING: 0, Severity.NOTE: 0}, "also those not listed"
     assert len(findings.all()) == 21 and findings.all()[-1].message == "and 10 more like this in this file"
+
+
+SET_RULES = {"angle-unit", "length-unit", "quaternion-order", "size-order", "mirrored-boxes", "flat-label"}
+FLAT_ROW = replace(ROWS[0], height=-1.0, width=-1.0, length=-1.0, x=-1000.0, y=-1000.0, z=-1000.0, rotation_y=-10.0)
+Change = Callable[[KittiLabel], KittiLabel]
+SETS: dict[str, tuple[Change, dict[str, str]]] = {
+    "right": (lambda r: r, {}),
+    "in degrees": (
+        lambda r: replace(r, rotation_y=degrees(r.rotation_y)),
+        {"angle-unit": "2 of 3 angles"},
+    ),
+    "in millimetres": (
+        lambda r: replace(r, height=1000 * r.height, width=1000 * r.width, length=1000 * r.length),
+        {"length-unit": "3 of 3 boxes are longer"},
+    ),
+    "length, width, height": (
+        lambda r: replace(r, height=r.length, length=r.height),
+        {"size-order": "3 of 3 boxes .* only if length and height are exchanged, such as Car of 1.50 x 1.60 x 4.00 m"},
+    ),
+    "left-handed": (
+        lambda r: replace(r, x=-r.x, rotation_y=np.pi - r.rotation_y),
+        {"mirrored-boxes": "2 of 3 boxes .* left and right exchanged"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "expected"), SETS.values(), ids=SETS)
+def test_what_all_boxes_show_is_one_finding(tmp_path: Path, change: Change, expected: dict[str, str]) -> None:
+    report = check_datasets(write_kitti(tmp_path / "data", [change(each) for each in ROWS]))
+    said = {f.rule: f.message for f in report.findings if f.rule in SET_RULES}
+    assert said.keys() == expected.keys()
+    for rule, pattern in expected.items():
+        assert report.by_rule[rule] == 1
+        assert re.search(pattern, said[rule]), said[rule]
+
+
+def test_rows_without_3d_boxes_are_a_note_and_no_fault(tmp_path: Path) -> None:
+    report = check_datasets(write_kitti(tmp_path / "data", [*ROWS, FLAT_ROW, FLAT_ROW]))
+    assert report.by_rule["flat-label"] == 1 and "broken-label" not in report.by_rule
+    assert "2 rows have a 2D box and no 3D box" in next(f.message for f in report.findings if f.rule == "flat-label")
+    assert report.datasets[0].labels == 3
+
+
+@pytest.mark.parametrize(
+    ("boxes", "said"),
+    [
+        ([("car", (1.6, 1.9, 4.4))], "1 of 1 box of well-known classes has .* length and height"),
+        ([("vehicle", (1.6, 1.9, 4.4))], None),
+        ([("vehicle.car", (1.9, 4.4, 1.6))], "1 of 1 box .* length and width"),
+        ([("Car", (1.9, 4.4, 1.6))] * 2, "2 of 2 boxes .* only if length and width are exchanged"),
+        ([("bicycle", (1.7, 0.6, 1.2)), ("bicycle", (1.2, 0.6, 1.7))], None),
+        ([("Pedestrian", (1.75, 0.6, 0.8))], "1 of 1 box .* length and height"),
+        # furniture may be wider than long, and one chair on its side shows nothing
+        ([("bed", (1.6, 2.1, 0.95)), ("desk", (0.7, 1.3, 0.75))], None),
+        # as nuScenes has barriers
+        ([("barrier", (0.5, 2.53, 0.98))] * 3, None),
+        ([("hand", (0.07, 0.1, 0.16))] * 3, None),
+        ([("chair", (0.5, 1.1, 0.5))], None),
+        # sizes of no order are an odd size, not another order
+        ([("Car", (9.0, 9.0, 9.0))], None),
+        ([("cat", (0.1, 0.2, 9.0))], None),
+        ([], None),
+    ],
+)
+def test_sizes_of_well_known_classes_show_their_order(
+    boxes: list[tuple[str, tuple[float, float, float]]], said: str | None
+) -> None:
+    orders = SizeOrders()
+    for label, size in boxes:
+        orders.add(label, np.array(size))
+    problem = orders.problem()
+    assert problem is None if said is None else re.search(said, problem or ""), problem
 
 
 def test_errors_in_a_kitti_drive_are_found(kitti: Path) -> None:
@@ -310,69 +390,56 @@ COCO = {
     "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}],
     "categories": [{"id": 1, "name": "cup"}],
 }
-FOREIGN = [
-    ("labelCloud labels", {"labels/_classes.json": '{"classes": []}', "labels/a.json": json.dumps({"objects": [BOX]})}),
-    ("COCO boxes", {"annotations/instances_all.json": json.dumps(COCO)}),
-    ("YOLO boxes", {"classes.txt": "cup\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
-    ("YOLO boxes", {"data.yaml": "train: images\nnames: [cup]\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
-]
-
-
-@pytest.mark.parametrize(("name", "files"), FOREIGN)
-def test_labels_of_other_tools_are_read(tmp_path: Path, name: str, files: dict[str, str]) -> None:
-    for file, text in files.items():
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        (tmp_path / file).write_text(text)
-    report = check_datasets(tmp_path)
-    assert [(facts.format, facts.frames, facts.labels) for facts in report.datasets] == [(name, 1, 1)]
-    assert [f.rule for f in report.findings] == ["unchecked-dataset"]
-    *_, last = files
-    cut(tmp_path / last, 5)
-    report = check_datasets(tmp_path)
-    assert report.datasets == ()
-    assert [(f.rule, f.file, f.line) for f in report.findings] == [("broken-label", str(tmp_path / last), 1)]
-
-
+CLASSES = {"labels/_classes.json": '{"classes": []}'}
 FLAT_BOX = BOX | {"dimensions": {"length": 1.0, "width": 1.0, "height": 0.0}}
 NOWHERE = [{"id": n, "image_id": 9, "category_id": 1, "bbox": [1, 2, 3, 4 + n]} for n in (2, 3)]
-SEVERAL = [
+INSTANCES = "annotations/instances_all.json"
+# The format, sound files, the same with several faults, and these: file, line, and beginning of the message.
+FOREIGN = [
     (
-        {
-            "labels/_classes.json": '{"classes": []}',
-            "labels/a.json": json.dumps({"objects": [BOX, FLAT_BOX]}),
-            "labels/b.json": "{",
-        },
+        "labelCloud labels",
+        CLASSES | {"labels/a.json": json.dumps({"objects": [BOX]})},
+        {"labels/a.json": json.dumps({"objects": [BOX, FLAT_BOX]}), "labels/b.json": "{"},
         [("b.json", 1, "is not valid JSON"), ("a.json", None, "objects.1.dimensions.height: ")],
     ),
     (
-        {"annotations/instances_all.json": json.dumps(COCO | {"annotations": COCO["annotations"] + NOWHERE})},
+        "COCO boxes",
+        {INSTANCES: json.dumps(COCO)},
+        {INSTANCES: json.dumps(COCO | {"annotations": COCO["annotations"] + NOWHERE})},
         [("instances_all.json", None, f"annotation {n}: image_id 9 is not in images") for n in (2, 3)],
     ),
     (
-        {
-            "classes.txt": "cup\n",
-            "labels/a.txt": "0 0.5\n7 0.5 0.5 0.1 0.1\n",
-            "labels/b.txt": "x\n",
-            "labels/c.txt": "",
-        },
+        "YOLO boxes",
+        {"classes.txt": "cup\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"},
+        {"labels/a.txt": "0 0.5\n7 0.5 0.5 0.1 0.1\n", "labels/b.txt": "x\n", "labels/c.txt": ""},
         [("a.txt", 1, "has 2 fields"), ("a.txt", 2, "class 7 has no name"), ("b.txt", 1, "has 1 fields")],
     ),
+    ("YOLO boxes", {"data.yaml": "train: images\nnames: [cup]\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}, {}, []),
 ]
 
 
-@pytest.mark.parametrize(("files", "faults"), SEVERAL, ids=["labelcloud", "coco", "yolo"])
-def test_all_errors_in_labels_of_other_tools_are_found(
-    tmp_path: Path, files: dict[str, str], faults: list[tuple[str, int | None, str]]
+@pytest.mark.parametrize(("name", "files", "wrong", "faults"), FOREIGN)
+def test_labels_of_other_tools_are_read_and_all_their_errors_found(
+    tmp_path: Path,
+    name: str,
+    files: dict[str, str],
+    wrong: dict[str, str],
+    faults: list[tuple[str, int | None, str]],
 ) -> None:
-    for file, text in files.items():
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        (tmp_path / file).write_text(text)
-    reported = check_datasets(tmp_path).findings
-    assert len(reported) == len(faults)
+    def put(files: dict[str, str]) -> None:
+        for file, text in files.items():
+            (tmp_path / file).parent.mkdir(exist_ok=True)
+            (tmp_path / file).write_text(text)
+
+    put(files)
+    report = check_datasets(tmp_path)
+    assert [(facts.format, facts.frames, facts.labels) for facts in report.datasets] == [(name, 1, 1)]
+    assert [f.rule for f in report.findings] == ["unchecked-dataset"]
+    put(wrong)
+    reported = [(Path(f.file).name, f.line, f.message) for f in check_datasets(tmp_path).findings]
     for file, line, message in faults:
-        assert any((Path(f.file).name, f.line) == (file, line) and f.message.startswith(message) for f in reported), (
-            reported
-        )
+        assert any(each[:2] == (file, line) and each[2].startswith(message) for each in reported), reported
+    assert len(reported) == max(len(faults), 1)
 
 
 def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -390,9 +457,8 @@ def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: py
         assert whole in capsys.readouterr().out.splitlines()
     for file in ("a.json", "other.json"):
         cut(tmp_path / "out/train" / file, 1)
-    for path in ("out", "out/train"):
-        assert main(["check", str(tmp_path / path)]) == 1
-        assert "2 errors" in capsys.readouterr().out
+    assert main(["check", str(tmp_path / "out")]) == 1
+    assert "2 errors" in capsys.readouterr().out
 
 
 def test_the_check_command_prints_findings_and_sets_the_exit_code(

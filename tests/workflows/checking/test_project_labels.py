@@ -20,7 +20,7 @@ def put(project: Project, attribute: Attribute) -> None:
 
 def found(project: Project) -> list[tuple[str, str]]:
     warnings = check(project, lambda frame, boxes: None)
-    return [(warning.frame.key, warning.message) for warning in warnings if warning.kind is Kind.ATTRIBUTE]
+    return [(warning.key, warning.message) for warning in warnings if warning.kind is Kind.ATTRIBUTE]
 
 
 def change_attribute(project: Project, name: str, /, **changed: object) -> None:

@@ -1,19 +1,38 @@
-"""3D boxes are imported for the matching frames, or an error changes nothing."""
+"""3D boxes become labels of the matching frames, or an error changes nothing; values of 2D boxes; what is told."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from annotator.project import NewLabel, Project, WriteContext
-from annotator.types import BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
+from annotator.formats.coco import CocoImage, write_coco
+from annotator.project import NewLabel, Project, WriteContext, new_action
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
-from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
+from annotator.workflows.importing import (
+    Become,
+    BoxFormat,
+    FlatFormat,
+    Importer,
+    ImportReport,
+    Note,
+    Preview,
+    import_image_boxes,
+    import_labels,
+    import_proposals,
+    preview_boxes,
+    read_labels,
+)
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.placing import AUTHOR
@@ -37,11 +56,6 @@ class Given(LabelSet):
         return self.boxes[name]
 
 
-@pytest.fixture
-def people(make_project: Callable[..., Project], generated: Path) -> Project:
-    return make_project(generated / "people")
-
-
 def test_an_rcv_export_can_be_imported(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
@@ -53,24 +67,22 @@ def test_an_rcv_export_can_be_imported(
         made = people.labels.create(stored.id, new, WriteContext(0, "me", Source.MANUAL))
         people.labels.reject(stored.id, made.uids[1], WriteContext(made.receipt.revision, "me"))
     every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)
+    told: list[tuple[int, int]] = []
     split = Split({"train": 0.6, "val": 0.4}, SplitBy.FRAMES, 7)
-    report = export_project(people, tmp_path / "out", choose=every, split=split)
-    assert report.splits == {"train": 3, "val": 2}
-    listed = {path.stem: path.read_text().split() for path in (tmp_path / "out" / "splits").iterdir()}
-    assert {part: len(ids) for part, ids in listed.items()} == report.splits
+    report = export_project(
+        people, tmp_path / "out", choose=every, split=split, progress=lambda *done: told.append(done)
+    )
+    listed = {path.stem: len(path.read_text().split()) for path in (tmp_path / "out" / "splits").iterdir()}
+    assert listed == report.splits == {"train": 3, "val": 2} and told[-1] == (5, 5)
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
     assert (done.frames, done.boxes, done[Note.ALREADY], tuple(done.of(Note.UNMATCHED))) == (5, {"person": 3}, 0, ())
     assert (done[Note.NOT_REVIEWED], done[Note.SCORE]) == (3, 0)
     for before, after in zip(frames, other.frames.of(), strict=True):
-        kept = [label for label in people.labels.of_frame(before.id) if label.state is ReviewState.ACCEPTED]
-        back = other.labels.of_frame(after.id)
-        assert [(label.label, label.score, label.track_id, label.source) for label in back] == [
-            (label.label, label.score, label.track_id, Source.IMPORTED) for label in kept
-        ]
-        for a, b in zip(kept, back, strict=True):
+        kept = [each for each in people.labels.of_frame(before.id) if each.state is ReviewState.ACCEPTED]
+        for a, b in zip(kept, other.labels.of_frame(after.id), strict=True):
+            assert (b.label, b.score, b.track_id, b.source) == (a.label, a.score, a.track_id, Source.IMPORTED)
             np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
-            np.testing.assert_allclose(a.box.size_m, b.box.size_m)
 
 
 @pytest.mark.parametrize("name", ["rcv", "openlabel"])
@@ -161,7 +173,6 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
 @pytest.mark.parametrize(
     ("names", "problem"),
     [
-        (["x/1", "x/2"], r"the project has none of the dataset\'s frames \(x/1, x/2\)"),
         (["people/000001", "000001"], "people/000001 and 000001 both match frame 000001"),
         ([], "has no frames, so there is nothing to import"),
     ],
@@ -170,3 +181,155 @@ def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: 
     with pytest.raises(FormatError, match=problem):
         import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
     assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())
+
+
+ENTRY: dict[str, Any] = {"size": [4.0, 1.6, 1.5], "rotation": np.eye(3).tolist(), "center": [0.0, 0.0, 9.0]}
+
+
+def test_several_details_of_a_note_are_cut() -> None:
+    report = ImportReport(Become.LABELS, ("person",), frames=2)
+    report.boxes.update({"person": 3})
+    report.add(Note.ALREADY, 0)
+    report.add(Note.FLAT)
+    report.add_all(Note.UNREADABLE, (f"{number}: torn" for number in range(7)))
+    report.add(Note.OTHER_CLASS, 2, "Person")
+    other = ImportReport(Become.LABELS, frames=1)
+    other.add(Note.FLAT, 2)
+    report.include(other)
+    assert report.text(2) == (
+        "imported as labels: 3 person in 3 frames; "
+        "skipped: 3 rows with a 2D box and no 3D box (its height, width and length are -1); "
+        "unreadable: 0: torn; unreadable: 1: torn; and 5 more like this; "
+        "skipped: 2 boxes of class Person, which is not in the project; did you mean 'person'?"
+    )
+    assert len(report.sentences()) == 9
+
+
+def test_frames_that_an_import_leaves_unchanged_are_told_before(people: Project, tmp_path: Path) -> None:
+    """As labels: also those with proposals, and with rejected boxes only; as proposals: those that are finalised."""
+    proposed, rejected, finalised, free = people.frames.of()[:4]
+    box = OrientedBox.from_parts(np.array(ENTRY["center"]), np.eye(3), np.array(ENTRY["size"]))
+    people.labels.create(rejected.id, [NewLabel("person", box, state=ReviewState.REJECTED)], WriteContext(0, "me"))
+    people.frames.finalise(finalised.id, WriteContext(0, "me"))
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps({proposed.key: [ENTRY | {"label": "person"}]}))
+    import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    boxes = {frame.key: [ENTRY | {"label": "person", "score": 0.5}] for frame in (proposed, rejected, finalised, free)}
+    path.write_text(json.dumps(boxes | {"elsewhere": []}))
+    found = preview_boxes(people, path, BoxFormat.BOXES, None)
+    assert (found.is_3d, found.boxes, found.scores and found.scores.low) == (True, {"person": 4}, 0.5)
+    assert found.found == "4 3D boxes in 4 frames of this project."
+    assert found.notes == (
+        "2 of these frames have labels or proposals, and can only take proposals.",
+        "1 of these frames is finalised, and left unchanged.",
+        "Left out: 1 frame without a frame of the same name, such as elsewhere.",
+    )
+    assert import_labels(people, read_labels(BoxFormat.BOXES, path))[Note.ALREADY] == 3
+    assert import_proposals(people, read_labels(BoxFormat.BOXES, path))[Note.FINALISED] == 1
+
+
+def test_images_are_described_before_they_are_imported(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    box = Box2D("dog", 1.5, 1.5, 9.5, 9.5)
+    first = people.frames.of()[0]
+    people.boxes.set_on_image(first.id, [replace(box, label="person")], BoxKind.SILHOUETTE, WriteContext(0, "me"))
+
+    def found(project: Project, *names: str, recording: str | None = None) -> Preview:
+        write_coco(tmp_path / "c.json", [CocoImage(name, 320, 240, (box,)) for name in names])
+        return preview_boxes(project, tmp_path / "c.json", FlatFormat.COCO, recording)
+
+    before = people.log.last()
+    shown = found(people, f"{first.key}.jpg", "x.jpg")
+    assert (shown.found, shown.boxes) == ("1 box on 1 image of this project's frames.", {"dog": 1})
+    assert shown.notes == (
+        "The import replaces the boxes drawn on 1 image.",
+        "Left out: 1 image without a frame of the same name, such as x.jpg.",
+    )
+    with pytest.raises(FormatError, match="none of the dataset's images has a frame in the project"):
+        found(people, "x.jpg")
+    with pytest.raises(FormatError, match=f"a/{first.key}.jpg and {first.key}.png both match frame {first.key}"):
+        found(people, f"a/{first.key}.jpg", f"{first.key}.png")
+    assert people.log.last() == before
+    both = make_project(generated / "people", generated / "hands")
+    assert found(both, f"{first.key}.jpg").ambiguous == 1
+    assert found(both, f"{first.key}.jpg", recording="hands").ambiguous == 0
+    (tmp_path / "frames.csv").write_text(f"id,recording,key,split\n0,other,{first.key},\n")
+    assert found(people, "0.jpg").notes[-1] == "The file names a recording other, taken for people."
+
+
+SCHEMA: list[dict[str, Any]] = [
+    {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]},
+    {"name": "occluded", "kind": "boolean"},
+    {"name": "night", "kind": "boolean", "of": "frame"},
+]
+
+
+@pytest.fixture
+def project(make_project: Callable[..., Project], generated: Path) -> Project:
+    """A project with two labels side by side; one has a value."""
+    made = make_project(generated / "people")
+    for fields in SCHEMA:
+        made.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
+    new = [NewLabel("person", box(-0.8), attributes={"pose": "sitting"}), NewLabel("person", box(0.8))]
+    rejected = NewLabel("person", box(0.0), state=ReviewState.REJECTED)
+    made.labels.create(made.frames.of()[0].id, [*new, rejected], WriteContext(0, "me"))
+    return made
+
+
+def box(x: float) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.0]))
+
+
+def changed(project: Project, out: Path, change: Callable[[list[dict[str, Any]]], None]) -> Path:
+    """An export whose annotations another tool has changed."""
+    export_project(project, out, ExportFormat.COCO, choose=ExportFilter())
+    (file,) = (out / "annotations").iterdir()
+    content = json.loads(file.read_text())
+    change(content["annotations"])
+    file.write_text(json.dumps(content))
+    return out
+
+
+def values(project: Project) -> list[dict[str, Any]]:
+    return [dict(each.attributes) for each in project.labels.of_frame(project.frames.of()[0].id)]
+
+
+def test_labels_get_the_values_that_they_lack_and_the_rest_is_reported(project: Project, tmp_path: Path) -> None:
+    def change(annotations: list[dict[str, Any]]) -> None:
+        # as CVAT writes them: its own fields beside the task's attributes
+        annotations[0]["attributes"] = {"pose": "standing", "occluded": True, "rotation": 0.0}
+        annotations[1]["attributes"] = {"pose": "lying", "occluded": "false", "note": None}
+        alone = annotations[1] | {"id": 9, "bbox": [0, 0, 5, 5], "attributes": ["crowded.no"]}
+        annotations.append(alone)
+
+    out = changed(project, tmp_path / "out", change)
+    done = import_image_boxes(project, out, None, importer=Importer("ann", new_action()))
+    assert values(project) == [{"pose": "sitting", "occluded": True}, {"occluded": False}, {}]
+    assert (done[Note.SHOWN], done[Note.CONTRADICTED], done.boxes.total()) == (2, 1, 3)
+    assert done.of(Note.VALUE) == {
+        "rotation (not an attribute of the project)": 1,
+        'pose must be one of sitting, standing, not "lying"': 1,
+        "crowded (of 2D boxes without a 3D label)": 1,
+    }
+    # one action with the boxes
+    project.history.undo("ann")
+    assert values(project) == [{"pose": "sitting"}, {}, {}]
+    assert project.boxes.on_image(project.frames.of()[0].id) is None
+
+
+def test_a_drawn_box_has_the_values_of_its_label(project: Project, tmp_path: Path) -> None:
+    """A box drawn on the image replaces the outline of its label, not its values."""
+    out = changed(project, tmp_path / "out", lambda annotations: annotations.pop())
+    import_image_boxes(project, out, None)
+    frame = project.frames.of()[0]
+    project.frames.set_attributes(frame.id, {"night": True}, WriteContext(project.frames.get(frame.id).revision, "me"))
+    report = export_project(project, tmp_path / "again", ExportFormat.COCO, choose=ExportFilter())
+    assert "attribute" not in {each.kind.value for each in report.losses}
+    (file,) = (tmp_path / "again" / "annotations").iterdir()
+    content = json.loads(file.read_text())
+    assert [each.get("attributes") for each in content["annotations"]] == [{"pose": "sitting"}, None]
+    assert [each.get("attributes") for each in content["images"]] == [{"night": True}]
+    # an image of a finalised frame changes nothing
+    project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "me"))
+    assert import_image_boxes(project, tmp_path / "again", None)[Note.SHOWN] == 0

@@ -18,7 +18,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.importing import BoxFormat, Note, read_labels
-from annotator.workflows.importing.label_set import LabelSet, LeftOut
+from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, share_of
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
@@ -102,15 +102,6 @@ def test_the_first_box_of_a_view_belongs_to_its_object(people: Project) -> None:
     assert checked >= 4
 
 
-def test_views_shared_by_objects_are_counted_once(people: Project) -> None:
-    """A box that is in the labels twice has one set of views."""
-    twice = Changed(beside(people), lambda name, truths: truths[:1] * 2)
-    done = boxes_from_3d(people, twice, fraction=0.2)
-    views = people.boxes.on_views()
-    assert (done.objects["person"], done.views, len(views)) == (2, 4, 4)
-    assert done.view_boxes == sum(len(view.boxes) for view in views) == 8
-
-
 def moved(labels: RecordedLabels, by_m: float) -> LabelSet:
     shift = np.array([by_m, 0.0, 0.0])
 
@@ -176,15 +167,6 @@ def test_corrected_views_are_kept(people: Project) -> None:
     assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {
         key: each.boxes for key, each in before.items() if key != view.view_id
     }
-
-
-def test_frames_without_labels_are_not_used(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    labels = Changed(beside(people), lambda name, truths: truths, ("people/000003", "people/000099"))
-    monkeypatch.setattr(labels, "left_out_of", lambda name: LeftOut(not_reviewed=2 * (name == "people/000003")))
-    done = boxes_from_3d(people, labels)
-    assert tuple(done.of(Note.UNMATCHED)) == ("people/000099",)
-    assert (done.chosen, done.frames, done[Note.NOT_REVIEWED]) == (1, 1, 2)
-    assert [boxes.frame_id for boxes in people.boxes.on_images()] == [people.frames.of()[3].id]
 
 
 @pytest.mark.shared

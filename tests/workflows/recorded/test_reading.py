@@ -70,12 +70,6 @@ def test_true_boxes_contain_the_masks_points(shared: Path, folder: str) -> None:
     assert contains(truth.box, own, 0.02).mean() > 0.9
 
 
-@pytest.mark.shared
-def test_the_mask_of_a_recording_without_masks_is_none(shared: Path) -> None:
-    recording = open_recording(shared / "data" / "kitti_drive_0005")
-    assert load_mask(recording, recording.frame(0)) is None
-
-
 def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)

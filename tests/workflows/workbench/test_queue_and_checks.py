@@ -132,7 +132,7 @@ def label(box: OrientedBox, name: str = "person", track: int | None = None) -> N
 
 def warned(project: Project, frame: int | None = None) -> list[tuple[Kind, int]]:
     found = check(project, lambda frame, boxes: [100] * len(boxes), frame)
-    return [(warning.kind, warning.frame.index or 0) for warning in found]
+    return [(warning.kind, int(warning.key)) for warning in found]
 
 
 def test_unusual_sizes_are_found(people: Project) -> None:

@@ -1,0 +1,537 @@
+"""`annotator doctor`: this machine, its packages, the backends that detectors use on it, and a self-test of these.
+
+The checks run in a process of their own, so a library that crashes or hangs costs only one line of the report.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.connection
+import os
+import platform
+import re
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from enum import StrEnum
+from functools import partial
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.util import find_spec
+from itertools import groupby
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+import annotator
+from annotator.detection.backends.choose import chosen
+from annotator.detection.backends.network import usable_cores
+from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.pretrained import TITLE, base_weights, has_base
+from annotator.detection.trained import read_trained
+from annotator.detection.ultralytics_api import cache_dir
+from annotator.files import read_text_file
+from annotator.types import DetectorKind
+from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
+from annotator.types.messages import amount
+
+REPORT_VERSION = 1
+# A shorter home folder, such as "/", occurs in many unrelated paths.
+SHORTEST_HOME = 4
+GIB = 2**30
+# A training and each of two workers need a few hundred megabytes, and torch alone half a gigabyte.
+LEAST_MEMORY_BYTES = 4 * GIB
+# The models, exports and recordings of a project take hundreds of megabytes each.
+LEAST_DISK_BYTES = 2 * GIB
+DISTRIBUTION = "rcv-annotator"
+REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
+REPORT_IT = "report this, with the whole output"
+# System libraries that open3d and OpenCV load, and their packages in Debian and Ubuntu, as in scripts/setup.
+SYSTEM_LIBRARIES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libgomp.so.1": "libgomp1",
+}
+LIBRARY = re.compile(r"lib[\w.+-]*?\.so[\w.]*")
+KERNELS = ("annotator.geometry.kernels", "annotator.rcv.drawing_kernels", "annotator.rcv.fit_kernels")
+
+
+class State(StrEnum):
+    """The state of a line. A missing optional package is ok; FAILED means that something does not work."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+class Line(BaseModel):
+    """The result of one check.
+
+    Attributes:
+        section: section of the report, such as "machine" or "self-test".
+        name: unique within its section.
+        state: ok, warning or failed.
+        found: the result in words.
+        remedy: what the user should do; "" if nothing.
+        figures: measured values by name; the name includes the unit.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    section: str
+    name: str
+    state: State
+    found: str
+    remedy: str = ""
+    figures: dict[str, float] = Field(default_factory=dict)
+
+
+class Report(BaseModel):
+    """All lines of a run, grouped by section."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    report_version: int = REPORT_VERSION
+    annotator_version: str
+    lines: tuple[Line, ...]
+
+    @property
+    def failed(self) -> bool:
+        """Whether any line has failed."""
+        return any(each.state is State.FAILED for each in self.lines)
+
+
+def as_text(report: Report) -> Iterator[str]:
+    """Yields the report as lines of plain text."""
+    yield f"annotator {report.annotator_version}"
+    width = max((len(each.name) for each in report.lines), default=0)
+    for section, lines in groupby(report.lines, lambda each: each.section):
+        yield from ("", f"{section}:")
+        for each in lines:
+            yield f"  {each.name:{width}}  {each.found}: {each.state.value}"
+            if each.remedy:
+                yield f"  {'':{width}}    -> {each.remedy}"
+    counts = {state: sum(each.state is state for each in report.lines) for state in State}
+    yield from ("", ", ".join(f"{count} {state.value}" for state, count in counts.items()))
+
+
+def line(section: str, name: str, found: str, remedy: str = "", *, failed: bool = False, **figures: float) -> Line:
+    """A line of the report; one with a remedy is a warning, unless the check has failed."""
+    state = State.FAILED if failed else State.WARNING if remedy else State.OK
+    return Line(section=section, name=name, state=state, found=found, remedy=remedy, figures=figures)
+
+
+packages = partial(line, "packages")
+
+
+def machine(projects: Path) -> Iterator[Line]:
+    """Reports annotator's installation, Python, the system, the processor, memory and disks."""
+    of = partial(line, "machine")
+    yield of("annotator", f"{annotator.__version__} in {Path(annotator.__file__).parent}")
+    yield of("Python", f"{platform.python_version()} ({platform.python_implementation()}) at {sys.executable}")
+    yield of("system", platform.platform())
+    names = (text.partition(":")[2].strip() for text in _lines(Path("/proc/cpuinfo")) if text.startswith("model name"))
+    cores, usable = os.cpu_count() or 1, usable_cores()
+    found = f"{next(names, platform.machine())}, {amount(cores, 'core')}, {usable} of them for this process"
+    yield of("processor", found, cores=cores, usable_cores=usable)
+    total, free = _memory_bytes()
+    if total is None or free is None:
+        yield of("memory", "unknown on this system")
+    else:
+        remedy = "use --workers 1 in `annotator annotate`, and a small batch in trainings"
+        found = f"{total / GIB:.1f} GiB, {free / GIB:.1f} GiB free"
+        yield of("memory", found, remedy if total < LEAST_MEMORY_BYTES else "", total_bytes=total, free_bytes=free)
+    for name, folder in (("disk of projects", projects.absolute()), ("disk of cache", cache_dir().absolute())):
+        existing = next((each for each in (folder, *folder.parents) if each.exists()), folder)
+        try:
+            free = shutil.disk_usage(existing).free
+        except OSError as error:
+            yield of(name, f"{folder}: cannot be read ({error.strerror})", "choose another folder")
+            continue
+        remedy = "" if free >= LEAST_DISK_BYTES else "free some space, or choose a folder on another disk"
+        if not os.access(existing, os.W_OK):
+            remedy = "it cannot be written to; choose a folder that you may write to"
+        yield of(name, f"{free / GIB:.1f} GiB free for {folder}", remedy, free_bytes=free)
+
+
+def _memory_bytes() -> tuple[int | None, int | None]:
+    """Returns total and free memory, limited to that of the container (cgroup v2); None if unknown."""
+    known = {text.split(":")[0]: int(text.split()[1]) * 1024 for text in _lines(Path("/proc/meminfo")) if "kB" in text}
+    total, free = known.get("MemTotal"), known.get("MemAvailable")
+    limit = next(iter(_lines(Path("/sys/fs/cgroup/memory.max"))), "max").strip()
+    if total is not None and free is not None and limit.isdigit():
+        total = min(int(limit), total)
+        free = min(free, total)
+    return total, free
+
+
+def _lines(path: Path) -> list[str]:
+    """Returns the lines of a system file; empty if it cannot be read."""
+    try:
+        return read_text_file(path, errors="replace").splitlines()
+    except OSError:
+        return []
+
+
+def requirements() -> dict[str, list[str]]:
+    """The packages that annotator needs, by extra; "" are the required ones.
+
+    Without those of certain systems only, open3d and OpenVINO, which have checks of their own.
+    """
+    found: dict[str, list[str]] = {}
+    for text in requires(DISTRIBUTION) or ():
+        spec, _, marker = text.partition(";")
+        extra = re.search(r"extra == .([\w-]+)", marker)
+        if extra is not None or not marker:
+            names = found.setdefault("" if extra is None else extra[1], [])
+            names += {re.split(r"[\[<>=! ]", spec)[0]} - {*names}
+    return found
+
+
+def installed(_: Path) -> Iterator[Line]:
+    """Checks whether the required packages are installed, and tells which of the optional ones are."""
+    try:
+        every = requirements()
+    except PackageNotFoundError:
+        yield packages("required", "unknown, since annotator runs without being installed", "scripts/setup")
+        return
+    for extra, names in every.items():
+        versions = {name: _version(name) for name in names}
+        missing = ", ".join(name for name, known in versions.items() if known is None)
+        known = ", ".join(f"{name} {known}" for name, known in versions.items() if known is not None)
+        if not extra:
+            if missing:
+                yield packages("required", f"missing: {missing}", REINSTALL, failed=True)
+            yield packages("versions", known)
+        elif extra != "test":
+            how = f'pip install "{DISTRIBUTION}[{extra}]"'
+            some = f"{known}; {missing} is missing: {how}" if missing and known else known
+            yield line("extras", extra, some or f"not installed: {how}")
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def ultralytics(_: Path) -> Iterator[Line]:
+    """Checks whether ultralytics can be loaded, and lists the published weights on this machine."""
+    from annotator.detection.pretrained import local_weights
+    from annotator.detection.ultralytics_api import api
+
+    missing = "without it, detectors cannot be trained or converted"
+    found = _loaded("ultralytics", "ultralytics-opencv-headless", lambda: str(api().version), missing, failed=True)
+    yield found
+    if found.state is State.OK:
+        none = "none; the first training downloads them, or starts from random weights"
+        yield packages("published weights", ", ".join(map(str, local_weights())) or none)
+
+
+def torch(_: Path) -> Iterator[Line]:
+    """Reports the version of torch, and the CUDA devices that it can use."""
+    from annotator.detection.backends.choose import driver_devices
+    from annotator.detection.ultralytics_api import cuda_devices, torch_facts
+
+    def facts() -> str:
+        known = torch_facts()
+        built = f"built for CUDA {known.cuda}" if known.cuda else "built without CUDA"
+        return f"{known.version}, {built}" + (", with Apple's MPS" if known.has_mps else "")
+
+    found = _loaded("torch", "torch", facts, "detectors need it", failed=True)
+    yield found
+    if found.state is not State.OK:
+        return
+    try:
+        devices = cuda_devices()
+    except (RuntimeError, AssertionError) as error:
+        remedy = "check the driver with nvidia-smi; the GPU cannot be used until this is fixed"
+        yield packages("CUDA", _first_line(error), remedy, failed=True)
+        return
+    for device in devices:
+        total, free = device.memory_bytes, device.free_bytes
+        gib = f"{free / GIB:.1f} of {total / GIB:.1f} GiB free"
+        known = f"{device.model}, compute capability {device.capability}, {gib}"
+        yield packages(device.name, known, memory_bytes=total, free_bytes=free)
+    if not devices and (number := driver_devices()):
+        remedy = "install a torch with CUDA (pytorch.org shows the command), then run this again"
+        yield packages("CUDA", f"the driver reports {number} device(s), but torch can use none", remedy)
+    elif not devices:
+        yield packages("CUDA", "no device")
+
+
+def openvino(_: Path) -> Iterator[Line]:
+    """Checks whether OpenVINO can be loaded, and lists its devices; missing, it matters on x86 processors only."""
+    from annotator.detection.backends.openvino_network import computes_bfloat16
+    from annotator.detection.backends.openvino_network import openvino as load
+
+    def facts() -> str:
+        module = load()
+        half = "with bfloat16" if computes_bfloat16() else "without bfloat16"
+        return f"{module.get_version()}, devices {', '.join(module.Core().available_devices)}; the processor {half}"
+
+    matters = platform.machine().lower() in ("x86_64", "amd64")
+    missing = "without it, detectors take several times as long on the processor" if matters else ""
+    yield _loaded("OpenVINO", "openvino", facts, missing)
+
+
+def onnxruntime(_: Path) -> Iterator[Line]:
+    """Checks whether ONNX Runtime can be loaded, and lists its providers."""
+    from annotator.detection.backends.onnx_network import onnxruntime as load
+
+    def facts() -> str:
+        module = load()
+        return f"{module.__version__}, providers {', '.join(module.get_available_providers())}"
+
+    yield _loaded("ONNX Runtime", "onnxruntime", facts)
+
+
+def numba(_: Path) -> Iterator[Line]:
+    """Checks whether numba can be loaded, and counts the kernels whose machine code is in its cache."""
+    from annotator.compiled import cached_code, is_compiled
+
+    try:
+        modules = [import_module(name) for name in KERNELS]
+    except (ImportError, OSError) as error:
+        yield _broken("numba", "numba", error, failed=True)
+        return
+    # functions that a module imports from another module are counted there
+    functions = {
+        f"{value.__module__}.{name}": value
+        for module in modules
+        for name, value in vars(module).items()
+        if is_compiled(value) and value.__module__ == module.__name__
+    }
+    kept = [cached_code(function) for function in functions.values()]
+    folders = sorted({str(place) for place, _ in kept if place is not None})
+    done = sum(is_kept for _, is_kept in kept)
+    remedy = ""
+    if not folders:
+        remedy = "every process compiles for half a minute; set NUMBA_CACHE_DIR to a folder that you may write to"
+    elif not done:
+        remedy = "the first use takes half a minute; `python -m annotator.workflows.warm_up` compiles them now"
+    found = f"{done} of {len(kept)} kernels are compiled, each on its first use; cached in {', '.join(folders) or 'no'}"
+    yield packages("numba", f"{_version('numba')}; {found}", remedy, kernels=len(kept), compiled=done)
+
+
+def open3d(_: Path) -> Iterator[Line]:
+    """Checks whether open3d, which needs the system's OpenGL, can be loaded and casts rays."""
+    from annotator.synthetic.render import RayScene
+
+    def facts() -> str:
+        corners = np.array([[-1, -1, 2], [1, -1, 2], [0, 1, 2]], np.float32)
+        scene = RayScene(corners, np.array([[0, 1, 2]], np.int32))
+        scene.first_hits(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+        known = _version("open3d-cpu") or _version("open3d")
+        return f"{known}, loads with this system's OpenGL and casts rays"
+
+    yield _loaded("open3d", "open3d", facts, "without it `annotator generate` and `annotator demo` do not work")
+
+
+def kinect(_: Path) -> Iterator[Line]:
+    """Reports the number of connected Azure Kinects, if their library is installed."""
+    from annotator.recordings.kinect.device import load_pyk4a
+
+    if find_spec("pyk4a") is None:
+        return
+    try:
+        yield line("extras", "Azure Kinect", f"{int(load_pyk4a().connected_device_count())} connected")
+    except DeviceError as error:
+        problem, remedy = _first_line(error).partition("; ")[::2]
+        yield line("extras", "Azure Kinect", problem, remedy)
+
+
+def _loaded(name: str, package: str, facts: Callable[[], str], without: str = "", *, failed: bool = False) -> Line:
+    """The line of a package: its facts, or that it is not installed, or why it cannot be loaded.
+
+    Args:
+        without: what does not work without it; "" if it is optional.
+        failed: whether the line has failed then.
+    """
+    if find_spec(package.partition("-")[0]) is None:
+        return packages(name, "not installed", without and f"pip install {package}; {without}", failed=failed)
+    try:
+        return packages(name, facts())
+    except MissingExtraError as error:
+        return _broken(name, package, error.__cause__ or error, failed=failed)
+    except Exception as error:  # the type depends on the cause, e.g. a missing library or an old processor
+        return _broken(name, package, error, failed=failed)
+
+
+def _broken(name: str, package: str, error: BaseException, *, failed: bool) -> Line:
+    """The line of a package that cannot be loaded, with what to install."""
+    message = _first_line(error)
+    library = LIBRARY.search(message)
+    remedy = f"pip install --force-reinstall {package}"
+    if library and library[0] in SYSTEM_LIBRARIES:
+        remedy = f"install the system library: apt-get install {SYSTEM_LIBRARIES[library[0]]} (Debian, Ubuntu)"
+    return packages(name, f"cannot be loaded: {message}", remedy, failed=failed)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+def choices(_: Path) -> Iterator[Line]:
+    """Reports which backend each detector would use, and why."""
+    settings: tuple[Backend, ...] = ("auto", "fastest")
+    for setting in settings:
+        try:
+            backend, reason = chosen(DetectorConfig(image_size_px=64, backend=setting))
+            found, remedy = f"{backend} ({reason})", ""
+        except AnnotatorError as error:
+            found, remedy = f"none ({_first_line(error)})", "see the packages above"
+        for role in DetectorKind:
+            yield line("backends", f"{role}, {setting}", found, remedy, failed=bool(remedy))
+
+
+def base_detector(_: Path) -> Iterator[Line]:
+    """Reports whether this installation has the base detector, and can use it."""
+    of = partial(line, "detectors", "base detector")
+    if not has_base():
+        yield of("not installed: a project needs a view detector of its own")
+        return
+    try:
+        read_trained(base_weights().parent)
+    except AnnotatorError as error:
+        yield of(_first_line(error), "install annotator again", failed=True)
+        return
+    yield of(f"installed; in a project without a view detector, it is used as {TITLE}")
+
+
+# Of the self-test's pictures, height and width: multiples of the network's stride, and different from those that
+# exports are traced with.
+PICTURE_PX = (96, 128)
+
+
+def backends(_: Path) -> Iterator[Line]:
+    """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights."""
+    from annotator.detection.backends.agreement import TOLERANCE, Agreements, BackendMissingError, openers
+    from annotator.detection.pretrained import write_seeded_network
+    from annotator.detection.ultralytics_api import cuda_devices
+
+    of = partial(line, "self-test")
+    pictures = np.random.default_rng(0).integers(0, 256, (2, *PICTURE_PX, 3), np.uint8)
+    with TemporaryDirectory() as temporary:
+        weights = Path(temporary) / "network.safetensors"
+        try:
+            write_seeded_network(weights)
+            agreements = Agreements(weights, pictures)
+            devices = [device.name for device in cuda_devices()]
+        except (AnnotatorError, ImportError, OSError, RuntimeError, AssertionError) as error:
+            yield of("backends", f"not tested ({_first_line(error)})", "see the packages above")
+            return
+        for name, opener in openers(devices).items():
+            try:
+                agreement = agreements.of(opener)
+            except BackendMissingError as error:
+                yield of(name, f"{error}; not tested")
+                continue
+            except AnnotatorError as error:
+                yield of(name, str(error), REPORT_IT, failed=True)
+                continue
+            figures = {key: value for key, value in asdict(agreement).items() if key != "reference"}
+            found = (
+                f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes), "
+                f"{agreement.scores:.2g} (scores) and {agreement.spreads_px:.2g} px (spreads of edges); allowed: "
+                f"{agreement.boxes_bound_px:.2g} px, {agreement.scores_bound:.2g} and "
+                f"{agreement.spreads_bound_px:.2g} px, {TOLERANCE[agreement.reference]:.0f} x the difference of "
+                f"torch in {agreement.reference}"
+            )
+            remedy = "" if agreement.holds else f"use another --backend, and {REPORT_IT}"
+            yield of(name, found, remedy, failed=not agreement.holds, **figures)
+
+
+Check = Callable[[Path], Iterator[Line]]
+"""A function of this module, because it is pickled for another process; it gets the folder of projects."""
+
+CHECKS: tuple[Check, ...] = (
+    machine,
+    installed,
+    # before torch, because this check sets environment variables that torch and ultralytics read when they are loaded
+    *(ultralytics, torch, openvino, onnxruntime, numba, open3d, kinect),
+    choices,
+    base_detector,
+    backends,
+)
+# Time after which a check counts as hanging, seconds. Compiling the kernels alone takes half a minute.
+LIMIT_S = 180.0
+
+
+def examine(projects: Path, checks: tuple[Check, ...] = CHECKS, limit_s: float = LIMIT_S) -> Report:
+    """Runs all checks.
+
+    Args:
+        projects: the folder of projects, whose disk is checked; it need not exist.
+        limit_s: maximum duration of a check, seconds.
+    """
+    lines: list[Line] = []
+    left = checks
+    while left:
+        # if a check crashes or hangs its process, a new process runs the remaining ones
+        for found in _in_process(left, projects, limit_s):
+            lines += found
+            left = left[1:]
+    # grouped by section, whose first lines are in the order of the checks
+    sections = list(dict.fromkeys(each.section for each in lines))
+    lines.sort(key=lambda each: sections.index(each.section))
+    return Report(annotator_version=annotator.__version__, lines=tuple(map(without_home, lines)))
+
+
+def without_home(found: Line) -> Line:
+    """Replaces the user's home folder in a line by `~`, so that the report does not contain the user's name."""
+    texts = {"found": found.found, "remedy": found.remedy}
+    for home in {str(Path.home()), str(Path.home().resolve())}:
+        if len(home) >= SHORTEST_HOME:
+            texts = {name: text.replace(home + os.sep, "~" + os.sep) for name, text in texts.items()}
+    return found.model_copy(update=texts)
+
+
+def _in_process(checks: tuple[Check, ...], projects: Path, limit_s: float) -> Iterator[list[Line]]:
+    """Yields the lines of each check, all run in one process, up to the first check that crashes it or hangs."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(checks, projects, sender), daemon=True)
+    process.start()
+    sender.close()
+    try:
+        for check in checks:
+            if not receiver.poll(limit_s):
+                yield [_lost(check, f"did not finish within {limit_s:.0f} s")]
+                return
+            try:
+                yield receiver.recv()
+            except EOFError:
+                process.join()
+                code = process.exitcode or 0
+                ending = signal.Signals(-code).name if -code in signal.valid_signals() else f"exit code {code}"
+                yield [_lost(check, f"crashed ({ending})")]
+                return
+    finally:
+        process.kill()
+        process.join()
+        receiver.close()
+
+
+def _work(checks: tuple[Check, ...], projects: Path, pipe: multiprocessing.connection.Connection) -> None:
+    """Runs in the other process: sends the lines of each check, the last of which tells of an exception."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the parent process ends this one
+    os.dup2(2, 1)  # output of libraries goes to standard error, because the report is printed to standard output
+    for check in checks:
+        lines: list[Line] = []
+        try:
+            lines += check(projects)
+        except Exception as error:  # a broken library may raise anything
+            lines.append(_lost(check, f"{type(error).__name__}: {error}".splitlines()[0]))
+        pipe.send(lines)
+
+
+def _lost(check: Check, why: str) -> Line:
+    return line("failed checks", check.__name__, why, REPORT_IT, failed=True)
