@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import httpx
 import numpy as np
 import pytest
 from drawing import Scene, draw_object
@@ -222,57 +220,3 @@ def test_a_refused_undo_names_the_author_of_the_change(live: Live, project: Proj
     assert refused.status_code == 409
     assert "was changed by bob since" in refused.json()["error"]["message"]
     assert refused.json()["state"]["labels"][0]["author"] == "bob"
-
-
-def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
-    """Each adds its own labels; refused ones are sent again on the current revision, as by the page."""
-    each, refusals = 6, []
-    first_track = {"ann": 0, "bob": 100}
-
-    def write(name: str) -> None:
-        with httpx.Client(base_url=live.url, headers={"Origin": live.url}, timeout=60) as client:
-            client.post("/api/session", json={"operator": name})
-            revision = state(client)["frame"]["revision"]
-            for track in range(first_track[name], first_track[name] + each):
-                create = {"kind": "create", "label": "person", "box": BOX, "track_id": track}
-                answer = change(client, revision, create)
-                while answer.status_code == 409:
-                    refusals.append(name)
-                    both = answer.json()
-                    assert both["changes"][0]["track_id"] == track
-                    answer = change(client, both["state"]["frame"]["revision"], create)
-                assert answer.status_code == 200, answer.text
-                revision = answer.json()["frame"]["revision"]
-
-    writers = [threading.Thread(target=write, args=(name,)) for name in ("ann", "bob")]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
-    labels = state(live.client)["labels"]
-    assert sorted((label["author"], label["track_id"]) for label in labels) == [
-        (name, first + track) for name, first in first_track.items() for track in range(each)
-    ]
-    assert state(live.client)["frame"]["revision"] == 2 * each
-    assert refusals, "the writers did not conflict"
-
-
-def test_the_whole_box_of_a_drawn_object_is_offered_and_confirmed(live: Live, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    uid = draw_object(live.client, "room", 1, scene, 0)["uid"]
-    body = {"image_box": scene.image_box(0)}
-    before = state(live.client)
-    offered = live.client.post(f"{ROOM}/frames/1/label/whole", json=body).json()["boxes"]
-    assert 1 <= len(offered) <= 2 and all(len(one["outline"]) > 0 for one in offered)
-    assert state(live.client) == before, "nothing is stored by asking"
-    assert before["labels"][0]["box_kind"] == "silhouette"
-    edit = {"kind": "edit", "uid": uid, "label": "person", "box": offered[0]["box"], "box_kind": "box"}
-    assert change(live.client, before["frame"]["revision"], edit).status_code == 200
-    confirmed = state(live.client)
-    assert confirmed["labels"][0]["box_kind"] == "box"
-    assert confirmed["objects"] == before["objects"], "the silhouettes stay beside it"
-    undone = live.client.post(f"{ROOM}/undo", json={})
-    assert undone.status_code == 200, undone.text
-    assert state(live.client)["labels"][0]["box_kind"] == "silhouette"
-    unknown = {"image_box": {**body["image_box"], "x_min": body["image_box"]["x_min"] + 1}}
-    assert live.client.post(f"{ROOM}/frames/1/label/whole", json=unknown).json() == {"boxes": []}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import fake_jobs
 import pytest
 from live_server import PATIENCE_S, ended, look
-from store_samples import replace_folder
 from test_web_jobs import (
     JOBS,
     begin,
@@ -23,7 +21,7 @@ from test_web_jobs import (
 )
 
 from annotator.project import Project, WriteContext, create_project
-from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.make import Reason, automatic_backups
 from annotator.project.backup.take_in import restore
 from annotator.project.config import BACKUPS
 from annotator.project.labels import Labels
@@ -34,7 +32,6 @@ from annotator.types.errors import ConfigError
 from annotator.web import background
 from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner, Watch
 from annotator.web.context import Context
-from annotator.web.folders import clear_leftovers
 from annotator.web.jobs import runner
 from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
@@ -46,7 +43,6 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-MODELS = "/api/projects/room/models"
 ROUND = {"kind": "train", "roles": ["view"], "background": True}
 
 
@@ -213,16 +209,6 @@ def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(
     assert ended(server, job)["state"] == "cancelled"
 
 
-def test_the_switch_is_stored_in_the_project(live: Live) -> None:
-    assert live.client.get(MODELS).json()["learn_every"] is None
-    assert live.client.put(f"{MODELS}/learning", json={"every": 12}).status_code == 204
-    assert live.client.get(MODELS).json()["learn_every"] == 12
-    for wrong in ({"every": 0}, {"every": "x"}, {}, {"every": 3, "more": 1}):
-        assert live.client.put(f"{MODELS}/learning", json=wrong).status_code == 422
-    assert live.client.put(f"{MODELS}/learning", json={"every": None}).status_code == 204
-    assert live.client.get(MODELS).json()["learn_every"] is None
-
-
 OLD = 1_000_000_000
 
 
@@ -272,41 +258,6 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         assert len(automatic_backups(changed)) == 1
     finally:
         context.close()
-
-
-@pytest.mark.parametrize("has_failed", [False, True])
-def test_neither_a_backup_nor_a_failure_of_a_replaced_project_counts_for_the_new_one(
-    changed: Path, tmp_path: Path, has_failed: bool
-) -> None:
-    backup, made = shutil.copytree(changed, tmp_path / "copies" / "room"), changed.parent / BACKUPS
-    if has_failed:
-        made.write_text("in the way")
-    context = Context(ServerSettings(changed.parent))
-    try:
-        context.project("room")
-        backups = AutomaticBackups(context, lambda: 0.0)
-        backups.make_due()
-        assert len(automatic_backups(changed)) == (not has_failed)
-        if has_failed:
-            made.unlink()
-        else:
-            shutil.rmtree(made)
-        backups.make_due()
-        assert automatic_backups(changed) == []
-        replace_folder(changed, backup)
-        context.project("room")
-        backups.make_due()
-        assert len(automatic_backups(changed)) == 1
-    finally:
-        context.close()
-
-
-def test_what_a_killed_backup_has_left_is_removed_at_the_next_start(changed: Path) -> None:
-    back_up_automatically(changed, Reason.CHANGES)
-    left = changed.parent / BACKUPS / "room" / f".room-backup.{'0' * 32}.unfinished"
-    left.mkdir()
-    clear_leftovers(changed.parent)
-    assert not left.exists()
 
 
 def test_a_round_that_cannot_start_loses_no_event(

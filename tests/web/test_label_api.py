@@ -53,15 +53,6 @@ def counting(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.
     return detector
 
 
-def test_steps_without_suggestions_do_not_call_the_detector(
-    live: Live, generated: Path, counting: CountingDetector
-) -> None:
-    body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0), "boxes": []}
-    views = live.client.post(STEPS, json={**body, "suggest": False}).json()
-    assert counting.calls == 0 and views["detector"] == "ready"
-    assert [step["suggested"] for step in views["steps"]] == [[None, None]]
-
-
 def test_one_request_stores_a_drag_and_answers_with_all_that_follows(
     live: Live, generated: Path, counting: CountingDetector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,24 +164,6 @@ def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene
     assert effort["from nothing"] == {"boxes": 1, "seconds_a_box": 4.0, "actions_a_box": 2.0}
 
 
-@pytest.mark.parametrize(
-    ("box", "label", "reason", "is_sparse"),
-    [
-        ((0.0, 0.0, 3.0, 3.0), "person", "fewer than 5 points lie in this box", True),
-        ((0.0, 0.0, 3.0, 3.0), "chair", "fewer than 5 points lie in this box", True),
-        ((60.0, 2.0, 110.0, 40.0), "person", "found no object", False),
-        ((60.0, 2.0, 110.0, 40.0), "chair", "was not trained on chair", False),
-    ],
-)
-def test_without_an_object_there_is_a_reason(
-    taught: Live, box: tuple[float, ...], label: str, reason: str, is_sparse: bool
-) -> None:
-    found = fit(taught, {"label": label, **dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))})
-    assert found["box"] is None and found["outline"] == []
-    assert reason in found["note"]
-    assert found["too_few_points"] is is_sparse, "whether there are views to draw on"
-
-
 def test_without_a_detector_the_answer_says_so(live: Live, scene: Scene) -> None:
     found = fit(live, scene.image_box(0))
     assert (found["note"], found["too_few_points"]) == ("there is no pseudo-view detector yet", False)
@@ -208,26 +181,6 @@ def training_data(project: Project) -> tuple[int, list[str], int]:
     on_images = sum(len(boxes.boxes) for boxes in project.boxes.on_images())
     kinds = sorted(view.box_kind.value for view in project.boxes.on_views() for _ in view.boxes)
     return on_images, kinds, len(project.labels.select())
-
-
-def test_a_deleted_object_is_no_training_data_until_the_undo(live: Live, project: Project, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    uids = [draw_object(live.client, "room", 1, scene, number)["uid"] for number in range(2)]
-    drawn = state(live.client)
-    assert training_data(project) == (2, ["silhouette"] * 8, 2)
-    removal = [
-        {"kind": "delete", "uid": uids[0]},
-        {"kind": "image_boxes", "boxes": [scene.image_box(1)], "box_kind": "silhouette"},
-    ]
-    left = change(live.client, drawn["frame"]["revision"], *removal).json()
-    assert training_data(project) == (1, ["silhouette"] * 4, 1)
-    assert left["objects"] == [drawn["objects"][1]]
-    undone = live.client.post(f"{ROOM}/undo", json={}).json()
-    assert undone["done"] == "delete person (frame 000000)"
-    assert (undone["state"]["objects"], undone["state"]["labels"]) == (drawn["objects"], drawn["labels"])
-    assert training_data(project) == (2, ["silhouette"] * 8, 2)
-    live.client.post(f"{ROOM}/redo", json={})
-    assert training_data(project) == (1, ["silhouette"] * 4, 1)
 
 
 def test_rejecting_a_drawn_label_in_review_removes_its_boxes(live: Live, project: Project, generated: Path) -> None:
@@ -273,17 +226,3 @@ def test_a_changed_box_kind_measures_finished_objects_again(live: Live, project:
     for _ in range(2):
         live.client.post(f"{ROOM}/undo", json={})
     assert iou_3d(project.labels.get(uids[0]).label.box, drawn[uids[0]]) == pytest.approx(1)
-
-
-def test_a_changed_box_kind_applies_to_views_too(live: Live, project: Project, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    revision = draw_object(live.client, "room", 1, scene, 0)["state"]["frame"]["revision"]
-    views = [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()]
-    boxes = {"kind": "image_boxes", "boxes": [scene.image_box(0)], "box_kind": "box"}
-    answer = change(live.client, revision, boxes).json()
-    assert (answer["image_boxes"]["box_kind"], len(answer["objects"][0]["views"])) == ("box", 4)
-    assert training_data(project) == (1, ["box"] * 4, 1)
-    assert [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()] == views
-    live.client.post(f"{ROOM}/undo", json={})
-    assert training_data(project) == (1, ["silhouette"] * 4, 1)
-    assert state(live.client)["image_boxes"]["box_kind"] == "silhouette"

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import httpx
 import pytest
 from fastapi import FastAPI
 from in_process import HERE, ask, open_socket
@@ -169,13 +168,6 @@ def test_few_tokens_can_be_guessed_and_few_requests_sent_without_one(
     assert statuses[-1] == 429
 
 
-def test_a_wrong_token_is_refused(app: FastAPI) -> None:
-    for token in ("", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "ü" * 21, "\ud800"):
-        answer = ask(app, "GET", httpx.URL(HERE, params={"token": token.encode("utf-8", "surrogatepass")}))
-        assert answer.status_code == 401
-        assert "set-cookie" not in answer.headers
-
-
 def test_the_token_in_the_url_is_only_accepted_for_pages(app: FastAPI) -> None:
     assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
 
@@ -216,14 +208,6 @@ def test_responses_have_security_headers(live: Live) -> None:
         assert "server" not in headers
         if path.startswith("/api/"):
             assert headers["cache-control"] == "no-store"
-
-
-def test_only_files_of_the_page_are_served(live: Live) -> None:
-    host, port = live.url.removeprefix("http://").split(":")
-    for place in ("../pyproject.toml", "..%2fpyproject.toml", "%2e%2e/pyproject.toml", "/etc/passwd"):
-        with socket.create_connection((host, int(port))) as raw:  # httpx would normalise the path
-            raw.sendall(f"GET /assets/{place} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode())
-            assert raw.makefile("rb").readline().split()[1] == b"404"
 
 
 def test_large_bodies_are_refused(live: Live) -> None:

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from live_server import running
 from room_api import BOX, change, state
 from test_events import listen, next_of
 
-from annotator.cli.main import main
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside
 from annotator.types.errors import InUseError
-from annotator.web.jobs.records import CopyRequest, Job, JobContext, JobState
-from annotator.web.jobs.work import copy_work
-from annotator.web.security import ServerSettings
+from annotator.web.jobs.records import Job, JobState
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -92,32 +84,6 @@ def done_export(live: Live) -> Job:
     return job
 
 
-def test_a_removed_project_can_be_brought_back(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
-    label_one(live)
-    with listen(live) as socket:
-        removed = live.client.delete(ROOM).json()
-        assert next_of(socket, "removed")["operator"] == "Ada"
-    assert live.client.get("/api/projects").json()["projects"] == []
-    assert error(live.client.delete(ROOM))[0] == 404
-    assert removed["folder"].startswith("projects/.removed/room-")
-    words = removed["command"].split()
-    root = live.settings.projects_root
-    assert words[:3] == ["annotator", "project", "copy"]
-    assert main(["project", "copy", str(root.parent / words[3]), words[4], "--projects", str(root)]) == 0
-    assert live.client.get(ROOM).json()["labels_by_state"]["accepted"] == 1
-
-
-def test_a_project_is_copied_by_a_job_with_and_without_its_labels(live: Live, tmp_path: Path) -> None:
-    label_one(live)
-    assert error(live.client.post(f"{ROOM}/jobs", json={"kind": "copy", "name": "room"}))[0] == 400
-    job = JobContext(live.context.project("room"), tmp_path, "Ada", lambda _: None, lambda: False)
-    for name, labels, said in (("second", True, "second"), ("empty", False, "empty, without labels")):
-        assert copy_work(job, CopyRequest(kind="copy", name=name, labels=labels)).message == f"copied to {said}"
-        copied = live.client.get(f"/api/projects/{name}").json()
-        assert copied["recordings"][0]["name"] == "people"
-        assert copied["labels_by_state"]["accepted"] == labels
-
-
 def test_a_recording_is_removed_and_comes_back_with_its_labels(live: Live) -> None:
     label_one(live)
     before, place = state(live.client), f"{ROOM}/recordings/1"
@@ -136,28 +102,3 @@ def test_a_recording_is_removed_and_comes_back_with_its_labels(live: Live) -> No
     assert (back["labels"], back["removed_by"]) == (1, None)
     assert state(live.client) == before
     assert live.client.post(f"{ROOM}/recordings/9/restore").status_code == 404
-
-
-def test_a_recording_that_has_only_moved_is_offered_as_such(tmp_path: Path, own_copy: Callable[[str], Path]) -> None:
-    recording = own_copy("people")
-    with running(ServerSettings(tmp_path / "projects", (tmp_path,), port=0)) as live:
-        live.client.post("/api/projects", json={"name": "room", "classes": ["person"]})
-        place, root = f"{ROOM}/recordings", tmp_path.name
-        live.client.post(place, json={"path": f"{root}/people", "labels": False})
-        label_one(live)
-        assert live.client.delete(f"{place}/1").status_code == 200
-        recording.rename(tmp_path / "archive")
-        gone = live.client.post(f"{place}/1/restore")
-        assert "people: no such file or folder" in error(gone)[1]
-
-        refused = live.client.post(place, json={"path": f"{root}/archive"})
-        assert (refused.status_code, refused.json()["moved"]) == (400, {"id": 1, "name": "people"})
-        assert str(tmp_path) not in json.dumps(refused.json())
-        moved = live.client.patch(f"{place}/1", json={"path": f"{root}/archive"})
-        assert moved.json()["frames"] == 5
-        assert live.client.get(ROOM).json()["labels_by_state"]["accepted"] == 1
-
-        shutil.copytree(tmp_path / "archive", tmp_path / "other")
-        shutil.rmtree(tmp_path / "archive")
-        added = live.client.post(place, json={"path": f"{root}/other", "labels": False, "as_new": True})
-        assert added.json()["added"][0]["is_new"] is True

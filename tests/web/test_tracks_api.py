@@ -132,27 +132,6 @@ def test_a_box_is_followed_through_the_recording_as_one_action(live: Live, proje
 
 
 @pytest.mark.usefixtures("following_view")
-def test_boxes_appear_one_by_one_and_a_run_can_be_stopped(
-    live: Live, project: Project, generated: Path, following_gate: threading.Semaphore
-) -> None:
-    accept_truth(project, generated, objects=2)
-    follow(live)
-    following_gate.release(2)
-    wait_until(lambda: latest(live)["done"] == 2)
-    # the server answers, and has the first boxes
-    assert boxes(live) == [2, 2, 0, 0, 0]
-    assert latest(live)["state"] == "running"
-    stopper = threading.Thread(target=lambda: live.client.post(f"{ROOM}/follow/stop"))
-    stopper.start()
-    following_gate.release(2)
-    stopper.join(PATIENCE_S)
-    assert latest(live)["state"] == "stopped"
-    # of the next frame, either all boxes that were found are there, or it was not begun
-    assert boxes(live) in ([2, 2, 0, 0, 0], [2, 2, 1, 0, 0], [2, 2, 2, 0, 0])
-    assert sum(boxes(live)[1:]) == latest(live)["done"] == sum(track["boxes"] for track in latest(live)["tracks"])
-
-
-@pytest.mark.usefixtures("following_view")
 def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, project: Project, generated: Path) -> None:
     accept_truth(project, generated)
     numbers = []
@@ -271,13 +250,6 @@ def test_later_proposals_are_corrected_alike_in_one_step(live: Live, project: Pr
     (unchanged,) = state(live.client, 1)["labels"]
     body |= {"was": unchanged["box"], "revision": state(live.client, 1)["frame"]["revision"]}
     assert "not corrected" in live.client.post(f"{ROOM}/frames/1/carry", json=body).text
-
-
-def test_pictures_come_in_order() -> None:
-    async def read() -> list[str]:
-        return [line async for line in drawn_ahead(str, range(50))]
-
-    assert asyncio.run(read()) == [str(number) for number in range(50)]
 
 
 def test_only_a_few_pictures_are_drawn_ahead() -> None:

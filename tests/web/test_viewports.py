@@ -202,16 +202,6 @@ def test_either_side_may_close_with_a_reason(live: Any) -> None:
                 socket.recv(timeout=PATIENCE_S)
 
 
-def test_a_socket_needs_an_operator_and_a_viewport(live: Any) -> None:
-    viewport = opened(live)
-    with pytest.raises(InvalidStatus) as refused, connect(live.socket_url(f"/viser/{viewport}"), origin=live.url):
-        pass
-    assert refused.value.response.status_code in (401, 403)
-    with pytest.raises(InvalidStatus) as refused, browser(live, "0" * 16):
-        pass
-    assert refused.value.response.status_code in (403, 404)
-
-
 def test_viser_s_port_accepts_only_the_proxy(live: Any) -> None:
     """Pages of any site can reach ports of 127.0.0.1 from the operator's browser."""
     viewport = opened(live)

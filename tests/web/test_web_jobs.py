@@ -10,10 +10,8 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
@@ -23,13 +21,11 @@ from live_server import PATIENCE_S, ended, look, running
 from room_api import ROOM
 from test_events import listen, next_of
 
-from annotator.detection import pretrained
 from annotator.detection.pretrained import TITLE
 from annotator.project import WriteContext, open_project
 from annotator.project.log.event_types import ImageBoxesSet
-from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.types import BoxKind
+from annotator.types.errors import ConfigError
 from annotator.web.jobs import runner, work
 from annotator.web.jobs.records import (
     FILE,
@@ -39,13 +35,11 @@ from annotator.web.jobs.records import (
     JobStoppedError,
     LiftRequest,
     Progress,
-    ProposeRequest,
-    TrainRequest,
     WorkerMessage,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
-from annotator.web.jobs.work import export_work, propose_work, train_work
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT
+from annotator.web.jobs.work import export_work
 from annotator.web.jobs.worker import NICENESS
 from annotator.web.schemas import Box2DJson
 from annotator.workflows.recorded.own_labels import import_own_labels
@@ -54,9 +48,7 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 if TYPE_CHECKING:
     from live_server import Live
 
-    from annotator.types import Detector, Image
     from annotator.web.security import ServerSettings
-    from annotator.workflows.detectors import Detectors
 
 
 WaitFor = Callable[[Callable[[], Any]], None]
@@ -148,22 +140,6 @@ def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest
     assert ended(server, job)["state"] == "cancelled"
     with open_project(server.settings.projects_root / "room") as project:
         assert project.problems() == []
-
-
-def test_pages_get_events_for_changes_of_a_job(server: Live, in_threads: None) -> None:
-    with listen(server) as socket:
-        next_of(socket, "presence")
-        begin(server, fake_jobs.EDITS)
-        event = next_of(socket, "frame")
-        assert (event["revision"], event["operator"]) == (1, "a job")
-
-
-def test_the_number_of_waiting_jobs_is_limited(server: Live, in_threads: None) -> None:
-    jobs = [begin(server, fake_jobs.LONG)]
-    until(server, jobs[0], "running", "on and on")
-    jobs += [begin(server, fake_jobs.QUICK) for _ in range(MOST_WAITING)]
-    refused = server.client.post(JOBS, json={"kind": "propose", "limit": 1})
-    assert (refused.status_code, refused.json()["error"]["kind"]) == (400, "ConfigError")
 
 
 def test_a_worker_imports_no_file_of_the_current_folder(
@@ -281,14 +257,6 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     assert [name for name, entry in formats.items() if entry["flat"]] == ["coco", "yolo"]
 
 
-def test_missing_training_data_is_reported(live: Live, tmp_path: Path) -> None:
-    job = JobContext(live.context.project("room"), tmp_path, "Ada", lambda _: None, lambda: False)
-    with pytest.raises(AnnotatorError, match="to learn from"):
-        train_work(job, TrainRequest(kind="train"))
-    with pytest.raises(AnnotatorError, match="detector yet"):
-        propose_work(job, ProposeRequest(kind="propose"))
-
-
 def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: ServerSettings) -> None:
     folder = web_settings.projects_root / ".jobs"
     numbers = range(1, EXPORTS_KEPT + JOBS_KEPT + 10)
@@ -335,32 +303,6 @@ def test_a_project_without_models(live: Live) -> None:
     assert live.client.get(f"{MODELS}/x/pictures/0.jpg").status_code == 422
 
 
-def test_detectors_are_loaded_at_once_when_the_page_asks(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Path, bool]] = []
-    detectors = live.context.caches.detectors
-    monkeypatch.setattr(detectors, "warm", lambda project, at_once=False: asked.append((project.path, at_once)))
-    assert live.client.post(f"{MODELS}/load").status_code == 204
-    assert [(path.name, at_once) for path, at_once in asked] == [("room", True)]
-
-
-class AnyClass:
-    """As a base detector: the boxes of another detector without their classes."""
-
-    labels = tuple(AGNOSTIC_LABELS.values())
-    fingerprint = "any class"
-
-    def __init__(self, detector: Detector) -> None:
-        self._detector = detector
-
-    def detect(self, images: list[Image]) -> list[list[Box2D]]:
-        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
-
-
-@pytest.fixture
-def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
-    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, pretrained.NAME)
-
-
 def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
     live: Live, generated: Path, tmp_path: Path, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -385,24 +327,3 @@ def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
     assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
     labels = live.client.get(f"{ROOM}/frames/{stored.id}").json()["labels"]
     assert {label["measured_by"] for label in labels} == {TITLE}
-
-
-def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_own(
-    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def named() -> tuple[str | None, str | None]:
-        statistics = live.client.get(f"{ROOM}/statistics").json()
-        return live.client.get(ROOM).json()["detectors"]["stand_in"], statistics["view_detector"]
-
-    assert named() == (None, None)
-    (tmp_path / "base").mkdir()
-    (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
-    assert named() == (TITLE, TITLE)
-    project = live.context.project("room")
-    weights = project.path / "models" / "own.pt"
-    weights.parent.mkdir(exist_ok=True)
-    weights.write_bytes(b"w")
-    kind = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {}, "fingerprint": "own"}
-    project.models.register(DetectorKind.VIEW, weights, **kind)
-    assert named() == (None, "this project's view detector")

@@ -162,12 +162,6 @@ def test_point_size_and_initial_camera_scale_with_the_scene(distance_m: float) -
     np.testing.assert_allclose(initial_camera(scaled).position, distance_m * initial_camera(unit).position, rtol=1e-3)
 
 
-def test_points_of_a_thinned_cloud_are_larger() -> None:
-    """The surfaces of a thinned dense cloud stay closed; a sparse scan has no closed surfaces."""
-    cloud = frame_of(np.random.default_rng(1).normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])).cloud
-    assert point_size_m(cloud, 50_000) > point_size_m(cloud, 500)
-
-
 def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
     recording = open_recording(generated / "people")
     frame = recording.frame(0)
