@@ -36,11 +36,7 @@ class StopJson(Schema):
 
 
 class FollowedJson(Schema):
-    """One followed object: its reviewed box, its track (null while it has none), and the result so far.
-
-    Attributes:
-        is_open: whether it is followed to an end of the recording, not only to its next reviewed box.
-    """
+    """What became of one object, as `FollowedTrack` describes it."""
 
     uid: str
     track_id: int | None
@@ -194,17 +190,7 @@ class FollowRuns:
 
 
 def _tracks(state: Following, public_message: Callable[[str], str]) -> list[FollowedJson]:
-    return [_track(track, public_message) for track in state.tracks]
+    def stops(track: FollowedTrack) -> list[StopJson]:
+        return [StopJson.of(at, frame=at.frame_id, reason=public_message(at.reason)) for at in track.stops]
 
-
-def _track(track: FollowedTrack, public_message: Callable[[str], str]) -> FollowedJson:
-    stops = [StopJson(frame=at.frame_id, key=at.key, reason=public_message(at.reason)) for at in track.stops]
-    return FollowedJson(
-        uid=track.uid,
-        track_id=track.track_id,
-        label=track.label,
-        boxes=track.boxes,
-        doubtful=track.doubtful,
-        stops=stops,
-        is_open=track.is_open,
-    )
+    return [FollowedJson.of(track, stops=stops(track)) for track in state.tracks]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import signal
 import sys
 import threading
@@ -10,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
@@ -20,19 +20,17 @@ from fastapi import FastAPI, Request, Response, WebSocket
 from jaxtyping import Float64, UInt8
 
 from annotator.detection.config import Backend
-from annotator.geometry.oriented_box import EDGES, box_corners
-from annotator.geometry.outline import heading_px
-from annotator.geometry.projection import project
+from annotator.geometry.outline import heading_px, visible_edges
 from annotator.project import Project
 from annotator.rcv.finish import FrameProposals
-from annotator.types import Box2D, Camera, Frame, OrientedBox, ReviewState
+from annotator.types import Box2D, Frame, ReviewState
 from annotator.types.messages import amount
 from annotator.web.limits import limited_log
 from annotator.web.security import Guard, ServerSettings, check_settings
 from annotator.web.serve import Running
 from annotator.web.viewport.drawing import SceneContent, ShownBox
 from annotator.web.viewport.scene import Scene
-from annotator.web.viewport.viewports import HOST, forward_http, forward_socket, silence, start_viser
+from annotator.web.viewport.viewports import ViserPage, forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import open_source
@@ -100,8 +98,6 @@ WIDTH_PX = 640
 BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
 # Length of the head of a heading's arrow, pixels of the drawn image.
 HEAD_PX = 10
-# Number of segments per box edge on a distorted image, where edges are curved.
-STEPS_DISTORTED = 6
 FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 # Number of fractional bits of pixel coordinates for cv2.
 SHIFT = 4
@@ -119,22 +115,11 @@ def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WI
         _draw_rectangle(image, lost.image_box, scale, LOST_COLOR, lost.label)
     for proposal in detections.proposals:
         _draw_rectangle(image, proposal.image_box, scale, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
-        for line in (*edges_px(frame.camera, proposal.box), *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
+        (edges,) = visible_edges(frame.camera, [proposal.box])
+        for line in (*edges, *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
             points = _fixed_point(_scaled(line, scale))
             cv2.polylines(image, [points], False, SOLID_COLOR, 2, cv2.LINE_AA, SHIFT)
     return image
-
-
-def edges_px(camera: Camera, box: OrientedBox) -> list[Float64[np.ndarray, "k 2"]]:
-    """The edges of a box as lines on the image, pixels; edges that reach behind the camera are left out."""
-    corners = box_corners(box)
-    steps = 1 if camera.is_ideal else STEPS_DISTORTED
-    share = np.linspace(0, 1, steps + 1)[:, None]
-    lines = [corners[a] + share * (corners[b] - corners[a]) for a, b in EDGES]
-    px = project(camera, np.concatenate(lines)).reshape(len(EDGES), steps + 1, 2)
-    # coordinates far outside the image overflow in cv2
-    limit = 4 * max(camera.width_px, camera.height_px)
-    return [line for line in px if np.isfinite(line).all() and np.abs(line).max() < limit]
 
 
 def _draw_rectangle(
@@ -176,32 +161,21 @@ PANEL_PX = 440
 SCENE_KEY = ("live", 0)
 
 
-class LivePage:
-    """A page with its own viser server; `show` must be called from one thread. Browsers connect through the proxy.
-
-    Attributes:
-        id: its name in messages.
-        port, origin: as in `ViserEndpoint`.
-    """
+class LivePage(ViserPage):
+    """The live page; `show` must be called from one thread."""
 
     def __init__(self, source: str, facts: Mapping[str, str]) -> None:
-        """Starts the server.
-
+        """
         Args:
             source: description of the source, for people.
             facts: constant rows of the table of figures, such as the backend.
         """
-        self.id = "live"
-        self.origin = f"annotator://{secrets.token_hex(16)}"
-        with silence():
-            self._server = start_viser(HOST, self.origin)
-        self.port = self._server.get_port()
+        super().__init__("live")
         self._facts, self._figures_at_s = facts, 0.0
         self._pipeline: Pipeline | None = None
         self._scene = Scene(self._server, _ignored)
         self._reset_camera = threading.Event()
         gui = self._server.gui
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
         gui.set_panel_label(f"annotator live: {source}")
@@ -241,10 +215,6 @@ class LivePage:
         if self._pipeline is not None and now - self._figures_at_s >= FIGURES_EVERY_S:
             self._figures_at_s = now
             self._text.content = table(detected, self._pipeline.figures(), self._facts)
-
-    def close(self) -> None:
-        with silence():
-            self._server.stop()
 
 
 def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
@@ -363,7 +333,7 @@ class _Session:
             return LiveResult(figures, stored)
 
     def _show(self, detection: LiveDetection, recorder: Recorder | None, facts: dict[str, str]) -> Figures:
-        page, most, log = LivePage(self.source.name, facts), self.options.frames, _LimitedLog(self.report)
+        page, most, log = LivePage(self.source.name, facts), self.options.frames, _few(self.report)
         try:
             pipeline = Pipeline(self.source, detection, page.show, record=recorder, max_frames=most, report=log)
             serve_live(self.settings, page, pipeline, self.interrupts)
@@ -372,18 +342,15 @@ class _Session:
             page.close()
 
 
-class _LimitedLog:
-    """Logs the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
+def _few(report: Callable[[str], None]) -> Callable[[str], None]:
+    """Reports the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
+    left = count(MOST_LOGGED, -1)
 
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._tell, self._left = report, MOST_LOGGED
+    def tell(line: str) -> None:
+        if (remaining := next(left)) > 0:
+            report(line if remaining > 1 else f"{line}\nfurther unreadable frames are only counted")
 
-    def __call__(self, line: str) -> None:
-        if self._left:
-            self._left -= 1
-            self._tell(line)
-            if not self._left:
-                self._tell("further unreadable frames are only counted")
+    return tell
 
 
 def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
@@ -411,11 +378,8 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
     """
     server = Running(settings, live_app(settings, page))
 
-    def stop_serving() -> None:
-        server.should_exit = True
-
     page.follow(pipeline)
-    pipeline.at_end(stop_serving)
+    pipeline.at_end(server.stop)
     sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
     try:

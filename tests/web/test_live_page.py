@@ -11,7 +11,6 @@ import httpx
 import numpy as np
 import pytest
 from live_pages import TruthDetection, detections, served
-from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
@@ -20,8 +19,8 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
-from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
-from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, edges_px, table
+from annotator.types import Box2D, Frame, LostObject, OrientedBox
+from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, table
 from annotator.web.security import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import Playback
@@ -101,19 +100,6 @@ def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
 
 def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
     return FrameProposals(answer.key, answer.proposals, (lost,))
-
-
-def test_edges_follow_lens_distortion_and_end_in_front_of_the_camera() -> None:
-    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
-    bent = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.2, 0.05, 0.0, 0.0))
-    box = OrientedBox.from_parts(np.array([0.3, 0.2, 1.2]), np.eye(3), np.array([0.4, 0.3, 0.4]))
-    assert [line.shape for line in edges_px(camera, box)] == [(2, 2)] * 12
-    lines = edges_px(bent, box)
-    assert len(lines) == 12
-    middle = project(bent, box_corners(box)[[0, 1]].mean(axis=0)[None])[0]
-    assert np.abs(lines[0] - middle).min(axis=0).max() < 0.5
-    around = OrientedBox.at(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
-    assert len(edges_px(camera, around)) == 4, "the edges of the far side"
 
 
 def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None:

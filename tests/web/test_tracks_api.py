@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import json
 import threading
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +16,6 @@ from room_api import BOX, ROOM, change, propose, state
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.web.follow_runs import FollowRequest, FollowRuns
-from annotator.web.routes.tracks import AHEAD, THREADS, drawn_ahead
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.tracks.follow_run import follow_from_frame
@@ -250,49 +247,3 @@ def test_later_proposals_are_corrected_alike_in_one_step(live: Live, project: Pr
     (unchanged,) = state(live.client, 1)["labels"]
     body |= {"was": unchanged["box"], "revision": state(live.client, 1)["frame"]["revision"]}
     assert "not corrected" in live.client.post(f"{ROOM}/frames/1/carry", json=body).text
-
-
-def test_only_a_few_pictures_are_drawn_ahead() -> None:
-    begun: list[int] = []
-
-    def draw(number: int) -> str:
-        begun.append(number)
-        return str(number)
-
-    async def read(most: int) -> None:
-        lines = drawn_ahead(draw, range(1000))
-        for number in range(most):
-            assert await anext(lines) == str(number)
-
-    asyncio.run(read(10))
-    for thread in drawing():
-        thread.join()
-    assert len(begun) <= 10 + AHEAD
-
-
-def test_drawing_stops_once_the_client_has_gone() -> None:
-    begun: list[int] = []
-    blocked, gate = threading.Barrier(THREADS + 1), threading.Event()
-
-    def draw(number: int) -> str:
-        begun.append(number)
-        blocked.wait()
-        gate.wait()
-        return str(number)
-
-    async def leave() -> None:
-        reading = asyncio.ensure_future(anext(drawn_ahead(draw, range(1000))))
-        await asyncio.to_thread(blocked.wait)
-        reading.cancel()
-        with suppress(asyncio.CancelledError):
-            await reading
-
-    asyncio.run(leave())
-    gate.set()
-    for thread in drawing():
-        thread.join()
-    assert sorted(begun) == list(range(THREADS))
-
-
-def drawing() -> list[threading.Thread]:
-    return [thread for thread in threading.enumerate() if thread.name.startswith("sheet_")]

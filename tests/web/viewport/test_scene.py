@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -249,6 +250,6 @@ def test_a_click_on_a_box_selects_it(
     viewport: Viewport, events: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
     viewport.show(SceneContent(("room", 1), frames[0], boxes))
-    viewport._clicked(boxes[2].box.center_m + np.array([0, -20.0, 0]), np.array([0, 1.0, 0]))
-    viewport._clicked(np.zeros(3), np.array([0, -1.0, 0]))
+    for origin, along in ((boxes[2].box.center_m + np.array([0, -20.0, 0]), 1.0), (np.zeros(3), -1.0)):
+        viewport._clicked(SimpleNamespace(ray_origin=origin, ray_direction=(0, along, 0)))
     assert [event["uid"] for event in events.of("select")] == ["box2"]
