@@ -89,7 +89,8 @@ def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(live: Live)
 
 
 def test_wrong_corrections_are_refused(live: Live) -> None:
-    wrong = ({"turn_deg": [0.0, 181.0, 0.0]}, {"shift_m": [0.0, 0.0]}, {"time_offset_s": 1e9}, {"other": 1})
+    # frames without times have no offset
+    wrong = ({"turn_deg": [0.0, 181.0, 0.0]}, {"time_offset_s": 1e9}, {"other": 1}, {"time_offset_s": 0.1})
     for part in wrong:
         assert correct(live.client, {**NONE, **part}).status_code in (400, 422)
     unknown = correct(live.client, TURNED, frame=999)

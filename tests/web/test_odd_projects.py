@@ -24,7 +24,6 @@ from store_samples import replace_folder
 from annotator.project import create_project
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
-from annotator.types.errors import NotFoundError
 from annotator.web.app import Fair, create_app
 from annotator.web.background import Learner, Watch
 from annotator.web.folders import clear_leftovers, hold_server_lock
@@ -157,8 +156,6 @@ NONSENSE = (
 ODD: dict[str, Callable[[Path], object]] = {
     "dropped": _run("DROP TABLE labels"),
     "a-view": _as_a_table,
-    "version-0": _run("PRAGMA user_version = 0"),
-    "version-minus": _run("PRAGMA user_version = -5"),
     "too-new": _run("PRAGMA user_version = 1000"),
     "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
     "empty": lambda folder: (folder / "project.db").write_bytes(b""),
@@ -259,13 +256,6 @@ async def _nothing(*_: object) -> Any:
     return None
 
 
-def test_a_cookie_is_checked_as_sign_in_is(app: FastAPI) -> None:
-    for name in ("", " ", "A%0AB", "A%00", "a" * 65, "a" * 6000, "%FF", "%E2%80%AE", "%ED%A0%80"):
-        cookies = {"annotator_operator": name}
-        assert ask(app, "GET", "/api/session", cookies=cookies).json()["operator"] is None
-        assert ask(app, "GET", "/api/projects", cookies=cookies).status_code == 401
-
-
 def test_a_start_removes_what_killed_processes_left(
     web_settings: ServerSettings, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -315,9 +305,3 @@ def test_a_project_that_cannot_be_written_is_shown_and_refuses_changes(
     app.state.context.close()
     assert not jobs.exists()
     assert {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")} == before
-
-
-def test_a_removed_project_that_nobody_opened_leaves_no_trace(app: FastAPI) -> None:
-    with pytest.raises(NotFoundError):
-        app.state.context.project("none")
-    assert app.state.context._opens == {}

@@ -12,17 +12,14 @@ from room_api import coco
 
 from annotator.detection import pretrained
 from annotator.detection.pretrained import TITLE
-from annotator.project import Project, WriteContext
-from annotator.project.log.event_types import ImageBoxesSet
-from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, ReviewState
+from annotator.project import Project
+from annotator.types import ReviewState
 from annotator.web.jobs.records import WORK
-from annotator.workflows.add_recordings import register_recording
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page, Route
+    from playwright.sync_api import Page
 
 
 @pytest.mark.usefixtures("jobs_on_path")
@@ -81,7 +78,6 @@ def test_bad_files_say_why_a_class_can_be_added_and_a_file_is_awaited(
     for name, text, says in (
         ("notes.txt", "0 0.5", "notes.txt: is neither a file of boxes"),
         ("torn.json", json.dumps(content)[:-40], "torn.json:1: is not valid JSON"),
-        ("other.json", json.dumps({**content, "images": content["images"][:1], "annotations": []}), "000012.jpg"),
     ):
         (tmp_path / name).write_text(text)
         file.set_input_files(tmp_path / name)
@@ -106,40 +102,6 @@ def test_bad_files_say_why_a_class_can_be_added_and_a_file_is_awaited(
     assert project.config.classes == ("person", "dog")
     assert sum(len(boxes.boxes) for boxes in project.boxes.on_images()) == 1
     expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")
-
-    # while a file is still read, another recording is chosen
-    waiting: list[Route] = []
-    register_recording(project, open_recording(generated / "hands"))
-    first = project.recordings.all()[0]
-    frame = project.frames.of([first.id])[0]
-    drawn = ImageBoxesSet(boxes=(Box2D("person", 1.0, 2.0, 30.0, 40.0),), box_kind=BoxKind.SILHOUETTE)
-    project.log.append(frame.id, [drawn], WriteContext(frame.revision, "Bob"))
-    before = project.boxes.on_images()
-    (tmp_path / "boxes.json").write_text(json.dumps(coco(generated, "person")))
-    start.reload()
-    start.get_by_test_id("import-boxes").click()
-    dialog, found = start.get_by_test_id("boxes-dialog"), start.get_by_test_id("boxes-found")
-    start.route("**/boxes-files?name=*", lambda route: waiting.append(route))
-    start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
-    until(start, lambda: waiting)
-    start.get_by_test_id("dialog-import").click()
-    expect(dialog).to_contain_text("The file was still being read")
-    # another recording, chosen before the answer
-    start.get_by_test_id("boxes-recording").select_option(label=first.name)
-    waiting[0].continue_()
-    expect(found).to_contain_text("on 2 images")
-    expect(dialog).not_to_contain_text("could be of several recordings")
-    expect(dialog).to_contain_text("replaces the boxes drawn on 1 image.")
-    # a look that fails leaves nothing to import
-    refuse(start, f"boxes-files/*?recording={first.id}")
-    start.get_by_test_id("boxes-recording").select_option(label="any recording")
-    expect(dialog).to_contain_text("could be of several recordings")
-    start.get_by_test_id("boxes-recording").select_option(label=first.name)
-    expect(found).to_have_count(0)
-    expect(start.get_by_test_id("boxes-about").get_by_role("alert")).not_to_be_empty()
-    start.get_by_test_id("dialog-import").click()
-    expect(dialog).to_contain_text("Choose a file with boxes first")
-    assert project.boxes.on_images() == before
 
 
 def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(

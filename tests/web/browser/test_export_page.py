@@ -63,20 +63,6 @@ def test_a_dataset_is_exported_and_downloaded(
     jobs._tidy()
     expect(page.get_by_test_id("download-gone")).to_have_text("The dataset is no longer kept. Export it again.")
     expect(page.get_by_test_id("download")).to_have_count(0)
-    # the losses of another format, and parts of the dataset
-    page.get_by_test_id("export-format").select_option("coco")
-    expect(page.get_by_test_id("export-pictures")).to_be_visible()
-    page.get_by_test_id("export-format").select_option("kitti")
-    expect(page.get_by_test_id("export-pictures")).to_be_hidden()
-    page.get_by_test_id("export-skip-unreadable").check()
-    page.get_by_test_id("export-divide").check()
-    page.get_by_test_id("export-shares").fill("train")
-    page.get_by_test_id("export-start").click()
-    expect(page.get_by_test_id("export-form").get_by_role("alert")).to_contain_text("train=0.8,val=0.2")
-    page.get_by_test_id("export-shares").fill("train=1,val=1")
-    page.get_by_test_id("export-start").click()
-    expect(page.get_by_test_id("export-parts")).to_contain_text("train: 2 frames")
-    expect(page.get_by_test_id("export-lost")).to_contain_text("boxes have a track id")
 
 
 def test_statistics_follow_the_work_and_checks_lead_to_its_boxes(shared_page: Page, shop: Shop, room: Project) -> None:

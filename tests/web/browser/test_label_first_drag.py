@@ -49,20 +49,9 @@ def test_another_kind_of_boxes_brings_its_own_suggestions(bench: Bench, teach: C
     dashed = page.locator(".views .box.suggested")
     expect(dashed.first).to_be_visible()
     bench.saved()
-    answers = Event()
-
-    def hold(route: Any) -> None:
-        # Enter must not take the old suggestions meanwhile
-        page.keyboard.press("Enter")
-        answers.set()
-        route.continue_()
-
-    page.route("**/label/steps", hold)
     with page.expect_response("**/label/steps") as answer:
         page.keyboard.press("b")
     second = answer.value.json()["steps"][0]["suggested"]
-    assert answers.is_set()
-    assert bench.labels == []
     assert answer.value.request.post_data_json["box_kind"] == "box"
     edges = [[[box[edge] for edge in EDGES] for box in boxes] for boxes in (first, second)]
     assert edges[0] != edges[1]
@@ -106,14 +95,6 @@ def test_one_drag_and_enter_make_a_label(
     np.testing.assert_allclose(label.box.center_m, drawn["box"]["center"], atol=1e-9)
     assert iou_3d(label.box, bench.scene.objects[0].box) > 0.5
     assert bench.live.client.get(f"{bench.api}/statistics").json()["effort"]["actions_a_box"] == 2
-    # a box that is deleted on a view is suggested again
-    page.get_by_test_id("view-side-2").get_by_test_id("editor2d").focus()
-    page.keyboard.press("Delete")
-    expect(dashed).to_have_count(1)
-    expect(row).to_have_attribute("data-boxes", "4")
-    bench.saved()
-    page.keyboard.press("Control+z")
-    expect(row).to_have_attribute("data-boxes", "5")
     # undo returns to the dashed boxes, then to the empty image
     page.keyboard.press("Control+z")
     expect(dashed).to_have_count(4)
@@ -149,10 +130,6 @@ def test_one_drag_and_enter_make_a_label(
     assert label.suggestion == Suggestion(pretrained.TITLE, perfect.fingerprint, corrected=True)
     stored = [box for _, box in bench.state["objects"][1]["views"]]
     assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
-    # undone, the box that is left is on its view again
-    page.keyboard.press("Control+z")
-    expect(row.last).to_have_attribute("data-boxes", "4")
-    expect(dashed).to_have_count(1)
 
 
 class BlockedDetector:

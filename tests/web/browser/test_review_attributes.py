@@ -133,38 +133,3 @@ def test_what_is_typed_is_stored_on_its_box_however_it_is_left(desk: Desk, wait_
         assert (stored.attributes.get("mass"), stored.track_id) == ((81.0, None) if "mass" in field else (None, 81))
         assert stored.state is state
     expect(page.locator("#toasts .toast-error")).to_have_count(0)
-
-    # leaving a frame waits for what is set while another value is being saved
-    uid, frame = desk.uid, desk.frame
-    held: list = []
-    page.route("**/attributes", lambda route: route.continue_() if held else held.append(route))
-    desk.press("Alt+m")
-    page.keyboard.type("81.5")
-    desk.press("p" if page.get_by_test_id("frame-position").inner_text() != "1 / 5" else "n")
-    expect(page.get_by_test_id("act-finalise")).to_be_disabled()
-    wait_for(lambda: held)
-    desk.press("Alt+o")
-    held[0].continue_()
-    wait_for(lambda: desk.frame != frame)
-    desk.settled()
-    expect(page.get_by_test_id("unsaved-dialog")).to_have_count(0)
-    assert values_of(desk, uid) == {"mass": 81.5, "pose": "sitting"}
-
-    # a field shows the stored value again after a refusal
-    for typed, shown in (("101", ""), ("99", "99"), ("1e", "99"), ("102", "99")):
-        mass.focus()
-        desk.press("Control+a")
-        page.keyboard.type(typed)
-        desk.press("Enter")
-        if len(typed) == 3:
-            page.locator("#toasts").get_by_text("mass").wait_for()
-            page.get_by_test_id("toast-error").get_by_role("button").click()
-        desk.settled()
-        expect(mass).to_have_value(shown)
-    mass.focus()
-    page.keyboard.type("8")
-    desk.press("Escape")
-    expect(mass).to_have_value("99")
-    mass.blur()
-    desk.settled()
-    assert values_of(desk, desk.uid) == {"mass": 99.0}

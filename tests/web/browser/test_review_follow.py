@@ -122,18 +122,6 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     expect(page.get_by_test_id("sheet")).to_have_count(0)
     wait_for(lambda: states() == [accepted] * 2 + [ReviewState.EDITED] + [accepted] * 2)
     desk.settled()
-    # a run that has ended before the sheet is back
-    desk.press("Control+z")
-    wait_for(lambda: states() == [accepted] * 2 + [ReviewState.EDITED] + [open_] * 2)
-    desk.settled()
-    desk.press("s")
-    tiles.nth(3).click(modifiers=["Control"])
-    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
-    correct_and_follow()
-    expect(note).to_contain_text("1 proposal of 5 boxes. Top")
-    page.keyboard.press("Enter")
-    wait_for(lambda: states() == [accepted] * 2 + [ReviewState.EDITED] * 2 + [accepted])
-    desk.settled()
 
 
 @pytest.mark.usefixtures("following_view")

@@ -35,20 +35,13 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     expect(name).to_have_text("Track 7 (1)")
     assert name.evaluate("one => one.scrollWidth <= one.clientWidth")
 
-    # a track id that is still being typed is saved with the decision
-    page.get_by_test_id("field-track").fill("70")
     desk.press("Space")
     wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
-    assert desk.project.labels.get(uid).label.track_id == 70
     # the page has selected the next proposal
     page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
     desk.settled()
     page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
     desk.settled()
-    page.get_by_test_id("field-track").fill("7")
-    page.get_by_test_id("field-track").press("Enter")
-    wait_for(lambda: desk.label.track_id == 7)
-    assert desk.label.state is ReviewState.ACCEPTED
     page.locator("body").click(position={"x": 2, "y": 2})
 
     # the reviewed box is copied, and the page opens that frame
@@ -91,10 +84,6 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.settled()
     desk.press("Control+z")
     wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]))
-    page.get_by_test_id("color-by-track").uncheck()
-    desk.press("?")
-    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's previous reviewed box")
-    desk.press("Escape")
 
 
 def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wait_for) -> None:

@@ -120,27 +120,6 @@ class Operator:
         expect(self.page.locator('[data-testid="model-row"][data-active="true"]')).to_have_count(1)
         expect(self.page.get_by_test_id("material-image")).not_to_contain_text("nothing yet")
 
-    def propose_with_trained_detectors(self) -> None:
-        """Checks that the trained detectors run; they are not expected to find anything."""
-        models = self.live.client.get("/api/projects/crowd/models").json()["models"]
-        assert [(model["role"], model["active"]) for model in models] == [("image", True), ("view", False)]
-        for model in models:
-            assert model["boxes"] > 0
-            assert model["curves"][0]["epoch"] == 1
-            assert "box_loss" in model["curves"][0]["metrics"]
-            picture = self.live.client.get(model["pictures"][0])
-            assert (picture.headers["content-type"], picture.content[:2]) == ("image/jpeg", b"\xff\xd8")
-            last = model["pictures"][-1].rpartition("/")[0]
-            assert self.live.client.get(f"{last}/999.jpg").status_code == 404
-            url = f"/api/projects/crowd/models/{model['id']}/activate"
-            assert self.live.client.post(url).json()["active"] is True
-        job = {"kind": "propose", "recordings": [77]}
-        refused = ended(self.live, self.live.client.post("/api/projects/crowd/jobs", json=job).json())
-        assert "no recording with id 77" in refused["message"]
-        job = {"kind": "propose", "limit": 2}
-        done = ended(self.live, self.live.client.post("/api/projects/crowd/jobs", json=job).json())
-        assert (done["state"], done["result"]["frames"]) == ("done", 2), done["message"]
-
     def propose(self) -> None:
         with self.page.expect_response(begins_job) as answer:
             self.click("propose-start")
@@ -238,7 +217,6 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     drawn = operator.label_frames()
     monkeypatch.setitem(WORK, "train", "knowing_jobs:train")
     operator.train()
-    operator.propose_with_trained_detectors()
     monkeypatch.setitem(WORK, "propose", "knowing_jobs:propose")
     operator.propose()
     decided = operator.review()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,6 @@ from browser_page import label_truth
 from annotator.detection import pretrained
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
-from annotator.web.jobs.records import JobState, LiftRequest
 from annotator.web.jobs.runner import WorkerProcess
 from annotator.workflows.training.held_out import Decision, Rival
 
@@ -35,7 +33,7 @@ def test_training_is_set_up_and_a_detector_is_chosen(
     tmp_path: Path,
     wait_for: Callable[[Callable[[], object]], None],
 ) -> None:
-    page, jobs = shared_page, shop.live.context.jobs
+    page = shared_page
     page.goto(f"/#/{room.path.name}/train")
     expect(page.get_by_text("There are no boxes to train on yet")).to_be_visible()
     expect(page.get_by_test_id("train-start")).to_be_hidden()
@@ -61,19 +59,6 @@ def test_training_is_set_up_and_a_detector_is_chosen(
     with page.expect_response("**/models/learning"):
         switch.uncheck()
     assert room.config.settings.learn_every is None
-
-    # the switch stays on when a running job reports its progress
-    job = jobs.add(room.path.name, room.path, LiftRequest(kind="lift"), "Ada")
-    wait_for(lambda: jobs.get(job.id).state not in (JobState.QUEUED, JobState.RUNNING))
-    jobs._update(job.id, state=JobState.RUNNING)
-    indicator = page.get_by_test_id("job-indicator")
-    expect(indicator).to_be_visible()
-    with page.expect_response("**/models/learning"):
-        switch.check()
-    jobs._update(job.id, stage="half of it", done=1, total=2)
-    expect(indicator).to_have_attribute("title", re.compile("half of it"))
-    expect(switch).to_be_checked()
-    jobs._update(job.id, state=JobState.DONE)
 
     # what held-out frames decided is shown, and the base detector can be chosen
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
