@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
@@ -25,12 +24,10 @@ from annotator.project.backup.make import Reason, automatic_backups
 from annotator.project.backup.take_in import restore
 from annotator.project.config import BACKUPS
 from annotator.project.labels import Labels
-from annotator.project.log.writing import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import ConfigError
 from annotator.web import background
-from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner, Watch
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
 from annotator.web.context import Context
 from annotator.web.jobs import runner
 from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORK, JobState, TrainRequest
@@ -237,26 +234,3 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         assert len(automatic_backups(changed)) == 1
     finally:
         context.close()
-
-
-def test_a_round_that_cannot_start_loses_no_event(
-    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(self: Learner, name: str, project: Project) -> None:
-        raise ConfigError("20 jobs are waiting already")
-
-    monkeypatch.setattr(Learner, "look", fail)
-    monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
-    sent: list[int] = []
-    hub = SimpleNamespace(
-        projects=lambda: {"room": 0},
-        frame_changed=lambda name, frame_id, *_: sent.append(frame_id),
-        recordings_are=lambda name, ids: None,
-    )
-    monkeypatch.setattr(Context, "is_open", lambda self, name: True)
-    monkeypatch.setattr(Context, "project", lambda self, name: project)
-    context = object.__new__(Context)
-    vars(context)["hub"] = hub
-    watch = Watch(context, Learner(jobs))
-    watch.poll()
-    assert sent == [7]

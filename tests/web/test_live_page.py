@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import time
 from pathlib import Path
@@ -103,21 +102,13 @@ def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
 
 
 def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None:
-    detected = Detected(frame, detections(frame), 0.0, {})
-    meter = Meter()
-    before = table(detected, meter.figures(Drops()), {})
-    assert "| frames/s | - |" in before
-    assert "| dropped | none |" in before
-    for _ in range(3):
-        meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
-        time.sleep(0.01)
+    detected, meter = Detected(frame, detections(frame), 0.0, {}), Meter()
+    assert "| frames/s | - |" in table(detected, meter.figures(Drops()), {})
+    meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
     meter.broken = 2
     after = table(detected, meter.figures(Drops(detect=7)), {"backend": "torch"})
-    assert "read 12 · views 30" in after
-    assert "| dropped | detect 7 |" in after
-    assert "| unreadable | 2 |" in after
-    assert "| backend | torch |" in after
-    assert not math.isnan(meter.figures(Drops()).latency_ms or math.nan)
+    for row in ("read 12 · views 30", "| dropped | detect 7 |", "| unreadable | 2 |", "| backend | torch |"):
+        assert row in after
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

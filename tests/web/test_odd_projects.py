@@ -56,26 +56,6 @@ def labels(app: FastAPI) -> int:
     return len(send(app, "GET", f"{ROOM}/frames/1").json()["labels"])
 
 
-def test_a_project_replaced_by_its_backup_is_opened_anew(app: FastAPI, web_settings: ServerSettings) -> None:
-    context: Context = app.state.context
-    room, backup = web_settings.projects_root / "room", web_settings.projects_root / "backup"
-    assert draw(app, 0).status_code == 200
-    shutil.copytree(room, backup)
-    assert draw(app, 1).status_code == 200
-    old = context.project("room")
-    replace_folder(room, backup)
-    # what had begun before is refused, what begins now is stored in the new one
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(context), "project", lambda *_: old)
-        refused = draw(app, 2)
-    assert (refused.status_code, refused.json()["error"]["kind"]) == (409, "ReplacedError")
-    assert refused.json()["error"]["message"].startswith("projects/room/project.db: was replaced by another file")
-    assert labels(app) == 1
-    assert draw(app, 1).status_code == 200
-    context.close()
-    assert labels(create_app(web_settings)) == 2
-
-
 def test_nothing_of_a_replaced_database_is_taken_for_that_of_the_new_one(
     app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:

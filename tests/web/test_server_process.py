@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import platform
 import subprocess
@@ -13,8 +12,6 @@ from pathlib import Path
 import pytest
 
 from annotator.types.errors import ConfigError
-from annotator.web import background as module
-from annotator.web.background import preload
 from annotator.web.folders import hold_server_lock
 
 # Prints how many MB 80 MB of freed pieces still take, the heaps after 16 threads have allocated at once, and whether
@@ -77,18 +74,6 @@ def test_memory_is_kept_tidy_and_what_the_first_page_needs_is_loaded_ahead() -> 
     assert done.stdout.count("<heap nr=") <= 2
     loaded = ["loaded late: []", "loaded ahead: ['numba', 'viser'] True"]
     assert done.stdout.splitlines()[-2:] == loaded, "with the compiled functions"
-
-
-def test_a_failure_is_logged_and_does_no_harm(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def broken() -> None:
-        raise OSError("no such library")
-
-    monkeypatch.setattr(module, "warm_frame", broken)
-    with caplog.at_level(logging.ERROR, "annotator.web"):
-        preload().join()
-    assert "no such library" in caplog.text
 
 
 def test_a_second_server_is_refused_while_the_first_one_runs(tmp_path: Path) -> None:

@@ -9,12 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from in_process import ask
 
-from annotator.project import create_project
-from annotator.web.app import create_app
 from annotator.web.errors import has_absolute_path, hide_paths
-from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:
@@ -67,17 +63,3 @@ def test_the_error_of_a_broken_frame_names_its_file_only(live: Live, generated: 
     wrong = live.client.post("/api/projects/room/recordings", json={"path": generated.name}).json()
     assert wrong["error"]["message"].startswith(f"{generated.name}: no known recording format in this folder")
     assert str(generated.parent) not in wrong["error"]["message"]
-
-
-def test_problems_of_projects_do_not_contain_their_paths(web_settings: ServerSettings) -> None:
-    folder = web_settings.projects_root / "damaged"
-    folder.mkdir()
-    (folder / "project.json").write_text("{")
-    app = create_app(web_settings)
-    cookies = {"annotator_operator": "Ada"}
-    listed = {entry["name"]: entry for entry in ask(app, "GET", "/api/projects", cookies=cookies).json()["projects"]}
-    assert listed["damaged"]["problem"].startswith("projects/damaged/project.json")
-    create_project(web_settings.projects_root, "empty", ["person"]).close()
-    (web_settings.projects_root / "empty" / "project.db").unlink()
-    message = ask(app, "GET", "/api/projects/empty", cookies=cookies).json()["error"]["message"]
-    assert message.startswith("projects/empty/project.db: is missing")

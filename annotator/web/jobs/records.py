@@ -22,7 +22,7 @@ from annotator.workflows.importing.boxes_3d import MOST_NAME
 
 LOG = logging.getLogger("annotator.web")
 
-Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
+Ids = Annotated[tuple[RowId, ...], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -125,8 +125,8 @@ class ExportRequest(Schema):
 
     kind: Literal["export"]
     format: ExportFormat = ExportFormat.RCV
-    states: Annotated[list[ReviewState], Field(min_length=1, max_length=4)] | None = None
-    classes: Annotated[list[Annotated[str, Field(max_length=64)]], Field(min_length=1, max_length=200)] | None = None
+    states: Annotated[tuple[ReviewState, ...], Field(min_length=1, max_length=4)] | None = None
+    classes: Annotated[tuple[ClassName, ...], Field(min_length=1, max_length=200)] | None = None
     recordings: Ids | None = None
     empty_frames: bool = False
     skip_unreadable: bool = False

@@ -72,13 +72,15 @@ class Merge(Schema):
 
 
 class Remove(Schema):
-    """Removes a class; one with boxes only if they are to be removed, too."""
+    """Removes a class, one with boxes only if they are to be removed, too; or an attribute with its values."""
 
-    do: Literal["remove"]
+    do: Literal["remove", "remove_attribute"]
     name: ClassName
     with_boxes: bool = False
 
     def edit(self, config: ProjectConfig) -> ClassEdit:
+        if self.do == "remove_attribute":
+            return edit.remove_attribute(config, self.name)
         made = edit.remove_class(config, self.name)
         return made if self.with_boxes else ClassEdit(made.config)
 
@@ -119,22 +121,11 @@ class RenameAttribute(Schema):
         return edit.rename_attribute(config, self.name, self.new)
 
 
-class RemoveAttribute(Schema):
-    """Removes an attribute with its values."""
-
-    do: Literal["remove_attribute"]
-    name: ClassName
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.remove_attribute(config, self.name)
-
-
 class ClassChange(Schema):
     """One change of the classes or attributes."""
 
     change: Annotated[
-        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute | RemoveAttribute,
-        Field(discriminator="do"),
+        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute, Field(discriminator="do")
     ]
 
 

@@ -50,34 +50,15 @@ from annotator.workflows.workbench.save_object import apply_changes
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
-class Accept(Schema):
-    """Accepts a label unchanged."""
+class Decide(Schema):
+    """Accepts a label unchanged, rejects it (the object does not exist), or removes it: it may be proposed again."""
 
-    kind: Literal["accept"]
+    kind: Literal["accept", "reject", "delete"]
     uid: Uid
 
     def payload(self) -> Payload:
-        return LabelAccepted(uid=self.uid)
-
-
-class Reject(Schema):
-    """Rejects a label: the object does not exist."""
-
-    kind: Literal["reject"]
-    uid: Uid
-
-    def payload(self) -> Payload:
-        return LabelRejected(uid=self.uid)
-
-
-class Delete(Schema):
-    """Removes a label; the object may be proposed again."""
-
-    kind: Literal["delete"]
-    uid: Uid
-
-    def payload(self) -> Payload:
-        return LabelDeleted(uid=self.uid)
+        decided = {"accept": LabelAccepted, "reject": LabelRejected, "delete": LabelDeleted}[self.kind]
+        return decided(uid=self.uid)
 
 
 class Edit(Schema):
@@ -143,26 +124,15 @@ class ImageBoxesIn(Schema):
 
 
 class Finalise(Schema):
-    """Finalises the frame."""
+    """Finalises the frame, or reopens it."""
 
-    kind: Literal["finalise"]
-
-    def payload(self) -> Payload:
-        return FrameFinalised()
-
-
-class Reopen(Schema):
-    """Reopens the frame."""
-
-    kind: Literal["reopen"]
+    kind: Literal["finalise", "reopen"]
 
     def payload(self) -> Payload:
-        return FrameReopened()
+        return FrameFinalised() if self.kind == "finalise" else FrameReopened()
 
 
-ChangeIn = Annotated[
-    Accept | Reject | Delete | Edit | Track | Create | ImageBoxesIn | Finalise | Reopen, Field(discriminator="kind")
-]
+ChangeIn = Annotated[Decide | Edit | Track | Create | ImageBoxesIn | Finalise, Field(discriminator="kind")]
 
 
 class ChangesIn(FrameChange):

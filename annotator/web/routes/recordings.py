@@ -204,7 +204,7 @@ def add(at: AtProject, body: NewRecording) -> AddedRecordings | JSONResponse:
         return AddedRecordings(added=added)
     try:
         with_labels = [result.recording.id for result in results if has_own_labels(opened, result.recording.id)]
-        request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
+        request = ImportRequest(kind="import", recordings=tuple(with_labels)) if with_labels else None
         job = None if request is None else ctx.jobs.add(at.name, opened.path, request, at.operator)
     except InputError as error:
         # the recordings have been added

@@ -127,7 +127,9 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     problem = page.get_by_test_id("save-problem")
 
     def move(key: str) -> None:
-        page.get_by_test_id("image-editor").get_by_test_id("editor-box").click(force=True)
+        box = page.get_by_test_id("image-editor").get_by_test_id("editor-box")
+        box.wait_for()
+        box.click(force=True)
         for _ in range(6):
             page.keyboard.press(key)
 

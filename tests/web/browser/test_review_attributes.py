@@ -133,3 +133,13 @@ def test_what_is_typed_is_stored_on_its_box_however_it_is_left(desk: Desk, wait_
         assert (stored.attributes.get("mass"), stored.track_id) == ((81.0, None) if "mass" in field else (None, 81))
         assert stored.state is state
     expect(page.locator("#toasts .toast-error")).to_have_count(0)
+
+    # a field shows the stored value again after a refusal
+    for typed, shown in (("99", "99"), ("1e", "99"), ("102", "99")):
+        mass.focus()
+        desk.press("Control+a")
+        page.keyboard.type(typed)
+        desk.press("Enter")
+        desk.settled()
+        expect(mass).to_have_value(shown)
+    expect(page.get_by_test_id("toast-error")).to_contain_text("mass")
