@@ -72,16 +72,6 @@ class FollowRunJson(Schema):
     message: str | None
 
 
-@dataclass(frozen=True, eq=False)
-class FollowRequest:
-    """A run to start; `frame_id`, `direction` and `has_detector` as in `FollowRunJson`."""
-
-    run: FollowRun
-    frame_id: int
-    direction: Direction
-    has_detector: bool
-
-
 @dataclass(eq=False)
 class _Running:
     shown: FollowRunJson
@@ -100,20 +90,22 @@ class FollowRuns:
         # the latest run of each operator; not by the project's name: another one of that name has none of them
         self._runs = WeakKeyDictionary[Project, dict[str, _Running]]()
 
-    def start(self, project: Project, operator: str, request: FollowRequest) -> FollowRunJson:
-        """Starts a run; an earlier one of the operator in this project is stopped first."""
+    def start(
+        self, project: Project, operator: str, run: FollowRun, frame_id: int, direction: Direction, has_detector: bool
+    ) -> FollowRunJson:
+        """Starts a run, described as in `FollowRunJson`; an earlier one of the operator in this project is stopped."""
         with self._starting:
             self.stop(project, operator)
             with self._lock:
                 # milliseconds, so that the numbers grow across restarts of the server
                 self._number = max(self._number + 1, time.time_ns() // 1_000_000)
-                state = request.run.state
+                state = run.state
                 shown = FollowRunJson(
                     number=self._number,
                     operator=operator,
-                    frame=request.frame_id,
-                    direction=request.direction,
-                    has_detector=request.has_detector,
+                    frame=frame_id,
+                    direction=direction,
+                    has_detector=has_detector,
                     state="running",
                     done=state.done,
                     total=state.total,
@@ -121,9 +113,9 @@ class FollowRuns:
                     first=None,
                     message=None,
                 )
-                running = self._runs.setdefault(project, {})[operator] = _Running(shown, request.run.action)
+                running = self._runs.setdefault(project, {})[operator] = _Running(shown, run.action)
                 running.thread = threading.Thread(
-                    target=self._follow, args=(project, running, request.run), name="follow", daemon=True
+                    target=self._follow, args=(project, running, run), name="follow", daemon=True
                 )
                 running.thread.start()
             return shown

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -34,7 +34,7 @@ from annotator.web.viewport.viewports import ViserPage, forward_http, forward_so
 from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import open_source
-from annotator.workflows.live.pipeline import Figures, Pipeline, Source
+from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.live.recorder import Recorder, Stored, require_unused_path, store
 from annotator.workflows.settings import rcv_config
 
@@ -291,27 +291,14 @@ def run_live(
     if options.record is not None:
         require_unused_path(project, options.record)
     # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
-    source = open_source(
-        project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
-    )
-    try:
-        with Interrupts() as interrupts:
-            return _Session(project, options, settings, source, report, interrupts).run()
-    finally:
-        source.close()
-
-
-@dataclass(frozen=True, eq=False)
-class _Session:
-    project: Project
-    options: LiveOptions
-    settings: ServerSettings
-    source: Source
-    report: Callable[[str], None]
-    interrupts: Interrupts
-
-    def run(self) -> LiveResult:
-        project, options, report = self.project, self.options, self.report
+    with (
+        closing(
+            open_source(
+                project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
+            )
+        ) as source,
+        Interrupts() as interrupts,
+    ):
         detectors, warm = active_detectors(project, backend=options.backend), options.warm_start
         rotation = project.config.settings.rotation
         detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=warm)
@@ -319,27 +306,28 @@ class _Session:
         if named := stand_in(project):
             report(f"view detector: {named}")
             facts["view detector"] = named
+
+        def show(recorder: Recorder | None) -> Figures:
+            with closing(LivePage(source.name, facts)) as page:
+                pipeline = Pipeline(
+                    source, detection, page.show, record=recorder, max_frames=options.frames, report=_few(report)
+                )
+                serve_live(settings, page, pipeline, interrupts)
+                return pipeline.figures()
+
         if options.record is None:
-            return LiveResult(self._show(detection, None, facts), None)
+            return LiveResult(show(None), None)
         with Recorder(options.record, report) as recorder:
+            facts["recording"] = recorder.out.name
             stored = None
             try:
-                figures = self._show(detection, recorder, facts | {"recording": recorder.out.name})
+                figures = show(recorder)
             finally:
                 if frames := recorder.finish():
                     report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
                     stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm)
             recorder.require_complete()
             return LiveResult(figures, stored)
-
-    def _show(self, detection: LiveDetection, recorder: Recorder | None, facts: dict[str, str]) -> Figures:
-        page, most, log = LivePage(self.source.name, facts), self.options.frames, _few(self.report)
-        try:
-            pipeline = Pipeline(self.source, detection, page.show, record=recorder, max_frames=most, report=log)
-            serve_live(self.settings, page, pipeline, self.interrupts)
-            return pipeline.figures()
-        finally:
-            page.close()
 
 
 def _few(report: Callable[[str], None]) -> Callable[[str], None]:

@@ -138,9 +138,6 @@ class Effort(Schema):
     actions: Annotated[int, Field(ge=0, le=10_000)]
     seconds: Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
 
-    def stored(self) -> StoredEffort:
-        return StoredEffort(self.actions, self.seconds)
-
 
 class WithEffort(Schema):
     """A change, and what it took the operator."""
@@ -148,7 +145,7 @@ class WithEffort(Schema):
     effort: Effort | None = None
 
     def stored_effort(self) -> StoredEffort | None:
-        return None if self.effort is None else self.effort.stored()
+        return None if self.effort is None else StoredEffort(self.effort.actions, self.effort.seconds)
 
 
 class FrameChange(WithEffort):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,9 +29,8 @@ from annotator.web import background
 from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
 from annotator.web.context import Context
 from annotator.web.jobs import runner
-from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORK, JobState, TrainRequest
+from annotator.web.jobs.records import WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
-from annotator.web.jobs.worker import Orders
 from annotator.web.security import ServerSettings
 from annotator.workflows.training.held_out import Decision
 
@@ -132,20 +130,6 @@ def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
     for _ in range(3):
         learner.look("room", project)
     assert len(jobs.all()) == 3
-
-
-def test_a_paused_job_waits_and_a_stop_ends_the_pause() -> None:
-    orders = Orders()
-    answers: list[bool] = []
-    for ending, answer in ((RESUME, False), (STOP, True)):
-        orders.take(PAUSE)
-        asking = threading.Thread(target=lambda: answers.append(orders.stopped()))
-        asking.start()
-        asking.join(0.2)
-        assert asking.is_alive()
-        orders.take(ending)
-        asking.join(PATIENCE_S)
-        assert answers.pop() is answer
 
 
 def test_a_job_in_the_background_stops_for_another_job(server: Live) -> None:

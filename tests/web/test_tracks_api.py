@@ -15,7 +15,7 @@ from room_api import BOX, ROOM, change, propose, state
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
-from annotator.web.follow_runs import FollowRequest, FollowRuns
+from annotator.web.follow_runs import FollowRuns
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.tracks.follow_run import follow_from_frame
@@ -113,7 +113,7 @@ def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, pro
     restarted = FollowRuns(live.context.hub, str)
     frame = project.frames.get(1)
     run = follow_from_frame(project, frame.id, frame.revision, None, "Ada")
-    numbers.append(restarted.start(project, "Ada", FollowRequest(run, frame.id, "forward", False)).number)
+    numbers.append(restarted.start(project, "Ada", run, frame.id, "forward", False).number)
     restarted.close()
     assert numbers[0] < numbers[1] < numbers[2] < 2**53, "the page's numbers are exact to 2**53"
 

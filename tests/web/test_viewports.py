@@ -63,17 +63,6 @@ def browser(live: Any, viewport: str, protocol: str = PROTOCOL, **more: Any) -> 
         yield socket
 
 
-def test_the_answer_to_a_scene_has_the_number_of_shown_points(live: Any, frame_id: int) -> None:
-    viewport = opened(live)
-    answer = show(live, viewport, frame=frame_id)
-    assert answer.status_code == 200, answer.text
-    frame = live.context.frame(live.context.project("room"), frame_id)
-    assert answer.json()["points"] == answer.json()["shown_points"] == len(frame.cloud)
-    assert answer.json()["ms"] > 0
-    assert answer.json()["connected"] is False
-    assert show(live, viewport, frame=None).json()["points"] == 0
-
-
 def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> None:
     project = live.context.project("room")
     box = OrientedBox.from_parts(np.array([0.0, 0, 3]), np.eye(3), np.array([1.0, 1, 1]))

@@ -14,7 +14,7 @@ from annotator.project import StoredFrame
 from annotator.types import DetectorKind, Label, ReviewState
 from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import AtProject, InProject
-from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
+from annotator.web.follow_runs import Direction, FollowRunJson
 from annotator.web.frame_json import STALE, AtFrame, InFrame
 from annotator.web.schemas import Box3DJson, FrameChange, FrameStateJson, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next
@@ -153,7 +153,7 @@ def follow(at: AtFrame, body: FollowIn) -> FollowRunJson:
             forward=body.direction == "forward",
             effort=body.stored_effort(),
         )
-    return runs.start(at.project, at.operator, FollowRequest(run, at.frame_id, body.direction, view is not None))
+    return runs.start(at.project, at.operator, run, at.frame_id, body.direction, view is not None)
 
 
 @router.get("/api/projects/{name}/follow")

@@ -19,7 +19,6 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud
 from annotator.web.viewport.drawing import (
     PointColor,
-    arrow_lines,
     frustum_lines,
     initial_camera,
     pick,
@@ -76,20 +75,6 @@ def test_the_frustum_projects_onto_the_image_box(frame: Frame, distortion: tuple
     border = project(bent, lines[4:, 0])
     on_edge = np.abs(border[:, [0, 0, 1, 1]] - [40, 200, 30, 180]).min(axis=1)
     assert on_edge.max() < 0.05
-
-
-def test_an_arrow_has_its_head_on_the_shaft() -> None:
-    start, end = np.array([0.3, -0.2, 1.0]), np.array([0.1, 0.9, 3.0])
-    tip = start + 0.6 * (end - start)
-    lines = arrow_lines(start, tip, end)
-    np.testing.assert_allclose(lines[0], [start, end], atol=1e-6)
-    head = lines[1:].reshape(-1, 3) - start
-    share = head @ (end - start) / float((end - start) @ (end - start))
-    # the head is a ring around the shaft, connected to the tip
-    assert 0.4 < share.min() < share.max() == pytest.approx(0.6, abs=1e-6)
-    ring = head[share < 0.59] - share.min() * (end - start)
-    np.testing.assert_allclose(ring.mean(axis=0), 0, atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(ring, axis=1), np.linalg.norm(ring[0]), atol=1e-5)
 
 
 def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(frame: Frame, truth: OrientedBox) -> None:
