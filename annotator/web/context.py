@@ -70,14 +70,7 @@ class ViewImageCache:
 
 
 class Caches:
-    """The caches of one application.
-
-    Attributes:
-        frames: recently opened frames.
-        view_images: images of the pseudo-views shown by pages.
-        sheets: pictures of contact sheets.
-        detectors: loaded detectors of the projects.
-    """
+    """The caches of one application."""
 
     def __init__(self) -> None:
         self.frames = FrameCache()
@@ -106,16 +99,7 @@ LONGEST_NAME = 64
 
 
 class Context:
-    """The state of one application, in `app.state.context`. Thread-safe.
-
-    Attributes:
-        settings: of the server.
-        folders: folders that recordings may be added from.
-        hub: sends events to the open pages.
-        jobs: runs the jobs.
-        follow_runs: follow objects through recordings.
-        caches: open frames, images of pseudo-views, detectors.
-    """
+    """The state of one application, in `app.state.context`. Thread-safe."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings

@@ -26,10 +26,7 @@ class Client:
 
     Attributes:
         project: it receives no events of other projects.
-        operator: name of its operator.
         since: id of the project's newest event when the page connected; it receives all later ones.
-        frame: id of the frame that it shows.
-        viewports: ids of the 3D viewports that it shows.
         queue: unsent events as JSON texts; None = the end.
         dropped: True once it has been disconnected for exceeding the queue.
     """

@@ -252,7 +252,6 @@ class LiveOptions:
     Attributes:
         source: as in `open_source`.
         rate, loop: playback options of a recording.
-        backend: runs the detectors.
         warm_start: start each recursion with the boxes of the previous frame.
         frames: end after this number of frames of the source; None = at its end.
         record: record the session to this path, and add it to the project.
@@ -282,11 +281,7 @@ def run_live(
     *,
     report: Callable[[str], None],
 ) -> LiveResult:
-    """Detects and shows frames until the source ends, or until interrupted. The recording is kept even after an error.
-
-    Args:
-        report: called with each log line while the session runs.
-    """
+    """Detects and shows frames until the source ends or is interrupted. The recording is kept even after an error."""
     check_settings(settings)
     if options.record is not None:
         require_unused_path(project, options.record)

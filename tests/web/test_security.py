@@ -1,8 +1,12 @@
-"""Access: every route without the token, foreign pages and hosts, large bodies, and security headers."""
+"""Access: every route without the token, foreign pages and hosts, large bodies and headers; where the token comes from,
+who may read what the server writes; and messages, which name files but not their folders on the server.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import socket
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -12,25 +16,34 @@ from typing import TYPE_CHECKING
 
 import pytest
 from fastapi import FastAPI
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process import HERE, ask, open_socket
-from live_server import PATIENCE_S
+from live_server import PATIENCE_S, ended, running
 from starlette.routing import BaseRoute
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from annotator import __version__
+from annotator.project import create_project
 from annotator.types.errors import ConfigError
 from annotator.web import security
 from annotator.web.app import create_app
+from annotator.web.errors import has_absolute_path, hide_paths
+from annotator.web.jobs.records import WORK
 from annotator.web.limits import Rate
 from annotator.web.security import (
     BODY_LIMIT,
     GUESSES_BURST,
     MESSAGES_BURST,
     STRANGERS_BURST,
+    VARIABLE,
     ServerSettings,
     check_settings,
     cookie_name,
+    state_folder,
+    with_token,
 )
+from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -274,3 +287,128 @@ def test_sign_in_and_out(live: Live) -> None:
         assert (refused.status_code, refused.json()["error"]["kind"]) == (422, "ValidationError")
     assert client.delete("/api/session").json()["operator"] is None
     assert client.get("/api/session").json()["operator"] is None
+
+
+LONG = "a-token-from-the-operator"
+
+
+@pytest.fixture(autouse=True)
+def _state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def token_file(folder: Path, content: str, mode: int = 0o600) -> Path:
+    path = folder / "token"
+    path.write_text(content)
+    path.chmod(mode)
+    return path
+
+
+def test_every_address_has_a_new_token_unless_one_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here, there = ServerSettings(tmp_path), ServerSettings(tmp_path, host="192.168.0.9")
+    tokens = [with_token(settings).token for settings in (here, here, there, there)]
+    assert len(set(tokens)) == 4
+    assert all(token is not None and len(token) == 43 for token in tokens)
+    assert with_token(here, token_file(tmp_path, f"{LONG}\n")).token == LONG
+    monkeypatch.setenv(VARIABLE, LONG)
+    assert with_token(there).token == LONG
+    assert VARIABLE not in os.environ, "jobs would inherit it"
+    assert with_token(here, no_token=True).token is None
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "said"),
+    [
+        (LONG, 0o644, "other users may read it; run chmod 600"),
+        ("two words", 0o600, "is not one line with a token"),
+        ("x" * 5000, 0o600, "is not one line with a token"),
+        ("ü" * 20, 0o600, "a token needs at least 16 ASCII"),
+    ],
+)
+def test_unusable_token_files_are_errors(tmp_path: Path, content: str, mode: int, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        with_token(ServerSettings(tmp_path), token_file(tmp_path, content, mode))
+
+
+def test_browsers_stay_signed_in_on_this_computer_and_with_the_same_token(tmp_path: Path) -> None:
+    here = ServerSettings(tmp_path)
+    given, other = token_file(tmp_path, LONG), tmp_path / "other"
+    kept = [with_token(here).cookie, with_token(here).cookie]
+    assert kept[0] == kept[1]
+    there = [with_token(ServerSettings(tmp_path, host="192.168.0.9")) for _ in range(2)]
+    assert there[0].cookie != there[1].cookie
+    same = {with_token(settings, given).cookie for settings in (here, *there)}
+    assert len(same) == 1
+    assert len({*kept, *same, with_token(ServerSettings(other)).cookie}) == 3
+    assert with_token(here, token_file(tmp_path, LONG + "2")).cookie not in same
+    secret = state_folder() / "secret"
+    assert (secret.stat().st_mode & 0o777, secret.parent.stat().st_mode & 0o777) == (0o600, 0o700)
+    secret.write_bytes(b"damaged")
+    assert with_token(here).cookie != kept[0]
+
+
+def test_other_users_can_read_neither_projects_nor_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(WORK, "propose", "no.such.module:work")
+    before = os.umask(0o022)
+    try:
+        with create_project(tmp_path / "projects", "room", ("person",)) as project:
+            project.log.last()
+        with running(ServerSettings(tmp_path / "projects", port=0)) as live:
+            job = live.client.post("/api/projects/room/jobs", json={"kind": "propose"}).json()
+            ended(live, job)
+    finally:
+        os.umask(before)
+    room, jobs = tmp_path / "projects/room", tmp_path / "projects/.jobs"
+    assert {folder.stat().st_mode & 0o777 for folder in (room, jobs)} == {0o700}
+    files = [*room.glob("project.db*"), *(path for path in jobs.rglob("*") if path.is_file())]
+    assert {file.name for file in files} >= {"project.db", "journal.json"}
+    assert [file for file in files if file.stat().st_mode & 0o777 != 0o600] == []
+
+
+PLACES = ((Path("/srv/data/inner"), "inner"), (Path("/srv/data"), "data"), (Path("/home/ada/my takes"), "takes"))
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("/srv/data/people/color/1.jpg: missing", "data/people/color/1.jpg: missing"),
+        ("/srv/data/inner/x.txt:3: a word", "inner/x.txt:3: a word"),
+        ("'/srv/data' and (/srv/data), see /srv/data.", "'data' and (data), see data."),
+        ("/srv/data-2/x.png: broken", "…/x.png: broken"),
+        ("/srv/database/x.png: broken", "…/x.png: broken"),
+        ("/home/ada/my takes/a b/x.png: broken", "takes/a b/x.png: broken"),
+        ("/home/bob/private/x.png: broken; give 1 m/s", "…/x.png: broken; give 1 m/s"),
+        ("x.png: or/and 3 / 4, http://127.0.0.1:8080/a/b", "x.png: or/and 3 / 4, http://127.0.0.1:8080/a/b"),
+        ("/secret: no such file", "…/secret: no such file"),
+        ("color/1.jpg: missing", "color/1.jpg: missing"),
+    ],
+)
+def test_messages_name_files_without_their_folders(message: str, shown: str) -> None:
+    assert hide_paths(message, PLACES) == shown
+    assert hide_paths(shown, PLACES) == shown
+
+
+@given(st.lists(st.from_regex(r"[a-z0-9_.-]{1,8}", fullmatch=True), min_size=1, max_size=5), st.booleans())
+def test_no_path_keeps_its_folders(parts: list[str], is_known: bool) -> None:
+    parts = [part.strip(".-") or "x" for part in parts]
+    path = Path("/srv/data" if is_known else "/var/lib", *parts)
+    shown = hide_paths(f"{path}: broken", PLACES)
+    assert not has_absolute_path(shown)
+    assert path.name in shown and "/srv" not in shown and "/var" not in shown
+
+
+def test_the_error_of_a_broken_frame_names_its_file_only(live: Live, generated: Path, tmp_path: Path) -> None:
+    """For a recording in a registered folder, and for one elsewhere on the disk."""
+    project = live.context.project("room")
+    elsewhere = tmp_path / "elsewhere" / "own take"
+    shutil.copytree(generated / "people", elsewhere)
+    (added,) = add_recordings(project, [elsewhere], name="mine")
+    frame = project.frames.of([added.recording.id])[1]
+    (elsewhere / "color" / "000001.jpg").write_bytes(b"")
+    answer = live.client.get(f"/api/projects/room/frames/{frame.id}")
+    message = answer.json()["error"]["message"]
+    assert (answer.status_code, message.partition(":")[0]) == (400, "mine/color/000001.jpg")
+    assert str(tmp_path) not in message
+    wrong = live.client.post("/api/projects/room/recordings", json={"path": generated.name}).json()
+    assert wrong["error"]["message"].startswith(f"{generated.name}: no known recording format in this folder")
+    assert str(generated.parent) not in wrong["error"]["message"]

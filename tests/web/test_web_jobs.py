@@ -1,8 +1,12 @@
-"""Jobs: outcomes, order, events to pages, and the journal after a restart; the work is a fake for these tests."""
+"""Jobs: outcomes, order, events to pages, the journal after a restart, and what a server does beside requests.
+
+The work of the jobs is a fake for these tests.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -21,27 +25,37 @@ from drawing import Scene
 from live_server import PATIENCE_S, ended, look, running
 from test_events import listen, next_of
 
-from annotator.project import WriteContext, open_project
-from annotator.types import BoxKind
+from annotator.project import Project, WriteContext, create_project, open_project
+from annotator.project.backup.make import Reason, automatic_backups
+from annotator.project.backup.take_in import restore
+from annotator.project.config import BACKUPS
+from annotator.project.labels import Labels
+from annotator.project.models import Models
+from annotator.types import BoxKind, DetectorKind
+from annotator.web import background
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
+from annotator.web.context import Context
 from annotator.web.jobs import runner, work
 from annotator.web.jobs.records import (
     FILE,
     WORK,
     JobContext,
+    JobState,
     JobStoppedError,
     LiftRequest,
+    TrainRequest,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import NICENESS
 from annotator.web.schemas import Box2DJson
+from annotator.web.security import ServerSettings
 from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.training.held_out import Decision
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
-
-    from annotator.web.security import ServerSettings
 
 
 WaitFor = Callable[[Callable[[], Any]], None]
@@ -299,3 +313,185 @@ def test_the_job_proposes_3d_boxes_from_drawn_boxes(
     said = work.lift_work(job, LiftRequest(kind="lift")).message
     assert said.endswith("in 1 frame, measured by: this project's view detector")
     assert live.client.get(MODELS).json()["material"]["to_lift"] == 0
+
+
+ROUND = {"kind": "train", "roles": ["view"], "background": True}
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "room", ["person"]) as made:
+        yield made
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> JobRunner:
+    """A runner that is not started, so that jobs wait."""
+    return JobRunner(tmp_path / "jobs", lambda job: None, str)
+
+
+@pytest.fixture
+def learning(live: Live, fake: None, in_threads: None, monkeypatch: pytest.MonkeyPatch) -> Live:
+    monkeypatch.setitem(WORK, "train", "fake_jobs:train")
+    return live
+
+
+def end_all(jobs: JobRunner, state: JobState = JobState.DONE) -> None:
+    for job in jobs.all():
+        jobs._update(job.id, state=state)
+    jobs._waiting.clear()
+
+
+def test_a_round_starts_after_every_so_many_reviewed_boxes(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reviewed = [0]
+    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    learner, started = Learner(jobs), []
+    for reviewed[0] in range(40):
+        learner.look("room", project)
+        if reviewed[0] == 12:
+            project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+        if not jobs.is_idle():
+            started.append(reviewed[0])
+            end_all(jobs)
+    # those reviewed before count for the first round
+    assert started == [13, 23, 33]
+    (job, *_) = jobs.all()
+    assert (job.kind, job.project, job.background) == ("train", "room", True)
+
+
+def test_boxes_from_before_the_newest_detector_are_learned_already(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reviewed = [15]
+    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    decisions: list[Decision | None] = [None]
+    monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
+    monkeypatch.setattr(background, "decision_of", lambda model: decisions[0])
+    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+    learner = Learner(jobs)
+    for reviewed[0], waits in ((15, False), (24, False), (25, True)):
+        learner.look("room", project)
+        assert jobs.is_idle() is not waits
+    # after a restart, the record of the newest detector tells which ones are new
+    for learned, waits in ((16, False), (15, True)):
+        end_all(jobs)
+        decisions[0] = Decision(
+            objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=learned
+        )
+        Learner(jobs).look("room", project)
+        assert jobs.is_idle() is not waits
+
+
+def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Labels, "count", lambda self, states: 10)
+    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+    learner = Learner(jobs)
+    learner.look("room", project)
+    (first,) = jobs.all()
+    jobs._update(first.id, state=JobState.RUNNING)
+    jobs._waiting.clear()
+    other = jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
+    assert not jobs.stepped_aside(first.id)
+    jobs._update(first.id, state=JobState.DONE)
+    assert not jobs.stepped_aside(first.id)
+    jobs._update(first.id, state=JobState.CANCELLED)
+    assert jobs.stepped_aside(first.id)
+    learner.look("room", project)
+    assert len(jobs.all()) == 2
+    jobs._update(other.id, state=JobState.DONE)
+    jobs._waiting.clear()
+    for _ in range(3):
+        learner.look("room", project)
+    assert len(jobs.all()) == 3
+
+
+def test_a_job_in_the_background_stops_for_another_job(learning: Live) -> None:
+    job: dict[str, Any] = learning.client.post(JOBS, json=ROUND).json()
+    assert job["background"] is True
+    until(learning, job, "running", "learn")
+    other = begin(learning, fake_jobs.QUICK)
+    assert ended(learning, other)["state"] == "done"
+    now = ended(learning, job)
+    assert (now["state"], now["message"]) == ("cancelled", STEPPED_ASIDE)
+
+
+def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(
+    learning: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[bool] = []
+    pause = runner.WorkerProcess.pause
+    monkeypatch.setattr(
+        runner.WorkerProcess, "pause", lambda self, paused: (pauses.append(paused), pause(self, paused))
+    )
+    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 0.2)
+    job = learning.client.post(JOBS, json=ROUND).json()
+    until(learning, job, "running", "learn")
+    assert learning.client.get("/api/projects/room/frames/1").status_code in (200, 404)
+    end = time.monotonic() + PATIENCE_S
+    while pauses[-2:] != [True, False]:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    before = look(learning, job["id"])["done"]
+    while look(learning, job["id"])["done"] == before:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    # a job that is paused can be stopped
+    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 600.0)
+    learning.client.get("/api/projects/room/frames/1")
+    learning.client.post(f"/api/jobs/{job['id']}/cancel")
+    assert ended(learning, job)["state"] == "cancelled"
+
+
+OLD = 1_000_000_000
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """A project whose first change was long ago."""
+    with create_project(tmp_path, "room", ("person",), clock=lambda: OLD) as project:
+        project.recordings.add(tmp_path / "take", "rgbd", "take", ["0"], True)
+        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(0, "Ada"))
+        return project.path
+
+
+def test_an_open_project_is_backed_up_once_for_its_changes(changed: Path) -> None:
+    context = Context(ServerSettings(changed.parent))
+    try:
+        backups = AutomaticBackups(context)
+        backups.make_due()
+        assert automatic_backups(changed) == []  # nobody has opened it
+        context.project("room")
+        for _ in range(2):
+            backups.make_due()
+        (made,) = automatic_backups(changed, Reason.CHANGES)
+        path, manifest = restore(made, changed.parent, "restored")
+        assert manifest.last_event == 1 and path.is_dir()
+    finally:
+        context.close()
+
+
+def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
+    changed: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    in_the_way, now = changed.parent / BACKUPS, [0.0]
+    in_the_way.write_text("in the way")
+    context = Context(ServerSettings(changed.parent))
+    try:
+        context.project("room")
+        backups = AutomaticBackups(context, lambda: now[0])
+        with caplog.at_level(logging.WARNING, "annotator.web"):
+            backups.make_due()
+            in_the_way.unlink()
+            now[0] = BACKUPS_PAUSE_S - 1
+            backups.make_due()
+        assert ["no automatic backup" in record.message for record in caplog.records] == [True]
+        assert automatic_backups(changed) == []
+        now[0] = BACKUPS_PAUSE_S
+        backups.make_due()
+        assert len(automatic_backups(changed)) == 1
+    finally:
+        context.close()

@@ -243,8 +243,6 @@ class Viewport(ViserPage):
     """One viewport; `show` is thread-safe. Its id is not guessable.
 
     Attributes:
-        operator: its owner.
-        project: the project whose frames it shows.
         sockets: number of browsers connected through the proxy.
         used_s: time of its last use, `time.monotonic`.
     """

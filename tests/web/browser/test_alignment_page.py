@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from conftest import Shop
     from playwright.sync_api import Page, Route
 
-expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+expect = pytest.importorskip("playwright.sync_api").expect
 
 FROM_FILES = "Known from the recording's files."
 

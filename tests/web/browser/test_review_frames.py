@@ -15,7 +15,7 @@ from annotator.project import Project, WriteContext
 from annotator.types import ReviewState
 from annotator.types.errors import FrameError
 
-expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+expect = pytest.importorskip("playwright.sync_api").expect
 
 
 def test_frames_are_changed_finalised_and_shown_with_their_problem(
