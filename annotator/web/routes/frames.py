@@ -50,6 +50,13 @@ from annotator.workflows.workbench.save_object import apply_changes
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
+DECIDED: dict[str, type[LabelAccepted | LabelRejected | LabelDeleted]] = {
+    "accept": LabelAccepted,
+    "reject": LabelRejected,
+    "delete": LabelDeleted,
+}
+
+
 class Decide(Schema):
     """Accepts a label unchanged, rejects it (the object does not exist), or removes it: it may be proposed again."""
 
@@ -57,8 +64,7 @@ class Decide(Schema):
     uid: Uid
 
     def payload(self) -> Payload:
-        decided = {"accept": LabelAccepted, "reject": LabelRejected, "delete": LabelDeleted}[self.kind]
-        return decided(uid=self.uid)
+        return DECIDED[self.kind](uid=self.uid)
 
 
 class Edit(Schema):
