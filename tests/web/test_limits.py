@@ -81,6 +81,15 @@ def test_headers_must_come_in_time(locked: Live, monkeypatch: pytest.MonkeyPatch
     assert locked.client.get("/api/session").status_code == 200
 
 
+def test_headers_of_a_second_request_must_come_in_time(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "HEADERS_WITHIN_S", 0.2)
+    with dial(live) as slow:
+        slow.sendall(b"GET /api/session HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        slow.recv(65536)
+        slow.sendall(b"GET /api/session HTTP/1.1\r\n")
+        assert b"HTTP/1.1" not in rest(slow)
+
+
 def test_bodies_must_make_progress(live: Live) -> None:
     head = HEAD + f"Origin: http://127.0.0.1\r\nContent-Length: {10**6}\r\n\r\n".encode()
     with dial(live) as slow:

@@ -148,6 +148,7 @@ def test_the_link_sets_a_cookie(app: FastAPI) -> None:
     assert "samesite=strict" in cookie.lower()
     kept = dict([cookie.split(";")[0].split("=")])
     assert ask(app, "GET", "/api/session", cookies=kept).status_code == 200
+    assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
     assert ask(app, "GET", "/assets/js/main.js", cookies=kept).status_code == 200
     assert open_socket(app, "/api/events", headers(kept, HERE)) == 403, "no operator is signed in"
     assert open_socket(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101

@@ -86,6 +86,7 @@ def sent(viewport: Viewport) -> list[str]:
 
 
 def test_the_cloud_is_shown_in_the_camera_frame_in_metres(viewport: Viewport, frames: list[Frame]) -> None:
+    assert viewport._server.get_host() == "127.0.0.1", "its server listens on loopback only"
     shown = viewport.show(SceneContent(("room", 1), frames[0]))
     assert shown.points == shown.shown_points == len(frames[0].cloud)
     cloud = node(viewport, "/cloud")
