@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 from fastapi import APIRouter, FastAPI
 from fastapi.responses import FileResponse
@@ -80,20 +80,13 @@ AT_ONCE = 12
 _PROJECT = re.compile(r"/api/projects/([^/]+)")
 
 
-@dataclass(eq=False)
-class _Gate:
-    """Of one project; `users`: requests that wait or are worked on."""
-
-    free: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_ONCE))
-    users: int = 0
-
-
 class Fair:
     """ASGI middleware: requests to a project beyond the bound wait in the event loop, not in a thread."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        self._gates: dict[str, _Gate] = {}
+        # a gate is gone once no request holds it
+        self._gates = WeakValueDictionary[str, asyncio.Semaphore]()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes a request on when its project is below the bound."""
@@ -101,35 +94,16 @@ class Fair:
         if found is None:
             await self.app(scope, receive, send)
             return
-        name = found[1]
-        gate = self._gates.setdefault(name, _Gate())
-        gate.users += 1
-        try:
-            await self._pass_on(gate, scope, receive, send)
-        finally:
-            gate.users -= 1
-            if not gate.users:
-                del self._gates[name]
+        gate = self._gates.setdefault(found[1], asyncio.Semaphore(AT_ONCE))
+        async with AsyncExitStack() as held:
+            await held.enter_async_context(gate)
 
-    async def _pass_on(self, gate: _Gate, scope: Scope, receive: Receive, send: Send) -> None:
-        await gate.free.acquire()
-        held = True
+            async def sending(message: Message) -> None:
+                # the work is done; a slow download must not count
+                await held.aclose()
+                await send(message)
 
-        def release() -> None:
-            nonlocal held
-            if held:
-                held = False
-                gate.free.release()
-
-        async def sending(message: Message) -> None:
-            # the work is done; a slow download must not count
-            release()
-            await send(message)
-
-        try:
             await self.app(scope, receive, sending)
-        finally:
-            release()
 
 
 # Modules of `annotator.web.routes`; each defines `router`.

@@ -10,8 +10,9 @@ import tempfile
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +21,7 @@ from urllib.parse import unquote
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from annotator.project import Project, StoredRecording, open_project
+from annotator.project import Project, Receipt, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types import Frame
@@ -69,14 +70,7 @@ class ViewImageCache:
 
 
 class Caches:
-    """The caches of one application.
-
-    Attributes:
-        frames: recently opened frames.
-        view_images: images of the pseudo-views shown by pages.
-        sheets: pictures of contact sheets.
-        detectors: loaded detectors of the projects.
-    """
+    """The caches of one application."""
 
     def __init__(self) -> None:
         self.frames = FrameCache()
@@ -105,16 +99,7 @@ LONGEST_NAME = 64
 
 
 class Context:
-    """The state of one application, in `app.state.context`. Thread-safe.
-
-    Attributes:
-        settings: of the server.
-        folders: folders that recordings may be added from.
-        hub: sends events to the open pages.
-        jobs: runs the jobs.
-        follow_runs: follow objects through recordings.
-        caches: open frames, images of pseudo-views, detectors.
-    """
+    """The state of one application, in `app.state.context`. Thread-safe."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings
@@ -180,6 +165,10 @@ class Context:
     def public_message(self, text: str) -> str:
         """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
         return as_sent(hide_paths(text, self._path_names()), self.settings.projects_root.absolute().name)
+
+    def public(self, text: str | None) -> str | None:
+        """As `public_message`, for a message that may be missing."""
+        return None if text is None else self.public_message(text)
 
     def _path_names(self) -> Iterator[tuple[Path, str]]:
         yield from self.folders.roots()
@@ -292,3 +281,32 @@ def check_operator(name: str) -> str:
 
 Ctx = Annotated[Context, Depends(context)]
 Operator = Annotated[str, Depends(operator)]
+
+
+@dataclass(eq=False)
+class InProject:
+    """A request about a project: the application, the project's name and the operator who asks."""
+
+    ctx: Context
+    name: str
+    operator: str
+    _project: Project | None = field(default=None, init=False)
+
+    @property
+    def project(self) -> Project:
+        """The project, opened on use: in the thread of the route."""
+        # no `cached_property`: up to Python 3.11, all requests share its lock
+        if self._project is None:
+            self._project = self.ctx.project(self.name)
+        return self._project
+
+    def told(self, changed: Iterable[tuple[int, Receipt]]) -> None:
+        """Tells the pages of changed frames."""
+        self.ctx.hub.frames_changed(self.project, changed, self.operator)
+
+
+async def _in_project(ctx: Ctx, name: str, operator: Operator) -> InProject:
+    return InProject(ctx, name, operator)
+
+
+AtProject = Annotated[InProject, Depends(_in_project)]

@@ -36,11 +36,7 @@ class StopJson(Schema):
 
 
 class FollowedJson(Schema):
-    """One followed object: its reviewed box, its track (null while it has none), and the result so far.
-
-    Attributes:
-        is_open: whether it is followed to an end of the recording, not only to its next reviewed box.
-    """
+    """What became of one object, as `FollowedTrack` describes it."""
 
     uid: str
     track_id: int | None
@@ -76,16 +72,6 @@ class FollowRunJson(Schema):
     message: str | None
 
 
-@dataclass(frozen=True, eq=False)
-class FollowRequest:
-    """A run to start; `frame_id`, `direction` and `has_detector` as in `FollowRunJson`."""
-
-    run: FollowRun
-    frame_id: int
-    direction: Direction
-    has_detector: bool
-
-
 @dataclass(eq=False)
 class _Running:
     shown: FollowRunJson
@@ -104,20 +90,22 @@ class FollowRuns:
         # the latest run of each operator; not by the project's name: another one of that name has none of them
         self._runs = WeakKeyDictionary[Project, dict[str, _Running]]()
 
-    def start(self, project: Project, operator: str, request: FollowRequest) -> FollowRunJson:
-        """Starts a run; an earlier one of the operator in this project is stopped first."""
+    def start(
+        self, project: Project, operator: str, run: FollowRun, frame_id: int, direction: Direction, has_detector: bool
+    ) -> FollowRunJson:
+        """Starts a run, described as in `FollowRunJson`; an earlier one of the operator in this project is stopped."""
         with self._starting:
             self.stop(project, operator)
             with self._lock:
                 # milliseconds, so that the numbers grow across restarts of the server
                 self._number = max(self._number + 1, time.time_ns() // 1_000_000)
-                state = request.run.state
+                state = run.state
                 shown = FollowRunJson(
                     number=self._number,
                     operator=operator,
-                    frame=request.frame_id,
-                    direction=request.direction,
-                    has_detector=request.has_detector,
+                    frame=frame_id,
+                    direction=direction,
+                    has_detector=has_detector,
                     state="running",
                     done=state.done,
                     total=state.total,
@@ -125,9 +113,9 @@ class FollowRuns:
                     first=None,
                     message=None,
                 )
-                running = self._runs.setdefault(project, {})[operator] = _Running(shown, request.run.action)
+                running = self._runs.setdefault(project, {})[operator] = _Running(shown, run.action)
                 running.thread = threading.Thread(
-                    target=self._follow, args=(project, running, request.run), name="follow", daemon=True
+                    target=self._follow, args=(project, running, run), name="follow", daemon=True
                 )
                 running.thread.start()
             return shown
@@ -194,17 +182,7 @@ class FollowRuns:
 
 
 def _tracks(state: Following, public_message: Callable[[str], str]) -> list[FollowedJson]:
-    return [_track(track, public_message) for track in state.tracks]
+    def stops(track: FollowedTrack) -> list[StopJson]:
+        return [StopJson.of(at, frame=at.frame_id, reason=public_message(at.reason)) for at in track.stops]
 
-
-def _track(track: FollowedTrack, public_message: Callable[[str], str]) -> FollowedJson:
-    stops = [StopJson(frame=at.frame_id, key=at.key, reason=public_message(at.reason)) for at in track.stops]
-    return FollowedJson(
-        uid=track.uid,
-        track_id=track.track_id,
-        label=track.label,
-        boxes=track.boxes,
-        doubtful=track.doubtful,
-        stops=stops,
-        is_open=track.is_open,
-    )
+    return [FollowedJson.of(track, stops=stops(track)) for track in state.tracks]

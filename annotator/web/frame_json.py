@@ -6,18 +6,20 @@ import hashlib
 import logging
 from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
+from fastapi import Depends
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from annotator.project import Project, ViewBoxes
+from annotator.project import Project, Receipt, ViewBoxes
 from annotator.project.log.records import ViewGeometry
 from annotator.project.overview import FrameRow
 from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
-from annotator.web.context import Context
+from annotator.web.context import Context, Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
     Box2DOut,
@@ -34,12 +36,13 @@ from annotator.web.schemas import (
     ObjectJson,
     OtherLabelJson,
     QualityJson,
+    RowId,
     SaidJson,
     SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
-from annotator.workflows.frame_source import OtherLabel, Rigs, Sibling
+from annotator.workflows.frame_source import Rigs, Sibling
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
 from annotator.workflows.workbench.review_queue import doubt
@@ -70,46 +73,71 @@ class BothVersions(BaseModel):
     changes: Any
 
 
-def frame_response(ctx: Context, name: str, frame_id: int, operator: str) -> ModelResponse:
-    """The response with the present state of a frame; errors as in `frame_state`."""
-    return ModelResponse(frame_state(ctx, name, frame_id, operator))
+@dataclass(eq=False)
+class InFrame(InProject):
+    """A request about a frame."""
+
+    frame_id: int
+
+    def open(self) -> OpenFrame:
+        return self.ctx.caches.frames.open(self.project, self.frame_id, self.operator)
+
+    def state(self) -> FrameStateJson:
+        """The present state of the frame for the operator's page."""
+        with self.project.store.snapshot():
+            return _state(self)
+
+    def of(self, frame_id: int) -> InFrame:
+        """As if another frame had been asked for."""
+        return replace(self, frame_id=frame_id)
+
+    @contextmanager
+    def change(self, body: FrameChange) -> Iterator[list[tuple[int, Receipt]]]:
+        """Within the block, the change is stored. A stale one is answered (409) with both versions of the frame.
+
+        Pages are told of the frames, with their receipts, that the block has added to the list.
+        """
+        changed: list[tuple[int, Receipt]] = []
+        try:
+            yield changed
+        except StaleRevisionError as error:
+            why = ErrorBody(kind=type(error).__name__, message=str(error))
+            both = BothVersions.model_construct(error=why, state=self.state(), changes=body.sent())
+            raise AnsweredError(ModelResponse(both, 409)) from error
+        self.told(changed)
 
 
-@contextmanager
-def both_versions(ctx: Context, name: str, frame_id: int, operator: str, body: FrameChange) -> Iterator[None]:
-    """Within the block, a stale change is answered (409) with both versions of the frame."""
-    try:
-        yield
-    except StaleRevisionError as error:
-        why = ErrorBody(kind=type(error).__name__, message=str(error))
-        state = frame_state(ctx, name, frame_id, operator)
-        both = BothVersions.model_construct(error=why, state=state, changes=body.sent())
-        raise AnsweredError(ModelResponse(both, 409)) from error
+async def _in_frame(ctx: Ctx, name: str, frame_id: RowId, operator: Operator) -> InFrame:
+    return InFrame(ctx, name, operator, frame_id)
 
 
-def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameStateJson:
-    """The present state of a frame for one operator's page."""
-    project = ctx.project(name)
-    with project.store.snapshot():
-        return _frame_state(ctx, name, project, frame_id, operator)
+AtFrame = Annotated[InFrame, Depends(_in_frame)]
 
 
-def _frame_state(ctx: Context, name: str, project: Project, frame_id: int, operator: str) -> FrameStateJson:
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    shown = show_frame(project, frame_id, opened)
+def _state(at: InFrame) -> FrameStateJson:
+    project, opened = at.project, at.open()
+    shown = show_frame(project, at.frame_id, opened)
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
-    undo, redo = project.history.next(operator)
-    rigs, siblings = _siblings(ctx, project, shown)
+    undo, redo = project.history.next(at.operator)
+    rigs, siblings = _siblings(at.ctx, project, shown)
     objects, labels = opened.newest(
         "json",
         page.frame.revision,
-        lambda: (_objects(name, project, shown.objects, opened), _labels(project, shown.labels, opened)),
+        lambda: (_objects(at.name, project, shown.objects, opened), _labels(project, shown.labels, opened)),
     )
+    version = f"{_image_version(project, shown)}{_offset(opened)}"
     return FrameStateJson.model_construct(
-        frame=_frame(shown),
+        frame=FrameJson.of(
+            page.frame,
+            recording=page.frame.recording_id,
+            recording_name=page.recording_name,
+            previous=page.previous,
+            next=page.next,
+            attributes=dict(page.attributes),
+        ),
         image=ImageJson(
-            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}{_offset(opened)}",
+            url=f"/api/projects/{at.name}/frames/{at.frame_id}/image.jpg?v={version}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
             camera=CameraJson.of(frame.camera),
@@ -121,9 +149,17 @@ def _frame_state(ctx: Context, name: str, project: Project, frame_id: int, opera
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=list(objects.values()),
         labels=list(labels.values()),
-        others=_others(shown, opened, rigs.labels_of(siblings)),
+        others=[
+            OtherLabelJson.of(
+                each.other.label,
+                camera=each.other.recording.rpartition("@")[2],
+                frame=each.other.frame.id,
+                outline=each.outline.round(2).tolist(),
+            )
+            for each in shown_others(rigs.labels_of(siblings), page.labels, opened)
+        ],
         siblings=[each.frame.id for each in siblings],
-        open_by=ctx.hub.open_by(name, frame_id, operator),
+        open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
 
@@ -138,22 +174,7 @@ def _siblings(ctx: Context, project: Project, shown: ShownFrame) -> tuple[Rigs, 
         return rigs, []
 
 
-def _others(shown: ShownFrame, opened: OpenFrame, others: Sequence[OtherLabel]) -> list[OtherLabelJson]:
-    return [
-        OtherLabelJson.model_construct(
-            uid=each.other.label.uid,
-            label=each.other.label.label,
-            state=each.other.label.state,
-            track_id=each.other.label.track_id,
-            camera=each.other.recording.rpartition("@")[2],
-            frame=each.other.frame.id,
-            outline=each.outline.round(2).tolist(),
-        )
-        for each in shown_others(others, shown.page.labels, opened)
-    ]
-
-
-def image_version(project: Project, shown: ShownFrame) -> str:
+def _image_version(project: Project, shown: ShownFrame) -> str:
     """A hash for the image's URL; it differs if another project or recording has taken the same name or id."""
     frame = shown.page.frame
     content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
@@ -168,24 +189,19 @@ def _offset(opened: OpenFrame) -> str:
 def frame_row(row: FrameRow) -> FrameRowJson:
     """One row of the list of frames; its doubt is the highest one of its proposals."""
     doubts = [doubt(stored.quality, stored.label.score) for stored in row.proposed]
-    frame = row.frame
-    return FrameRowJson(
-        id=frame.id,
-        recording=frame.recording_id,
-        key=frame.key,
-        index=frame.index,
-        revision=frame.revision,
-        finalised=frame.finalised,
+    return FrameRowJson.of(
+        row.frame,
+        recording=row.frame.recording_id,
         counts={state.value: number for state, number in row.counts.items()},
         image_boxes=row.image_boxes,
         doubt=max((value for value in doubts if value is not None), default=None),
     )
 
 
-def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
+def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:
     """The JSON of a new pseudo-view; its image (PNG) is cached, and stored once a box is drawn on it."""
     height, width = view.rgb.shape[:2]
-    return _view(name, ctx.caches.view_images.add(picture), (width, height), view)
+    return _view(at.name, at.ctx.caches.view_images.add(picture), (width, height), view)
 
 
 def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView | ViewGeometry) -> ViewJson:
@@ -197,22 +213,6 @@ def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView |
         axes=np.asarray(geometry.axes).tolist(),
         metres_per_px=geometry.metres_per_px,
         origin_m=np.asarray(geometry.origin_m).tolist(),
-    )
-
-
-def _frame(shown: ShownFrame) -> FrameJson:
-    frame = shown.page.frame
-    return FrameJson(
-        id=frame.id,
-        recording=frame.recording_id,
-        recording_name=shown.page.recording_name,
-        key=frame.key,
-        index=frame.index,
-        revision=frame.revision,
-        finalised=frame.finalised,
-        previous=shown.page.previous,
-        next=shown.page.next,
-        attributes=dict(shown.page.attributes),
     )
 
 
@@ -234,22 +234,14 @@ def _labels(project: Project, shown: Sequence[ShownLabel], opened: OpenFrame) ->
 
 def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
     label = shown.stored.label
-    return LabelJson.model_construct(
-        uid=label.uid,
-        label=label.label,
+    return LabelJson.of(
+        label,
         box=Box3DOut.of(label.box),
-        score=label.score,
-        source=label.source,
-        state=label.state,
-        author=label.author,
-        time_ns=label.time_ns,
-        track_id=label.track_id,
         quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
         suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
-        said=[SaidJson(source=each.source, label=each.label, score=each.score) for each in shown.stored.said],
-        box_kind=label.box_kind,
+        said=[SaidJson.of(each) for each in shown.stored.said],
         attributes=dict(label.attributes),
         kept=kept,
         outline=shown.outline.round(2).tolist(),
@@ -262,7 +254,7 @@ def _objects(
 ) -> dict[Hashable, ObjectJson]:
     """The drawn objects; only those that have changed are converted anew."""
     before: dict[Hashable, ObjectJson] = (opened.latest("json") or ({},))[0]
-    facts = {
+    facts: dict[Hashable, ShownObject] = {
         (name, each.image_box, tuple((view.event_id, view.boxes) for view in each.views), each.uid): each
         for each in shown
     }
@@ -270,10 +262,10 @@ def _objects(
 
 
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
-    return ObjectJson(
+    return ObjectJson.of(
+        drawn,
         image_box=Box2DOut.of(drawn.image_box),
         views=[(_stored_view(name, project, view), Box2DOut.of(view.boxes[0])) for view in drawn.views],
-        uid=drawn.uid,
     )
 
 

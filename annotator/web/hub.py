@@ -26,10 +26,7 @@ class Client:
 
     Attributes:
         project: it receives no events of other projects.
-        operator: name of its operator.
         since: id of the project's newest event when the page connected; it receives all later ones.
-        frame: id of the frame that it shows.
-        viewports: ids of the 3D viewports that it shows.
         queue: unsent events as JSON texts; None = the end.
         dropped: True once it has been disconnected for exceeding the queue.
     """
@@ -43,21 +40,6 @@ class Client:
     dropped: bool = False
 
 
-@dataclass(eq=False)
-class _Told:
-    """What the pages were told of an open project.
-
-    Attributes:
-        revisions: the newest one, by frame.
-        adjusted: the newest event, by recording.
-        recordings: by id, who has removed it; None before the first look.
-    """
-
-    revisions: dict[int, int] = field(default_factory=dict)
-    adjusted: dict[int, int] = field(default_factory=dict)
-    recordings: dict[int, str | None] | None = None
-
-
 class Hub:
     """Keeps track of the open pages and their frames, and sends events to them in order."""
 
@@ -65,7 +47,8 @@ class Hub:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
         # not by name: another project of the same name begins anew
-        self._told = WeakKeyDictionary[Project, _Told]()
+        self._told = WeakKeyDictionary[Project, dict[tuple[str, int], int]]()
+        self._recordings = WeakKeyDictionary[Project, dict[int, str | None]]()
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -128,13 +111,9 @@ class Hub:
 
     def frame_changed(self, project: Project, frame_id: int, revision: int, operator: str) -> None:
         """Sends the event for a new revision of a frame, unless it was sent before."""
-        with self._lock:
-            revisions = self._told.setdefault(project, _Told()).revisions
-            if revisions.get(frame_id, -1) >= revision:
-                return
-            revisions[frame_id] = revision
-        event = {"type": "frame", "project": project.path.name, "frame": frame_id, "revision": revision}
-        self.send({**event, "operator": operator})
+        if self._is_new(project, ("frame", frame_id), revision):
+            event = {"type": "frame", "project": project.path.name, "frame": frame_id, "revision": revision}
+            self.send({**event, "operator": operator})
 
     def frames_changed(self, project: Project, changed: Iterable[tuple[int, Receipt]], operator: str) -> None:
         """Sends the events for new revisions of frames."""
@@ -143,13 +122,18 @@ class Hub:
 
     def recording_adjusted(self, project: Project, recording: int, adjusted: int, operator: str) -> None:
         """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""
+        if self._is_new(project, ("adjusted", recording), adjusted):
+            event = {"type": "adjusted", "project": project.path.name, "recording": recording, "adjusted": adjusted}
+            self.send({**event, "operator": operator})
+
+    def _is_new(self, project: Project, what: tuple[str, int], number: int) -> bool:
+        """Whether pages were not told of this number of something, or of a newer one."""
         with self._lock:
-            told = self._told.setdefault(project, _Told()).adjusted
-            if told.get(recording, -1) >= adjusted:
-                return
-            told[recording] = adjusted
-        event = {"type": "adjusted", "project": project.path.name, "recording": recording, "adjusted": adjusted}
-        self.send({**event, "operator": operator})
+            told = self._told.setdefault(project, {})
+            is_new = number > told.get(what, -1)
+            if is_new:
+                told[what] = number
+        return is_new
 
     def recordings_are(self, project: Project, recordings: Mapping[int, str | None], operator: str = "") -> None:
         """Takes a project's recordings; sends an event for each one that was added, removed or restored.
@@ -161,9 +145,8 @@ class Hub:
         """
         now = dict(recordings)
         with self._lock:
-            told = self._told.setdefault(project, _Told())
-            before = now if told.recordings is None else told.recordings
-            told.recordings = now
+            before = self._recordings.get(project, now)
+            self._recordings[project] = now
         for recording, removed_by in sorted(now.items()):
             if (removed_by is None) != (before.get(recording, "") is None):
                 event = {"type": "recordings", "project": project.path.name, "recording": recording}

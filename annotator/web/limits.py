@@ -257,21 +257,26 @@ class FewLines(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """False for a message to leave out."""
+        known = vars(record)
+        if "is_left_out" not in known:  # once for all handlers
+            known["is_left_out"] = self._is_left_out(record)
+        return not known["is_left_out"]
+
+    def _is_left_out(self, record: logging.LogRecord) -> bool:
         place = (record.pathname, record.lineno)
         if not self._rate.take(place):
             self._left_out[place] = self._left_out.get(place, 0) + 1
-            return False
+            return True
         if count := self._left_out.pop(place, 0):
             record.msg, record.args = f"{record.getMessage()} (and {count} more like this, left out)", None
-        return True
+        return False
 
 
 @contextmanager
 def limited_log(folder: Path | None) -> Iterator[None]:
-    """Within the `with` block, warnings of all libraries are logged to the terminal and to a file.
+    """Within the `with` block, warnings of all libraries are logged to the terminal and to a file in the folder.
 
-    Args:
-        folder: for the file; None, or one that cannot be written: no file.
+    No file is kept in a folder that cannot be written.
     """
     root, few = logging.getLogger(), FewLines()
     handlers: list[logging.Handler] = [logging.StreamHandler()]
@@ -280,31 +285,16 @@ def limited_log(folder: Path | None) -> Iterator[None]:
             handlers.append(_PrivateFile(folder / FILE))
         except OSError as error:
             logging.getLogger("annotator.web").warning("%s: no log is kept: %s", folder / FILE, error)
-    handler = _Several(handlers)
-    handler.addFilter(few)
-    root.addHandler(handler)
+    for handler in handlers:
+        handler.setLevel(logging.WARNING)
+        handler.addFilter(few)
+        root.addHandler(handler)
     try:
         yield
     finally:
-        root.removeHandler(handler)
-        handler.close()
-
-
-class _Several(logging.Handler):
-    """Handlers behind one filter, which must see each message once."""
-
-    def __init__(self, handlers: list[logging.Handler]) -> None:
-        super().__init__(logging.WARNING)
-        self._handlers = handlers
-
-    def emit(self, record: logging.LogRecord) -> None:
-        for handler in self._handlers:
-            handler.handle(record)
-
-    def close(self) -> None:
-        for handler in self._handlers:
+        for handler in handlers:
+            root.removeHandler(handler)
             handler.close()
-        super().close()
 
 
 class _PrivateFile(RotatingFileHandler):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import signal
 import sys
 import threading
@@ -10,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
@@ -20,23 +20,21 @@ from fastapi import FastAPI, Request, Response, WebSocket
 from jaxtyping import Float64, UInt8
 
 from annotator.detection.config import Backend
-from annotator.geometry.oriented_box import EDGES, box_corners
-from annotator.geometry.outline import heading_px
-from annotator.geometry.projection import project
+from annotator.geometry.outline import heading_px, visible_edges
 from annotator.project import Project
 from annotator.rcv.finish import FrameProposals
-from annotator.types import Box2D, Camera, Frame, OrientedBox, ReviewState
+from annotator.types import Box2D, Frame, ReviewState
 from annotator.types.messages import amount
 from annotator.web.limits import limited_log
 from annotator.web.security import Guard, ServerSettings, check_settings
 from annotator.web.serve import Running
 from annotator.web.viewport.drawing import SceneContent, ShownBox
 from annotator.web.viewport.scene import Scene
-from annotator.web.viewport.viewports import HOST, forward_http, forward_socket, silence, start_viser
+from annotator.web.viewport.viewports import ViserPage, forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import open_source
-from annotator.workflows.live.pipeline import Figures, Pipeline, Source
+from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.live.recorder import Recorder, Stored, require_unused_path, store
 from annotator.workflows.settings import rcv_config
 
@@ -100,8 +98,6 @@ WIDTH_PX = 640
 BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
 # Length of the head of a heading's arrow, pixels of the drawn image.
 HEAD_PX = 10
-# Number of segments per box edge on a distorted image, where edges are curved.
-STEPS_DISTORTED = 6
 FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 # Number of fractional bits of pixel coordinates for cv2.
 SHIFT = 4
@@ -119,22 +115,11 @@ def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WI
         _draw_rectangle(image, lost.image_box, scale, LOST_COLOR, lost.label)
     for proposal in detections.proposals:
         _draw_rectangle(image, proposal.image_box, scale, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
-        for line in (*edges_px(frame.camera, proposal.box), *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
+        (edges,) = visible_edges(frame.camera, [proposal.box])
+        for line in (*edges, *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
             points = _fixed_point(_scaled(line, scale))
             cv2.polylines(image, [points], False, SOLID_COLOR, 2, cv2.LINE_AA, SHIFT)
     return image
-
-
-def edges_px(camera: Camera, box: OrientedBox) -> list[Float64[np.ndarray, "k 2"]]:
-    """The edges of a box as lines on the image, pixels; edges that reach behind the camera are left out."""
-    corners = box_corners(box)
-    steps = 1 if camera.is_ideal else STEPS_DISTORTED
-    share = np.linspace(0, 1, steps + 1)[:, None]
-    lines = [corners[a] + share * (corners[b] - corners[a]) for a, b in EDGES]
-    px = project(camera, np.concatenate(lines)).reshape(len(EDGES), steps + 1, 2)
-    # coordinates far outside the image overflow in cv2
-    limit = 4 * max(camera.width_px, camera.height_px)
-    return [line for line in px if np.isfinite(line).all() and np.abs(line).max() < limit]
 
 
 def _draw_rectangle(
@@ -176,32 +161,21 @@ PANEL_PX = 440
 SCENE_KEY = ("live", 0)
 
 
-class LivePage:
-    """A page with its own viser server; `show` must be called from one thread. Browsers connect through the proxy.
-
-    Attributes:
-        id: its name in messages.
-        port, origin: as in `ViserEndpoint`.
-    """
+class LivePage(ViserPage):
+    """The live page; `show` must be called from one thread."""
 
     def __init__(self, source: str, facts: Mapping[str, str]) -> None:
-        """Starts the server.
-
+        """
         Args:
             source: description of the source, for people.
             facts: constant rows of the table of figures, such as the backend.
         """
-        self.id = "live"
-        self.origin = f"annotator://{secrets.token_hex(16)}"
-        with silence():
-            self._server = start_viser(HOST, self.origin)
-        self.port = self._server.get_port()
+        super().__init__("live")
         self._facts, self._figures_at_s = facts, 0.0
         self._pipeline: Pipeline | None = None
         self._scene = Scene(self._server, _ignored)
         self._reset_camera = threading.Event()
         gui = self._server.gui
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
         gui.set_panel_label(f"annotator live: {source}")
@@ -242,10 +216,6 @@ class LivePage:
             self._figures_at_s = now
             self._text.content = table(detected, self._pipeline.figures(), self._facts)
 
-    def close(self) -> None:
-        with silence():
-            self._server.stop()
-
 
 def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
     """The figures as Markdown."""
@@ -282,7 +252,6 @@ class LiveOptions:
     Attributes:
         source: as in `open_source`.
         rate, loop: playback options of a recording.
-        backend: runs the detectors.
         warm_start: start each recursion with the boxes of the previous frame.
         frames: end after this number of frames of the source; None = at its end.
         record: record the session to this path, and add it to the project.
@@ -312,36 +281,19 @@ def run_live(
     *,
     report: Callable[[str], None],
 ) -> LiveResult:
-    """Detects and shows frames until the source ends, or until interrupted. The recording is kept even after an error.
-
-    Args:
-        report: called with each log line while the session runs.
-    """
+    """Detects and shows frames until the source ends or is interrupted. The recording is kept even after an error."""
     check_settings(settings)
     if options.record is not None:
         require_unused_path(project, options.record)
     # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
-    source = open_source(
-        project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
-    )
-    try:
-        with Interrupts() as interrupts:
-            return _Session(project, options, settings, source, report, interrupts).run()
-    finally:
-        source.close()
-
-
-@dataclass(frozen=True, eq=False)
-class _Session:
-    project: Project
-    options: LiveOptions
-    settings: ServerSettings
-    source: Source
-    report: Callable[[str], None]
-    interrupts: Interrupts
-
-    def run(self) -> LiveResult:
-        project, options, report = self.project, self.options, self.report
+    with (
+        closing(
+            open_source(
+                project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
+            )
+        ) as source,
+        Interrupts() as interrupts,
+    ):
         detectors, warm = active_detectors(project, backend=options.backend), options.warm_start
         rotation = project.config.settings.rotation
         detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=warm)
@@ -349,12 +301,22 @@ class _Session:
         if named := stand_in(project):
             report(f"view detector: {named}")
             facts["view detector"] = named
+
+        def show(recorder: Recorder | None) -> Figures:
+            with closing(LivePage(source.name, facts)) as page:
+                pipeline = Pipeline(
+                    source, detection, page.show, record=recorder, max_frames=options.frames, report=_few(report)
+                )
+                serve_live(settings, page, pipeline, interrupts)
+                return pipeline.figures()
+
         if options.record is None:
-            return LiveResult(self._show(detection, None, facts), None)
+            return LiveResult(show(None), None)
         with closing(Recorder(options.record, report)) as recorder:
+            facts["recording"] = recorder.out.name
             stored = None
             try:
-                figures = self._show(detection, recorder, facts | {"recording": recorder.out.name})
+                figures = show(recorder)
             finally:
                 if frames := recorder.finish():
                     report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
@@ -362,28 +324,16 @@ class _Session:
             recorder.require_complete()
             return LiveResult(figures, stored)
 
-    def _show(self, detection: LiveDetection, recorder: Recorder | None, facts: dict[str, str]) -> Figures:
-        page, most, log = LivePage(self.source.name, facts), self.options.frames, _LimitedLog(self.report)
-        try:
-            pipeline = Pipeline(self.source, detection, page.show, record=recorder, max_frames=most, report=log)
-            serve_live(self.settings, page, pipeline, self.interrupts)
-            return pipeline.figures()
-        finally:
-            page.close()
 
+def _few(report: Callable[[str], None]) -> Callable[[str], None]:
+    """Reports the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
+    left = count(MOST_LOGGED, -1)
 
-class _LimitedLog:
-    """Logs the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
+    def tell(line: str) -> None:
+        if (remaining := next(left)) > 0:
+            report(line if remaining > 1 else f"{line}\nfurther unreadable frames are only counted")
 
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._tell, self._left = report, MOST_LOGGED
-
-    def __call__(self, line: str) -> None:
-        if self._left:
-            self._left -= 1
-            self._tell(line)
-            if not self._left:
-                self._tell("further unreadable frames are only counted")
+    return tell
 
 
 def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
@@ -411,11 +361,8 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
     """
     server = Running(settings, live_app(settings, page))
 
-    def stop_serving() -> None:
-        server.should_exit = True
-
     page.follow(pipeline)
-    pipeline.at_end(stop_serving)
+    pipeline.at_end(server.stop)
     sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
     try:

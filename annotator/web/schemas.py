@@ -6,8 +6,7 @@ Pixel coordinates are continuous, (0, 0) is the centre of the first pixel; metre
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
-from annotator.types import Box2D, BoxKind, Camera, OrientedBox, Quality, ReviewState, Source, Suggestion
+from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -49,6 +48,12 @@ class Schema(BaseModel):
     """Base of all schemas; unknown fields are refused, so that a misspelt one causes an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @classmethod
+    def of(cls, source: object, /, **more: Any) -> Self:
+        """From an object with attributes of the same names; `more` has the other fields. Nothing is validated."""
+        same = {name: getattr(source, name) for name in cls.model_fields if name not in more}
+        return cls.model_construct(**same, **more)  # type: ignore[return-value]  # its plugin for mypy knows no `Self`
 
 
 class Box2DJson(Schema):
@@ -111,14 +116,8 @@ class Box2DOut(Schema):
     y_max: float
     score: float
 
-    @classmethod
-    def of(cls, box: Box2D) -> Box2DOut:
-        return cls.model_construct(
-            label=box.label, x_min=box.x_min, y_min=box.y_min, x_max=box.x_max, y_max=box.y_max, score=box.score
-        )
 
-
-class Box3DOut(Schema):
+class Box3DOut(BaseModel):
     """A 3D box in a response; the columns of `rotation` are its axes."""
 
     center: list[float]
@@ -139,9 +138,6 @@ class Effort(Schema):
     actions: Annotated[int, Field(ge=0, le=10_000)]
     seconds: Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
 
-    def stored(self) -> StoredEffort:
-        return StoredEffort(self.actions, self.seconds)
-
 
 class WithEffort(Schema):
     """A change, and what it took the operator."""
@@ -149,7 +145,7 @@ class WithEffort(Schema):
     effort: Effort | None = None
 
     def stored_effort(self) -> StoredEffort | None:
-        return None if self.effort is None else self.effort.stored()
+        return None if self.effort is None else StoredEffort(self.effort.actions, self.effort.seconds)
 
 
 class FrameChange(WithEffort):
@@ -185,10 +181,10 @@ def _finite(value: float | None) -> float | None:
 Signal = Annotated[float | None, BeforeValidator(_finite)]
 
 
-class QualityJson(Schema):
+class QualityJson(BaseModel):
     """The recursion's signals; null if a signal has no value."""
 
-    model_config = ConfigDict(from_attributes=True)
+    model_config = ConfigDict(from_attributes=True, frozen=True)
 
     view_disagreement: Signal
     kept_share: Signal
@@ -207,10 +203,6 @@ class SuggestionJson(Schema):
     detector: Annotated[str, StringConstraints(min_length=1, max_length=200)]
     fingerprint: Annotated[str, StringConstraints(max_length=200)]
     corrected: bool
-
-    @classmethod
-    def of(cls, suggestion: Suggestion) -> SuggestionJson:
-        return cls.model_construct(**asdict(suggestion))
 
     def stored(self) -> Suggestion:
         return Suggestion(self.detector, self.fingerprint, self.corrected)
@@ -287,10 +279,6 @@ class CameraJson(Schema):
     cx: float
     cy: float
     distortion: tuple[float, ...]
-
-    @classmethod
-    def of(cls, camera: Camera) -> CameraJson:
-        return cls(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, distortion=camera.distortion)
 
 
 class ImageJson(Schema):

@@ -50,10 +50,8 @@ class ServerSettings:
     """Settings of one server.
 
     Attributes:
-        projects_root: the projects folder.
         folders: folders that recordings may be added from; browsers cannot list anything else. On an address that other
             computers reach, recordings of projects are only read there, too.
-        host: address to listen on.
         port: port to listen on; 0 = a free one.
         token: secret that a browser must present once, in the link that the server prints; None is permitted on
             loopback addresses only.

@@ -50,11 +50,7 @@ def _toolkit() -> Literal["qt"] | None:
 
 
 def in_window(serve: Callable[[], None], stop: Callable[[], None], address: str) -> None:
-    """Serves until the window is closed. Toolkits need the process's main thread, so the server gets another.
-
-    Args:
-        serve: runs the server, and returns when `stop` has been called.
-    """
+    """Serves until the window is closed. Toolkits need the process's main thread, so the server gets another."""
     import webview
 
     thread = threading.Thread(target=serve, name="server")
@@ -156,11 +152,7 @@ def _prepared(settings: ServerSettings, place: str | None) -> Iterator[tuple[Run
 
 
 def serve(settings: ServerSettings, place: str | None = None, *, open_browser: bool, window: bool) -> None:
-    """Serves until interrupted, or until the window is closed; prints the URL.
-
-    Args:
-        place: initial place on the page, such as `room/review`.
-    """
+    """Serves until interrupted, or until the window is closed; prints the URL."""
     if window:
         check_window()
     # Ctrl-C is the regular end of a server

@@ -52,7 +52,6 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
     """Stores a file, and unpacks it if it is a `.zip`; removes the oldest uploads.
 
     Args:
-        name: the file's name on the operator's computer.
         in_use: ids of uploads that are not removed.
     """
     uploads = project.path / FOLDER
@@ -112,7 +111,6 @@ def as_sent(text: str, root: str) -> str:
 
     Args:
         text: with paths that begin with the name of the projects folder.
-        root: this name.
     """
     place = rf"{re.escape(root)}/[^/\s]+/{re.escape(FOLDER)}/[0-9a-f]{{32}}"
     return re.sub(place, "the folder that was sent", re.sub(f"{place}/", "", text))

@@ -19,7 +19,7 @@ from attacks import Killer, Labels, content_of, labels_in, require_sound
 from filled import fill
 from live_server import PATIENCE_S, wait_until
 from store_samples import NEXT, NOW, use_next, version_of
-from test_kill_server import EDITS_BEFORE_KILL, Editor, server
+from test_server_process import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.cli.main import main
 from annotator.project import create_project, open_project

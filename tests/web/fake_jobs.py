@@ -6,13 +6,12 @@ import os
 import signal
 import time
 
-from annotator.project import WriteContext
-from annotator.types import Source
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.records import (
     LIFT_STAGE,
     BoxesRequest,
     CurvePoint,
+    ImportRequest,
     JobContext,
     Outcome,
     ProposeRequest,
@@ -20,13 +19,13 @@ from annotator.web.jobs.records import (
 )
 from annotator.web.jobs.worker import AUTOGROUP
 
-QUICK, REFUSED, BUG, KILLED, LONG, DEAF, EDITS = range(1, 8)
+QUICK, REFUSED, BUG, KILLED, LONG, DEAF = range(1, 7)
 
 
-def work(job: JobContext, request: ProposeRequest) -> Outcome:
+def work(job: JobContext, request: ProposeRequest | ImportRequest) -> Outcome:
     """Behaves as selected by `request.limit`."""
     print("a library that prints")  # noqa: T201
-    match request.limit:
+    match getattr(request, "limit", QUICK):
         case 2:
             raise DetectionError("project room has no image detector yet")
         case 3:
@@ -42,9 +41,6 @@ def work(job: JobContext, request: ProposeRequest) -> Outcome:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
             job.progress("deaf", 1, 2)
             time.sleep(600)
-        case 7:
-            frame = job.project.frames.of()[0]
-            job.project.frames.finalise(frame.id, WriteContext(frame.revision, "a job", Source.MANUAL))
     job.progress("count", 1, 2)
     job.measured(CurvePoint(role="image", epoch=1, metrics={"map50": 0.5}))
     job.progress("count", 2, 2)

@@ -31,7 +31,7 @@ class WorkerThread:
     def messages(self) -> Iterator[WorkerMessage]:
         yield from iter(self._sent.get, None)
 
-    def stop(self, grace_s: float = 0.0) -> None:
+    def stop(self, grace_s: float | None = None) -> None:
         self._orders.take(STOP)
 
     def pause(self, is_paused: bool) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import httpx
 import numpy as np
 import pytest
-from drawing import Scene, draw_object
 from room_api import ROOM, state
 from scipy.spatial import cKDTree
 from test_events import listen, next_of
@@ -18,7 +15,6 @@ from test_events import listen, next_of
 from annotator.project import Project, open_project
 from annotator.recordings import open_recording
 from annotator.types import Correction
-from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -59,28 +55,6 @@ def test_the_points_are_those_of_the_files_whatever_the_correction(live: Live, g
     assert after["adjusted"] > before["adjusted"]
 
 
-def test_what_is_stored_stays_in_the_cloud_until_the_undo(live: Live, generated: Path) -> None:
-    draw_object(live.client, "room", 1, Scene.of(generated / "people", 0, ["person"]), 0)
-    before = state(live.client)
-    assert correct(live.client, TURNED).status_code == 200
-    after = state(live.client)
-    (old,), (new,) = before["labels"], after["labels"]
-    assert np.abs(np.subtract(old["box"]["center"], new["box"]["center"])).max() > 0.05
-    assert new["points"] == pytest.approx(old["points"], rel=0.01)
-    assert new["outline"] != old["outline"]
-    # boxes on the image stay; those on views are on the same pictures, turned with the cloud
-    assert after["image_boxes"] == before["image_boxes"]
-    (old_object,), (new_object,) = before["objects"], after["objects"]
-    assert [view["url"] for view, _ in new_object["views"]] == [view["url"] for view, _ in old_object["views"]]
-    assert not np.allclose(new_object["views"][0][0]["axes"], old_object["views"][0][0]["axes"], atol=1e-3)
-    assert after["up"] != before["up"]
-    assert after["history"]["undo"] == "correct the calibration of people"
-    undone = live.client.post(f"{ROOM}/undo", json={}).json()
-    assert undone["done"] == "correct the calibration of people"
-    assert np.allclose(undone["state"]["labels"][0]["box"]["center"], old["box"]["center"], atol=1e-9)
-    assert shown(live.client)["correction"] == NONE
-
-
 def test_a_correction_of_an_outdated_one_is_refused(live: Live) -> None:
     seen = shown(live.client)["adjusted"]
     assert correct(live.client, TURNED, adjusted=seen).status_code == 200
@@ -103,28 +77,6 @@ def test_up_is_estimated_set_and_cleared(live: Live) -> None:
     assert (cleared["up_source"], cleared["up"]) == ("files", known)
 
 
-def test_a_time_offset_shows_another_image(live: Live, own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    keys = sorted(path.stem for path in (folder / "color").iterdir())
-    lines = "".join(f"{key},{number * 100_000_000}\n" for number, key in enumerate(keys))
-    (folder / "timestamps.csv").write_text("key,timestamp_ns\n" + lines)
-    project = live.context.project("room")
-    (added,) = add_recordings(project, [folder], name="timed")
-    frames = [frame.id for frame in project.frames.of([added.recording.id])]
-    seen = shown(live.client, frames[2])
-    assert sorted((each["frame"], round(each["seconds"], 3)) for each in seen["images"]) == [
-        (frame, round(0.1 * number - 0.2, 3)) for number, frame in enumerate(frames)
-    ]
-    body = {"correction": {**NONE, "time_offset_s": 0.1}, "frame": frames[2], "adjusted": 0}
-    answer = live.client.post(f"{ROOM}/recordings/{added.recording.id}/correction", json=body)
-    assert answer.status_code == 200, answer.text
-    picture = live.client.get(state(live.client, frames[2])["image"]["url"]).content
-    assert picture == live.client.get(f"{ROOM}/frames/{frames[1]}/recorded.jpg").content
-    assert cv2.imdecode(np.frombuffer(picture, np.uint8), 1).shape == (240, 320, 3)
-    # frames without times have no offset
-    assert correct(live.client, {**NONE, "time_offset_s": 0.1}).status_code == 400
-
-
 def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(live: Live) -> None:
     with listen(live) as socket, open_project(live.settings.projects_root / "room") as outside:
         next_of(socket, "presence")
@@ -137,7 +89,8 @@ def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(live: Live)
 
 
 def test_wrong_corrections_are_refused(live: Live) -> None:
-    wrong = ({"turn_deg": [0.0, 181.0, 0.0]}, {"shift_m": [0.0, 0.0]}, {"time_offset_s": 1e9}, {"other": 1})
+    # frames without times have no offset
+    wrong = ({"turn_deg": [0.0, 181.0, 0.0]}, {"time_offset_s": 1e9}, {"other": 1}, {"time_offset_s": 0.1})
     for part in wrong:
         assert correct(live.client, {**NONE, **part}).status_code in (400, 422)
     unknown = correct(live.client, TURNED, frame=999)

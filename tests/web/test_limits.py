@@ -6,12 +6,11 @@ import asyncio
 import logging
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import httpx
 import pytest
 from live_server import PATIENCE_S, running, wait_until
 
@@ -105,20 +104,6 @@ def test_bodies_must_make_progress(live: Live) -> None:
         assert not protocol.transport.is_closing(), "it has brought enough"
         protocol.loop.call_soon_threadsafe(protocol._too_late)
         assert rest(slow) == b"", "nothing came since"
-
-
-def test_silent_connections_are_turned_out_and_those_who_have_signed_in_are_not(locked: Live) -> None:
-    with ExitStack() as stack:
-        known = stack.enter_context(httpx.Client(base_url=locked.url, cookies=locked.client.cookies, timeout=20))
-        known.get("/api/session")
-        slow = [stack.enter_context(dial(locked)) for _ in range(30)]
-        for connection in slow:
-            connection.sendall(HEAD)
-        assert [rest(connection) for connection in slow[:22]] == [b""] * 22, "the oldest"
-        wait_until(lambda: connections_of(locked).silent == 8)
-        assert known.get("/api/session").status_code == 200
-        assert httpx.get(f"{locked.url}/api/session", cookies=locked.client.cookies, timeout=20).status_code == 200
-    wait_until(lambda: connections_of(locked).silent == 0)
 
 
 class Transport(asyncio.Transport):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import signal
-import threading
 import time
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import httpx
 import numpy as np
 import pytest
 from live_pages import TruthDetection, detections, served
-from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
@@ -21,15 +18,13 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
-from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
-from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, edges_px, table
+from annotator.types import Box2D, Frame, LostObject, OrientedBox
+from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, table
 from annotator.web.security import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline
 from annotator.workflows.recorded.reading import load_truth
-
-TOKEN = "0123456789abcdef-live"
 
 
 @pytest.fixture(scope="module")
@@ -59,15 +54,6 @@ def viser_protocol() -> Subprotocol:
     import viser
 
     return Subprotocol(f"viser-v{viser.__version__}")
-
-
-def test_other_addresses_require_the_token(generated: Path, tmp_path: Path) -> None:
-    settings = ServerSettings(tmp_path, host="0.0.0.0", port=0, token=TOKEN)
-    with served(settings, generated / "hands") as (url, _, _), httpx.Client(timeout=240) as browser:
-        assert browser.get(url).status_code == 401
-        assert browser.get(url, params={"token": "x" * 20}).status_code == 401
-        assert browser.get(url, params={"token": TOKEN}).status_code == 200
-        assert "<html" in browser.get(url).text
 
 
 def test_the_page_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
@@ -115,35 +101,14 @@ def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
     return FrameProposals(answer.key, answer.proposals, (lost,))
 
 
-def test_edges_follow_lens_distortion_and_end_in_front_of_the_camera() -> None:
-    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
-    bent = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.2, 0.05, 0.0, 0.0))
-    box = OrientedBox.from_parts(np.array([0.3, 0.2, 1.2]), np.eye(3), np.array([0.4, 0.3, 0.4]))
-    assert [line.shape for line in edges_px(camera, box)] == [(2, 2)] * 12
-    lines = edges_px(bent, box)
-    assert len(lines) == 12
-    middle = project(bent, box_corners(box)[[0, 1]].mean(axis=0)[None])[0]
-    assert np.abs(lines[0] - middle).min(axis=0).max() < 0.5
-    around = OrientedBox.at(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
-    assert len(edges_px(camera, around)) == 4, "the edges of the far side"
-
-
 def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None:
-    detected = Detected(frame, detections(frame), 0.0, {})
-    meter = Meter()
-    before = table(detected, meter.figures(Drops()), {})
-    assert "| frames/s | - |" in before
-    assert "| dropped | none |" in before
-    for _ in range(3):
-        meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
-        time.sleep(0.01)
+    detected, meter = Detected(frame, detections(frame), 0.0, {}), Meter()
+    assert "| frames/s | - |" in table(detected, meter.figures(Drops()), {})
+    meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
     meter.broken = 2
     after = table(detected, meter.figures(Drops(detect=7)), {"backend": "torch"})
-    assert "read 12 · views 30" in after
-    assert "| dropped | detect 7 |" in after
-    assert "| unreadable | 2 |" in after
-    assert "| backend | torch |" in after
-    assert not math.isnan(meter.figures(Drops()).latency_ms or math.nan)
+    for row in ("read 12 · views 30", "| dropped | detect 7 |", "| unreadable | 2 |", "| backend | torch |"):
+        assert row in after
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -171,16 +136,3 @@ def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-
-
-def test_other_threads_do_not_change_signal_handlers() -> None:
-    seen = []
-
-    def enter() -> None:
-        with Interrupts():
-            seen.append(signal.getsignal(signal.SIGTERM))
-
-    thread = threading.Thread(target=enter)
-    thread.start()
-    thread.join()
-    assert seen == [signal.getsignal(signal.SIGTERM)]

@@ -24,7 +24,6 @@ from store_samples import replace_folder
 from annotator.project import create_project
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
-from annotator.types.errors import NotFoundError
 from annotator.web.app import Fair, create_app
 from annotator.web.background import Learner, Watch
 from annotator.web.folders import clear_leftovers, hold_server_lock
@@ -55,26 +54,6 @@ def draw(app: FastAPI, revision: int) -> httpx.Response:
 
 def labels(app: FastAPI) -> int:
     return len(send(app, "GET", f"{ROOM}/frames/1").json()["labels"])
-
-
-def test_a_project_replaced_by_its_backup_is_opened_anew(app: FastAPI, web_settings: ServerSettings) -> None:
-    context: Context = app.state.context
-    room, backup = web_settings.projects_root / "room", web_settings.projects_root / "backup"
-    assert draw(app, 0).status_code == 200
-    shutil.copytree(room, backup)
-    assert draw(app, 1).status_code == 200
-    old = context.project("room")
-    replace_folder(room, backup)
-    # what had begun before is refused, what begins now is stored in the new one
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(type(context), "project", lambda *_: old)
-        refused = draw(app, 2)
-    assert (refused.status_code, refused.json()["error"]["kind"]) == (409, "ReplacedError")
-    assert refused.json()["error"]["message"].startswith("projects/room/project.db: was replaced by another file")
-    assert labels(app) == 1
-    assert draw(app, 1).status_code == 200
-    context.close()
-    assert labels(create_app(web_settings)) == 2
 
 
 def test_nothing_of_a_replaced_database_is_taken_for_that_of_the_new_one(
@@ -157,8 +136,6 @@ NONSENSE = (
 ODD: dict[str, Callable[[Path], object]] = {
     "dropped": _run("DROP TABLE labels"),
     "a-view": _as_a_table,
-    "version-0": _run("PRAGMA user_version = 0"),
-    "version-minus": _run("PRAGMA user_version = -5"),
     "too-new": _run("PRAGMA user_version = 1000"),
     "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
     "empty": lambda folder: (folder / "project.db").write_bytes(b""),
@@ -250,20 +227,13 @@ def test_requests_to_one_project_leave_threads_to_the_others(monkeypatch: pytest
         end.set()
         await asyncio.gather(*slow)
         assert len(begun) == 6
-        assert fair._gates == {}
+        assert not fair._gates
 
     asyncio.run(passing())
 
 
 async def _nothing(*_: object) -> Any:
     return None
-
-
-def test_a_cookie_is_checked_as_sign_in_is(app: FastAPI) -> None:
-    for name in ("", " ", "A%0AB", "A%00", "a" * 65, "a" * 6000, "%FF", "%E2%80%AE", "%ED%A0%80"):
-        cookies = {"annotator_operator": name}
-        assert ask(app, "GET", "/api/session", cookies=cookies).json()["operator"] is None
-        assert ask(app, "GET", "/api/projects", cookies=cookies).status_code == 401
 
 
 def test_a_start_removes_what_killed_processes_left(
@@ -315,9 +285,3 @@ def test_a_project_that_cannot_be_written_is_shown_and_refuses_changes(
     app.state.context.close()
     assert not jobs.exists()
     assert {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")} == before
-
-
-def test_a_removed_project_that_nobody_opened_leaves_no_trace(app: FastAPI) -> None:
-    with pytest.raises(NotFoundError):
-        app.state.context.project("none")
-    assert app.state.context._opens == {}

@@ -66,25 +66,3 @@ def test_a_camera_whose_folder_is_gone_does_not_hide_the_frame(live: Live, tmp_p
     assert answer.status_code == 200, answer.text
     stored = live.context.project("room").recordings.all()
     assert {one.path for one in stored} == {(tmp_path / "clouds" / "moved").resolve()}
-
-
-def test_images_that_are_drawn_from_the_cloud_have_no_calibration(live: Live) -> None:
-    add_all(live, camera="all")
-    shown = live.client.get("/api/projects/room/frames/1/alignment").json()
-    assert shown["is_virtual"]
-    correction = {"turn_deg": [0.0, 1.0, 0.0], "shift_m": [0.0, 0.0, 0.0], "time_offset_s": 0.0}
-    body = {"correction": correction, "frame": 1, "adjusted": shown["adjusted"]}
-    answer = live.client.post("/api/projects/room/recordings/1/correction", json=body)
-    assert answer.status_code == 400 and "no calibration to correct" in answer.json()["error"]["message"]
-
-
-def test_one_camera_tells_of_the_others(live: Live) -> None:
-    (one,) = add_all(live)
-    assert one["notes"] == [
-        "4 cameras: around-000, around-090, around-180, around-270 (--camera names another, or all)"
-    ]
-    (again,) = add_all(live, camera="around-000")
-    assert not again["is_new"]
-    body = {"path": "clouds/drive", "options": {"camera": "left"}}
-    answer = live.client.post("/api/projects/room/recordings", json=body)
-    assert answer.status_code == 400 and "not --camera" in answer.json()["error"]["message"]

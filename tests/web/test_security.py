@@ -1,8 +1,12 @@
-"""Access: every route without the token, foreign pages and hosts, large bodies, and security headers."""
+"""Access: every route without the token, foreign pages and hosts, large bodies and headers; where the token comes from,
+who may read what the server writes; and messages, which name files but not their folders on the server.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import socket
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -10,29 +14,36 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import httpx
 import pytest
 from fastapi import FastAPI
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process import HERE, ask, open_socket
-from live_server import PATIENCE_S
+from live_server import PATIENCE_S, ended, running
 from starlette.routing import BaseRoute
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from annotator import __version__
+from annotator.project import create_project
 from annotator.types.errors import ConfigError
 from annotator.web import security
 from annotator.web.app import create_app
+from annotator.web.errors import has_absolute_path, hide_paths
+from annotator.web.jobs.records import WORK
 from annotator.web.limits import Rate
 from annotator.web.security import (
     BODY_LIMIT,
     GUESSES_BURST,
     MESSAGES_BURST,
     STRANGERS_BURST,
+    VARIABLE,
     ServerSettings,
     check_settings,
     cookie_name,
-    link,
+    state_folder,
+    with_token,
 )
+from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -113,7 +124,7 @@ def test_requests_from_foreign_pages_are_refused(app: FastAPI) -> None:
 
 def test_a_local_server_accepts_only_local_host_names(tmp_path: Path) -> None:
     app = create_app(ServerSettings(tmp_path))
-    for host in ("evil.example", "127.0.0.1.evil.example", "10.0.0.1", "", "[", "localhost.evil", "a@b"):
+    for host in ("evil.example", "127.0.0.1.evil.example", "", "[", "a@b"):
         answer = ask(app, "GET", "/api/session", headers={"Host": host})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
     for host in ("127.0.0.1", "127.0.0.1:8080", "localhost:1", "LOCALHOST", "[::1]:8080"):
@@ -137,6 +148,7 @@ def test_the_link_sets_a_cookie(app: FastAPI) -> None:
     assert "samesite=strict" in cookie.lower()
     kept = dict([cookie.split(";")[0].split("=")])
     assert ask(app, "GET", "/api/session", cookies=kept).status_code == 200
+    assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
     assert ask(app, "GET", "/assets/js/main.js", cookies=kept).status_code == 200
     assert open_socket(app, "/api/events", headers(kept, HERE)) == 403, "no operator is signed in"
     assert open_socket(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101
@@ -169,17 +181,6 @@ def test_few_tokens_can_be_guessed_and_few_requests_sent_without_one(
     assert statuses[-1] == 429
 
 
-def test_a_wrong_token_is_refused(app: FastAPI) -> None:
-    for token in ("", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "ü" * 21, "\ud800"):
-        answer = ask(app, "GET", httpx.URL(HERE, params={"token": token.encode("utf-8", "surrogatepass")}))
-        assert answer.status_code == 401
-        assert "set-cookie" not in answer.headers
-
-
-def test_the_token_in_the_url_is_only_accepted_for_pages(app: FastAPI) -> None:
-    assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
-
-
 def test_a_browser_without_the_token_gets_a_hint(app: FastAPI) -> None:
     answer = ask(app, "GET", "/", headers={"Accept": "text/html"})
     assert answer.status_code == 401
@@ -197,13 +198,6 @@ def test_other_addresses_need_a_token(tmp_path: Path) -> None:
             create_app(ServerSettings(tmp_path, host=host, token=token))
 
 
-def test_links_contain_the_token_and_the_target() -> None:
-    assert link("http://h:1/", None) == "http://h:1/"
-    assert link("http://h:1/", None, "room/review") == "http://h:1/#/room/review"
-    assert link("http://h:1/", "a b") == "http://h:1/?token=a+b"
-    assert link("http://h:1/", "t", "room/label") == "http://h:1/?token=t&go=room%2Flabel"
-
-
 def test_responses_have_security_headers(live: Live) -> None:
     for path in ("/", "/assets/js/main.js", "/api/session", "/api/nothing", "/api/openapi.json"):
         headers = live.client.get(path).headers
@@ -216,14 +210,6 @@ def test_responses_have_security_headers(live: Live) -> None:
         assert "server" not in headers
         if path.startswith("/api/"):
             assert headers["cache-control"] == "no-store"
-
-
-def test_only_files_of_the_page_are_served(live: Live) -> None:
-    host, port = live.url.removeprefix("http://").split(":")
-    for place in ("../pyproject.toml", "..%2fpyproject.toml", "%2e%2e/pyproject.toml", "/etc/passwd"):
-        with socket.create_connection((host, int(port))) as raw:  # httpx would normalise the path
-            raw.sendall(f"GET /assets/{place} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode())
-            assert raw.makefile("rb").readline().split()[1] == b"404"
 
 
 def test_large_bodies_are_refused(live: Live) -> None:
@@ -297,19 +283,133 @@ def test_sign_in_and_out(live: Live) -> None:
     assert answer.json()["operator"] == client.get("/api/session").json()["operator"] == "Zoë Ångström"
     assert "HttpOnly" in answer.headers["set-cookie"]
     assert "SameSite=strict" in answer.headers["set-cookie"]
+    for name in ("  ", "a\nb", "x" * 65, None):
+        refused = client.post("/api/session", json={"operator": name})
+        assert (refused.status_code, refused.json()["error"]["kind"]) == (422, "ValidationError")
     assert client.delete("/api/session").json()["operator"] is None
     assert client.get("/api/session").json()["operator"] is None
 
 
-@pytest.mark.parametrize("name", ["", "  ", "a\nb", "x" * 65, 3, None])
-def test_invalid_names_are_refused(live: Live, name: object) -> None:
-    answer = live.client.post("/api/session", json={"operator": name})
-    assert answer.status_code == 422
-    assert answer.json()["error"]["kind"] == "ValidationError"
-    assert "operator" in answer.json()["error"]["message"]
+LONG = "a-token-from-the-operator"
 
 
-def test_unknown_paths_are_404(live: Live) -> None:
-    for path in ("/api/nothing", "/nothing", "/assets/nothing.js", "/api/session/x"):
-        answer = live.client.get(path)
-        assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
+@pytest.fixture(autouse=True)
+def _state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def token_file(folder: Path, content: str, mode: int = 0o600) -> Path:
+    path = folder / "token"
+    path.write_text(content)
+    path.chmod(mode)
+    return path
+
+
+def test_every_address_has_a_new_token_unless_one_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here, there = ServerSettings(tmp_path), ServerSettings(tmp_path, host="192.168.0.9")
+    tokens = [with_token(settings).token for settings in (here, here, there, there)]
+    assert len(set(tokens)) == 4
+    assert all(token is not None and len(token) == 43 for token in tokens)
+    assert with_token(here, token_file(tmp_path, f"{LONG}\n")).token == LONG
+    monkeypatch.setenv(VARIABLE, LONG)
+    assert with_token(there).token == LONG
+    assert VARIABLE not in os.environ, "jobs would inherit it"
+    assert with_token(here, no_token=True).token is None
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "said"),
+    [
+        (LONG, 0o644, "other users may read it; run chmod 600"),
+        ("two words", 0o600, "is not one line with a token"),
+        ("x" * 5000, 0o600, "is not one line with a token"),
+        ("ü" * 20, 0o600, "a token needs at least 16 ASCII"),
+    ],
+)
+def test_unusable_token_files_are_errors(tmp_path: Path, content: str, mode: int, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        with_token(ServerSettings(tmp_path), token_file(tmp_path, content, mode))
+
+
+def test_browsers_stay_signed_in_on_this_computer_and_with_the_same_token(tmp_path: Path) -> None:
+    here = ServerSettings(tmp_path)
+    given, other = token_file(tmp_path, LONG), tmp_path / "other"
+    kept = [with_token(here).cookie, with_token(here).cookie]
+    assert kept[0] == kept[1]
+    there = [with_token(ServerSettings(tmp_path, host="192.168.0.9")) for _ in range(2)]
+    assert there[0].cookie != there[1].cookie
+    same = {with_token(settings, given).cookie for settings in (here, *there)}
+    assert len(same) == 1
+    assert len({*kept, *same, with_token(ServerSettings(other)).cookie}) == 3
+    assert with_token(here, token_file(tmp_path, LONG + "2")).cookie not in same
+    secret = state_folder() / "secret"
+    assert (secret.stat().st_mode & 0o777, secret.parent.stat().st_mode & 0o777) == (0o600, 0o700)
+    secret.write_bytes(b"damaged")
+    assert with_token(here).cookie != kept[0]
+
+
+def test_other_users_can_read_neither_projects_nor_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(WORK, "propose", "no.such.module:work")
+    before = os.umask(0o022)
+    try:
+        with create_project(tmp_path / "projects", "room", ("person",)) as project:
+            project.log.last()
+        with running(ServerSettings(tmp_path / "projects", port=0)) as live:
+            job = live.client.post("/api/projects/room/jobs", json={"kind": "propose"}).json()
+            ended(live, job)
+    finally:
+        os.umask(before)
+    room, jobs = tmp_path / "projects/room", tmp_path / "projects/.jobs"
+    assert {folder.stat().st_mode & 0o777 for folder in (room, jobs)} == {0o700}
+    files = [*room.glob("project.db*"), *(path for path in jobs.rglob("*") if path.is_file())]
+    assert {file.name for file in files} >= {"project.db", "journal.json"}
+    assert [file for file in files if file.stat().st_mode & 0o777 != 0o600] == []
+
+
+PLACES = ((Path("/srv/data/inner"), "inner"), (Path("/srv/data"), "data"), (Path("/home/ada/my takes"), "takes"))
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("/srv/data/people/color/1.jpg: missing", "data/people/color/1.jpg: missing"),
+        ("/srv/data/inner/x.txt:3: a word", "inner/x.txt:3: a word"),
+        ("'/srv/data' and (/srv/data), see /srv/data.", "'data' and (data), see data."),
+        ("/srv/data-2/x.png: broken", "…/x.png: broken"),
+        ("/srv/database/x.png: broken", "…/x.png: broken"),
+        ("/home/ada/my takes/a b/x.png: broken", "takes/a b/x.png: broken"),
+        ("/home/bob/private/x.png: broken; give 1 m/s", "…/x.png: broken; give 1 m/s"),
+        ("x.png: or/and 3 / 4, http://127.0.0.1:8080/a/b", "x.png: or/and 3 / 4, http://127.0.0.1:8080/a/b"),
+        ("/secret: no such file", "…/secret: no such file"),
+        ("color/1.jpg: missing", "color/1.jpg: missing"),
+    ],
+)
+def test_messages_name_files_without_their_folders(message: str, shown: str) -> None:
+    assert hide_paths(message, PLACES) == shown
+    assert hide_paths(shown, PLACES) == shown
+
+
+@given(st.lists(st.from_regex(r"[a-z0-9_.-]{1,8}", fullmatch=True), min_size=1, max_size=5), st.booleans())
+def test_no_path_keeps_its_folders(parts: list[str], is_known: bool) -> None:
+    parts = [part.strip(".-") or "x" for part in parts]
+    path = Path("/srv/data" if is_known else "/var/lib", *parts)
+    shown = hide_paths(f"{path}: broken", PLACES)
+    assert not has_absolute_path(shown)
+    assert path.name in shown and "/srv" not in shown and "/var" not in shown
+
+
+def test_the_error_of_a_broken_frame_names_its_file_only(live: Live, generated: Path, tmp_path: Path) -> None:
+    """For a recording in a registered folder, and for one elsewhere on the disk."""
+    project = live.context.project("room")
+    elsewhere = tmp_path / "elsewhere" / "own take"
+    shutil.copytree(generated / "people", elsewhere)
+    (added,) = add_recordings(project, [elsewhere], name="mine")
+    frame = project.frames.of([added.recording.id])[1]
+    (elsewhere / "color" / "000001.jpg").write_bytes(b"")
+    answer = live.client.get(f"/api/projects/room/frames/{frame.id}")
+    message = answer.json()["error"]["message"]
+    assert (answer.status_code, message.partition(":")[0]) == (400, "mine/color/000001.jpg")
+    assert str(tmp_path) not in message
+    wrong = live.client.post("/api/projects/room/recordings", json={"path": generated.name}).json()
+    assert wrong["error"]["message"].startswith(f"{generated.name}: no known recording format in this folder")
+    assert str(generated.parent) not in wrong["error"]["message"]

@@ -1,8 +1,12 @@
-"""Jobs: outcomes, order, events to pages, and the journal after a restart; the work is a fake for these tests."""
+"""Jobs: outcomes, order, events to pages, the journal after a restart, and what a server does beside requests.
+
+The work of the jobs is a fake for these tests.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -10,7 +14,6 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
@@ -20,42 +23,40 @@ import fake_jobs
 import pytest
 from drawing import Scene
 from live_server import PATIENCE_S, ended, look, running
-from room_api import ROOM
 from test_events import listen, next_of
 
-from annotator.detection import pretrained
-from annotator.detection.pretrained import TITLE
-from annotator.project import WriteContext, open_project
-from annotator.project.log.event_types import ImageBoxesSet
-from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.project import Project, WriteContext, create_project, open_project
+from annotator.project.backup.make import Reason, automatic_backups
+from annotator.project.backup.take_in import restore
+from annotator.project.config import BACKUPS
+from annotator.project.labels import Labels
+from annotator.project.models import Models
+from annotator.types import BoxKind, DetectorKind
+from annotator.web import background
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
+from annotator.web.context import Context
 from annotator.web.jobs import runner, work
 from annotator.web.jobs.records import (
     FILE,
     WORK,
-    ExportRequest,
     JobContext,
+    JobState,
     JobStoppedError,
     LiftRequest,
-    Progress,
-    ProposeRequest,
     TrainRequest,
-    WorkerMessage,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
-from annotator.web.jobs.work import export_work, propose_work, train_work
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import NICENESS
 from annotator.web.schemas import Box2DJson
+from annotator.web.security import ServerSettings
 from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.training.held_out import Decision
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
 
-    from annotator.types import Detector, Image
-    from annotator.web.security import ServerSettings
     from annotator.workflows.detectors import Detectors
 
 
@@ -139,31 +140,28 @@ def test_a_running_and_a_waiting_job_can_be_stopped(server: Live, in_threads: No
     assert again["state"] == "cancelled"
 
 
+def test_a_job_that_reads_and_writes_files_does_not_wait_for_a_training(
+    server: Live, in_threads: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(WORK, "import", "fake_jobs:work")
+    runs, waits = begin(server, fake_jobs.LONG), begin(server, fake_jobs.QUICK)
+    until(server, runs, "running", "on and on")
+    brings = server.client.post(JOBS, json={"kind": "import", "recordings": [1]}).json()
+    assert ended(server, brings)["message"] == "counted to 2"
+    assert [look(server, job["id"])["state"] for job in (runs, waits)] == ["running", "queued"]
+    server.client.post(f"/api/jobs/{runs['id']}/cancel")
+    assert ended(server, waits)["state"] == "done"
+
+
 def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "KILL_AFTER_S", 0.5)
-    server.context.jobs._grace_s = 0.5
+    monkeypatch.setattr(runner, "GRACE_S", 0.5)
     job = begin(server, fake_jobs.DEAF)
     until(server, job, "running", "deaf")
     server.client.post(f"/api/jobs/{job['id']}/cancel")
     assert ended(server, job)["state"] == "cancelled"
     with open_project(server.settings.projects_root / "room") as project:
         assert project.problems() == []
-
-
-def test_pages_get_events_for_changes_of_a_job(server: Live, in_threads: None) -> None:
-    with listen(server) as socket:
-        next_of(socket, "presence")
-        begin(server, fake_jobs.EDITS)
-        event = next_of(socket, "frame")
-        assert (event["revision"], event["operator"]) == (1, "a job")
-
-
-def test_the_number_of_waiting_jobs_is_limited(server: Live, in_threads: None) -> None:
-    jobs = [begin(server, fake_jobs.LONG)]
-    until(server, jobs[0], "running", "on and on")
-    jobs += [begin(server, fake_jobs.QUICK) for _ in range(MOST_WAITING)]
-    refused = server.client.post(JOBS, json={"kind": "propose", "limit": 1})
-    assert (refused.status_code, refused.json()["error"]["kind"]) == (400, "ConfigError")
 
 
 def test_a_worker_imports_no_file_of_the_current_folder(
@@ -224,44 +222,27 @@ def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: Server
     worker.stdout.close()
 
 
-INVALID = [
+INVALID = (
     {"kind": "dance"},
-    {},
-    {"kind": "train", "roles": []},
-    {"kind": "train", "image_pictures": 0},
     {"kind": "train", "model": "../../evil.pt"},
     {"kind": "train", "epochs": 1},
     {"kind": "propose", "limit": 0},
-    {"kind": "propose", "recordings": []},
-    {"kind": "export", "format": "zip"},
-    {"kind": "import"},
     {"kind": "export", "states": ["new"]},
     {"kind": "export", "split": {"shares": "train"}},
-    {"kind": "export", "split": {"shares": "train=1", "by": "luck"}},
-]
+)
 
 
 def test_invalid_and_missing_jobs_are_refused(server: Live) -> None:
     for body in INVALID:
         assert server.client.post(JOBS, json=body).status_code == 422
-    for method, path, status in (
-        ("POST", "/api/projects/nobody/jobs", 404),
-        ("POST", f"/api/jobs/{'0' * 32}/cancel", 404),
-        ("GET", f"/api/jobs/{'0' * 32}/download", 404),
-        ("GET", "/api/jobs/..%2Fjournal.json/download", 404),
-        ("GET", "/api/jobs/journal.json/download", 422),
-    ):
-        body = {"kind": "propose"} if path.endswith("jobs") else None
-        assert server.client.request(method, path, json=body).status_code == status
+    assert server.client.post("/api/projects/nobody/jobs", json={"kind": "propose"}).status_code == 404
+    assert server.client.post(f"/api/jobs/{'0' * 32}/cancel").status_code == 404
+    assert server.client.get(f"/api/jobs/{'0' * 32}/download").status_code == 404
     assert server.client.get("/api/jobs").json() == {"jobs": []}
 
 
-def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> None:
-    project = live.context.project("room")
-    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
-    with pytest.raises(ConfigError, match="no labels in state"):
-        export_work(job, ExportRequest(kind="export"))
-    import_own_labels(project, 1)
+def test_export_and_download(live: Live) -> None:
+    import_own_labels(live.context.project("room"), 1)
     split = {"shares": "train=3,val=2", "seed": 4}
     request = {"kind": "export", "format": "kitti", "states": ["accepted"], "recordings": [1], "split": split}
     done = ended(live, live.client.post(JOBS, json=request).json())
@@ -269,7 +250,6 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     assert done["result"]["splits"] == {"train": 3, "val": 2}
     assert any("clouds have colours" in line for line in done["result"]["lost"])
     answer = live.client.get(f"/api/jobs/{done['id']}/download")
-    assert answer.headers["content-type"] == "application/zip"
     assert 'filename="room-kitti.zip"' in answer.headers["content-disposition"]
     with zipfile.ZipFile(BytesIO(answer.content)) as archive:
         assert len(archive.read("room-kitti/ImageSets/val.txt").split()) == 2
@@ -279,14 +259,6 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     formats = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()["formats"]}
     assert "proposed" in formats["rcv"]["states"] and "proposed" not in formats["kitti"]["states"]
     assert [name for name, entry in formats.items() if entry["flat"]] == ["coco", "yolo"]
-
-
-def test_missing_training_data_is_reported(live: Live, tmp_path: Path) -> None:
-    job = JobContext(live.context.project("room"), tmp_path, "Ada", lambda _: None, lambda: False)
-    with pytest.raises(AnnotatorError, match="to learn from"):
-        train_work(job, TrainRequest(kind="train"))
-    with pytest.raises(AnnotatorError, match="detector yet"):
-        propose_work(job, ProposeRequest(kind="propose"))
 
 
 def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: ServerSettings) -> None:
@@ -315,94 +287,234 @@ def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: S
 
 
 MODELS = "/api/projects/room/models"
+MATERIAL = ("image", "view", "labels", "to_lift")
 
 
 def test_a_project_without_models(live: Live) -> None:
     answer = live.client.get(MODELS).json()
     assert answer.pop("base") in (None, "in use")
-    assert answer == {
-        "models": [],
-        "learn_every": None,
-        "material": {"image": 0, "view": 0, "labels": 0, "to_lift": 0},
-    }
-    for method, path in (
-        ("POST", f"{MODELS}/1/activate"),
-        ("GET", f"{MODELS}/1/pictures/0.jpg"),
-        ("GET", "/api/projects/nobody/models"),
-    ):
-        assert live.client.request(method, path).status_code == 404
+    assert answer == {"models": [], "learn_every": None, "material": dict.fromkeys(MATERIAL, 0)}
+    assert live.client.put(f"{MODELS}/learning", json={"every": 0}).status_code == 422
+    assert live.client.post(f"{MODELS}/1/activate").status_code == 404
+    assert live.client.get(f"{MODELS}/1/pictures/0.jpg").status_code == 404
     assert live.client.get(f"{MODELS}/{10**30}/pictures/0.jpg").status_code == 422
-    assert live.client.get(f"{MODELS}/x/pictures/0.jpg").status_code == 422
 
 
-def test_detectors_are_loaded_at_once_when_the_page_asks(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Path, bool]] = []
-    detectors = live.context.caches.detectors
-    monkeypatch.setattr(detectors, "warm", lambda project, at_once=False: asked.append((project.path, at_once)))
-    assert live.client.post(f"{MODELS}/load").status_code == 204
-    assert [(path.name, at_once) for path, at_once in asked] == [("room", True)]
+def test_the_job_proposes_3d_boxes_from_drawn_boxes(
+    live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = ReadyDetector(knowing("people").view, BoxKind.BOX, Lock())
+    monkeypatch.setattr(work, "require_view", lambda _: view)
+    project = live.context.project("room")
+    boxes = [Box2DJson(**Scene.of(generated / "people", 0, ["person"]).image_box(0)).box()]
+    project.boxes.set_on_image(1, boxes, BoxKind.SILHOUETTE, WriteContext(0, "Ada"))
+    assert live.client.get(MODELS).json()["material"]["to_lift"] == 1
+    with pytest.raises(JobStoppedError):
+        work.lift_work(JobContext(project, tmp_path, "Ada", lambda _: None, lambda: True), LiftRequest(kind="lift"))
+    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
+    said = work.lift_work(job, LiftRequest(kind="lift")).message
+    assert said.endswith("in 1 frame, measured by: this project's view detector")
+    assert live.client.get(MODELS).json()["material"]["to_lift"] == 0
 
 
-class AnyClass:
-    """As a base detector: the boxes of another detector without their classes."""
-
-    labels = tuple(AGNOSTIC_LABELS.values())
-    fingerprint = "any class"
-
-    def __init__(self, detector: Detector) -> None:
-        self._detector = detector
-
-    def detect(self, images: list[Image]) -> list[list[Box2D]]:
-        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
+ROUND = {"kind": "train", "roles": ["view"], "background": True}
 
 
 @pytest.fixture
-def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
-    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, pretrained.NAME)
+def project(tmp_path: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "room", ["person"]) as made:
+        yield made
 
 
-def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
-    live: Live, generated: Path, tmp_path: Path, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def jobs(tmp_path: Path) -> JobRunner:
+    """A runner that is not started, so that jobs wait."""
+    return JobRunner(tmp_path / "jobs", lambda job: None, str)
+
+
+@pytest.fixture
+def learning(live: Live, fake: None, in_threads: None, monkeypatch: pytest.MonkeyPatch) -> Live:
+    monkeypatch.setitem(WORK, "train", "fake_jobs:train")
+    return live
+
+
+def end_all(jobs: JobRunner, state: JobState = JobState.DONE) -> None:
+    for job in jobs.all():
+        jobs._update(job.id, state=state)
+    jobs._waiting.clear()
+
+
+def test_a_round_starts_after_every_so_many_reviewed_boxes(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(work, "require_view", lambda _: base)
-    project = live.context.project("room")
-    sent: list[WorkerMessage] = []
-    job = JobContext(project, tmp_path, "Ada", sent.append, lambda: False)
-    with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
-        work.lift_work(job, LiftRequest(kind="lift"))
-    scene, stored = Scene.of(generated / "people", 0, ["person"]), project.frames.of()[0]
-    boxes = tuple(Box2DJson(**scene.image_box(number)).box() for number in range(len(scene.objects)))
-    drawn = ImageBoxesSet(boxes=boxes, box_kind=BoxKind.SILHOUETTE)
-    project.log.append(stored.id, [drawn], WriteContext(stored.revision, "Ada"))
-    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 1
-    stopped = JobContext(project, tmp_path, "Ada", sent.append, lambda: True)
-    with pytest.raises(JobStoppedError):
-        work.lift_work(stopped, LiftRequest(kind="lift"))
-    outcome = work.lift_work(job, LiftRequest(kind="lift"))
-    assert outcome.result["proposals"] > 0 and outcome.result["frames"] == 1
-    assert outcome.message.endswith(f"proposals in 1 frame, measured by: {TITLE}")
-    assert any(isinstance(message, Progress) and message.total == 1.0 for message in sent)
-    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
-    labels = live.client.get(f"{ROOM}/frames/{stored.id}").json()["labels"]
-    assert {label["measured_by"] for label in labels} == {TITLE}
+    reviewed = [0]
+    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    learner, started = Learner(jobs), []
+    for reviewed[0] in range(40):
+        learner.look("room", project)
+        if reviewed[0] == 12:
+            project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+        if not jobs.is_idle():
+            started.append(reviewed[0])
+            end_all(jobs)
+    # those reviewed before count for the first round
+    assert started == [13, 23, 33]
+    (job, *_) = jobs.all()
+    assert (job.kind, job.project, job.background) == ("train", "room", True)
 
 
-def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_own(
-    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_boxes_from_before_the_newest_detector_are_learned_already(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def named() -> tuple[str | None, str | None]:
-        statistics = live.client.get(f"{ROOM}/statistics").json()
-        return live.client.get(ROOM).json()["detectors"]["stand_in"], statistics["view_detector"]
+    reviewed = [15]
+    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    decisions: list[Decision | None] = [None]
+    monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
+    monkeypatch.setattr(background, "decision_of", lambda model: decisions[0])
+    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+    learner = Learner(jobs)
+    for reviewed[0], waits in ((15, False), (24, False), (25, True)):
+        learner.look("room", project)
+        assert jobs.is_idle() is not waits
+    # after a restart, the record of the newest detector tells which ones are new
+    for learned, waits in ((16, False), (15, True)):
+        end_all(jobs)
+        decisions[0] = Decision(
+            objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=learned
+        )
+        Learner(jobs).look("room", project)
+        assert jobs.is_idle() is not waits
 
-    assert named() == (None, None)
-    (tmp_path / "base").mkdir()
-    (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
-    assert named() == (TITLE, TITLE)
-    project = live.context.project("room")
-    weights = project.path / "models" / "own.pt"
-    weights.parent.mkdir(exist_ok=True)
-    weights.write_bytes(b"w")
-    kind = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {}, "fingerprint": "own"}
-    project.models.register(DetectorKind.VIEW, weights, **kind)
-    assert named() == (None, "this project's view detector")
+
+def test_a_training_that_somebody_started_has_learned_too(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reviewed = [5]
+    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+    learner = Learner(jobs)
+    learner.look("room", project)
+    jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
+    reviewed[0] = 20
+    learner.look("room", project)
+    assert len(jobs.all()) == 1
+    end_all(jobs)
+    trained = Decision(objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=20)
+    monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
+    monkeypatch.setattr(background, "decision_of", lambda model: trained)
+    for reviewed[0], rounds in ((20, 0), (29, 0), (30, 1)):
+        learner.look("room", project)
+        assert sum(job.background for job in jobs.all()) == rounds
+
+
+def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Labels, "count", lambda self, states: 10)
+    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
+    learner = Learner(jobs)
+    learner.look("room", project)
+    (first,) = jobs.all()
+    jobs._update(first.id, state=JobState.RUNNING)
+    jobs._waiting.clear()
+    other = jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
+    assert not jobs.stepped_aside(first.id)
+    jobs._update(first.id, state=JobState.DONE)
+    assert not jobs.stepped_aside(first.id)
+    jobs._update(first.id, state=JobState.CANCELLED)
+    assert jobs.stepped_aside(first.id)
+    learner.look("room", project)
+    assert len(jobs.all()) == 2
+    jobs._update(other.id, state=JobState.DONE)
+    jobs._waiting.clear()
+    for _ in range(3):
+        learner.look("room", project)
+    assert len(jobs.all()) == 3
+
+
+def test_a_job_in_the_background_stops_for_another_job(learning: Live) -> None:
+    job: dict[str, Any] = learning.client.post(JOBS, json=ROUND).json()
+    assert job["background"] is True
+    until(learning, job, "running", "learn")
+    other = begin(learning, fake_jobs.QUICK)
+    assert ended(learning, other)["state"] == "done"
+    now = ended(learning, job)
+    assert (now["state"], now["message"]) == ("cancelled", STEPPED_ASIDE)
+
+
+def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(
+    learning: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[bool] = []
+    pause = runner.WorkerProcess.pause
+    monkeypatch.setattr(
+        runner.WorkerProcess, "pause", lambda self, paused: (pauses.append(paused), pause(self, paused))
+    )
+    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 0.2)
+    job = learning.client.post(JOBS, json=ROUND).json()
+    until(learning, job, "running", "learn")
+    assert learning.client.get("/api/projects/room/frames/1").status_code in (200, 404)
+    end = time.monotonic() + PATIENCE_S
+    while pauses[-2:] != [True, False]:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    before = look(learning, job["id"])["done"]
+    while look(learning, job["id"])["done"] == before:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    # a job that is paused can be stopped
+    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 600.0)
+    learning.client.get("/api/projects/room/frames/1")
+    learning.client.post(f"/api/jobs/{job['id']}/cancel")
+    assert ended(learning, job)["state"] == "cancelled"
+
+
+OLD = 1_000_000_000
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """A project whose first change was long ago."""
+    with create_project(tmp_path, "room", ("person",), clock=lambda: OLD) as project:
+        project.recordings.add(tmp_path / "take", "rgbd", "take", ["0"], True)
+        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(0, "Ada"))
+        return project.path
+
+
+def test_an_open_project_is_backed_up_once_for_its_changes(changed: Path) -> None:
+    context = Context(ServerSettings(changed.parent))
+    try:
+        backups = AutomaticBackups(context)
+        backups.make_due()
+        assert automatic_backups(changed) == []  # nobody has opened it
+        context.project("room")
+        for _ in range(2):
+            backups.make_due()
+        (made,) = automatic_backups(changed, Reason.CHANGES)
+        path, manifest = restore(made, changed.parent, "restored")
+        assert manifest.last_event == 1 and path.is_dir()
+    finally:
+        context.close()
+
+
+def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
+    changed: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    in_the_way, now = changed.parent / BACKUPS, [0.0]
+    in_the_way.write_text("in the way")
+    context = Context(ServerSettings(changed.parent))
+    try:
+        context.project("room")
+        backups = AutomaticBackups(context, lambda: now[0])
+        with caplog.at_level(logging.WARNING, "annotator.web"):
+            backups.make_due()
+            in_the_way.unlink()
+            now[0] = BACKUPS_PAUSE_S - 1
+            backups.make_due()
+        assert ["no automatic backup" in record.message for record in caplog.records] == [True]
+        assert automatic_backups(changed) == []
+        now[0] = BACKUPS_PAUSE_S
+        backups.make_due()
+        assert len(automatic_backups(changed)) == 1
+    finally:
+        context.close()

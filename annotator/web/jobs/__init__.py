@@ -1,1 +1,1 @@
-"""Jobs (train, propose, export, import), each in a worker process. One runs at a time, the others wait."""
+"""Jobs (train, propose, export, import ...), each in a worker process, in two lanes."""

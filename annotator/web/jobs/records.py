@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
@@ -22,7 +22,7 @@ from annotator.workflows.importing.boxes_3d import MOST_NAME
 
 LOG = logging.getLogger("annotator.web")
 
-Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
+Ids = Annotated[tuple[RowId, ...], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -125,8 +125,8 @@ class ExportRequest(Schema):
 
     kind: Literal["export"]
     format: ExportFormat = ExportFormat.RCV
-    states: Annotated[list[ReviewState], Field(min_length=1, max_length=4)] | None = None
-    classes: Annotated[list[Annotated[str, Field(max_length=64)]], Field(min_length=1, max_length=200)] | None = None
+    states: Annotated[tuple[ReviewState, ...], Field(min_length=1, max_length=4)] | None = None
+    classes: Annotated[tuple[ClassName, ...], Field(min_length=1, max_length=200)] | None = None
     recordings: Ids | None = None
     empty_frames: bool = False
     skip_unreadable: bool = False
@@ -164,17 +164,12 @@ def in_background(request: JobRequest) -> bool:
 # Stage of a job that proposes 3D boxes from 2D boxes.
 LIFT_STAGE = "propose 3D boxes"
 
+JobKind = Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
+# Those that keep the processor busy run one after the other. So do the others, which never wait for the first ones.
+HEAVY: tuple[JobKind, ...] = ("train", "propose", "lift")
 # Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server
 # does not import the work.
-WORK: dict[str, str] = {
-    "train": "annotator.web.jobs.work:train_work",
-    "propose": "annotator.web.jobs.work:propose_work",
-    "lift": "annotator.web.jobs.work:lift_work",
-    "boxes": "annotator.web.jobs.work:boxes_work",
-    "export": "annotator.web.jobs.work:export_work",
-    "import": "annotator.web.jobs.work:import_work",
-    "copy": "annotator.web.jobs.work:copy_work",
-}
+WORK: dict[str, str] = {kind: f"annotator.web.jobs.work:{kind}_work" for kind in get_args(JobKind)}
 
 
 class JobState(StrEnum):
@@ -217,7 +212,7 @@ class Job(Schema):
 
     id: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
     project: str
-    kind: Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
+    kind: JobKind
     state: JobState = JobState.QUEUED
     stage: str = ""
     done: float = 0.0
@@ -319,30 +314,17 @@ class Measured(Schema):
     point: CurvePoint
 
 
-class Finished(Schema):
-    """The job is done."""
+class Ended(Schema):
+    """The end of the job. `is_fault`: it is an unexpected exception, whose message is for the log only."""
 
-    type: Literal["finished"] = "finished"
+    type: Literal["ended"] = "ended"
+    state: Literal[JobState.DONE, JobState.CANCELLED, JobState.FAILED]
     message: str
-    result: dict[str, Any]
+    result: dict[str, Any] | None = None
+    is_fault: bool = False
 
 
-class Stopped(Schema):
-    """The job has stopped on request."""
-
-    type: Literal["stopped"] = "stopped"
-    message: str
-
-
-class Failed(Schema):
-    """The job has failed; `is_fault` is True for an unexpected exception, False for an error of its input."""
-
-    type: Literal["failed"] = "failed"
-    message: str
-    is_fault: bool
-
-
-WorkerMessage = Progress | Measured | Finished | Stopped | Failed
+WorkerMessage = Progress | Measured | Ended
 WORKER_MESSAGE = TypeAdapter[WorkerMessage](Annotated[WorkerMessage, Field(discriminator="type")])
 
 

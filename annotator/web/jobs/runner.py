@@ -1,4 +1,4 @@
-"""Runs jobs one after the other, and keeps the list of all jobs."""
+"""Runs jobs in two lanes, in each one after the other, and keeps the list of all jobs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -24,6 +24,7 @@ from annotator.text import is_within
 from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.records import (
+    HEAVY,
     LIFT_STAGE,
     PAUSE,
     RESUME,
@@ -32,15 +33,13 @@ from annotator.web.jobs.records import (
     WORK,
     WORKER_MESSAGE,
     BoxesRequest,
-    Failed,
-    Finished,
+    Ended,
     Job,
     JobRequest,
     JobState,
     Measured,
     Order,
     Progress,
-    Stopped,
     WorkerMessage,
     in_background,
     read_journal,
@@ -101,8 +100,9 @@ class WorkerProcess:
         """The exit code, negative for a signal; None while it runs."""
         return self._process.poll()
 
-    def stop(self, grace_s: float = GRACE_S) -> None:
+    def stop(self, grace_s: float | None = None) -> None:
         """Asks the worker to stop; terminates it after `grace_s`, and kills it `KILL_AFTER_S` seconds later."""
+        grace_s = GRACE_S if grace_s is None else grace_s
         self._write(STOP)
         self._later(grace_s, signal.SIGTERM)
         self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
@@ -147,8 +147,18 @@ PublicMessage = Callable[[str], str]
 """Converts a message into one for browsers (see `Context.public_message`)."""
 
 
+class _Task(NamedTuple):
+    job_id: str
+    path: Path
+    request: JobRequest
+
+    @property
+    def is_heavy(self) -> bool:
+        return self.request.kind in HEAVY
+
+
 class JobRunner:
-    """Runs jobs one at a time in worker processes, and keeps their records. Thread-safe.
+    """Runs jobs in worker processes, at most one of each lane at a time, and keeps their records. Thread-safe.
 
     Attributes:
         folder: contains the journal, and a sub-folder for each job that runs or has results.
@@ -159,29 +169,28 @@ class JobRunner:
         folder: Path,
         on_change: OnChange,
         public_message: PublicMessage,
-        grace_s: float = GRACE_S,
         readable: tuple[Path, ...] | None = None,
     ) -> None:
         require_own_files(folder)
         self.folder = folder
-        self._on_change, self._public_message, self._grace_s = on_change, public_message, grace_s
-        self._readable = readable
+        self._on_change, self._public_message, self._readable = on_change, public_message, readable
         self._lock = threading.Condition()
         self._jobs: dict[str, Job] = {job.id: job for job in read_journal(folder)}
-        self._waiting: list[tuple[str, Path, JobRequest]] = []
-        self._current: list[tuple[str, Path, JobRequest]] = []
-        self._worker: WorkerProcess | None = None
-        self._stopping: str | None = None
+        self._waiting: list[_Task] = []
+        self._current: list[_Task] = []
+        self._workers: dict[str, WorkerProcess] = {}
+        self._stopping: set[str] = set()
         self._closed = False
         # requests that a job in the background makes room for: how many there are, and how many there were
         self._drawing, self._pauses = 0, 0
         self._stepped_aside: set[str] = set()
-        self._thread = threading.Thread(target=self._run, name="jobs", daemon=True)
+        self._threads = [threading.Thread(target=self._run, args=(heavy,), daemon=True) for heavy in (True, False)]
 
     def start(self) -> None:
-        """Starts the thread, and removes folders of jobs that are no longer listed."""
+        """Starts the threads, and removes folders of jobs that are no longer listed."""
         self._tidy()
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
 
     def add(self, project: str, path: Path, request: JobRequest, operator: str) -> Job:
         """Adds a job for the project in the folder `path`."""
@@ -193,18 +202,19 @@ class JobRunner:
             operator=operator,
             background=in_background(request),
         )
+        task = _Task(job.id, path, request)
         with self._lock:
             if len(self._waiting) >= MOST_WAITING:
                 raise ConfigError(f"{MOST_WAITING} jobs are waiting already; stop some, or wait until they are done")
             self._jobs[job.id] = job
-            self._waiting.append((job.id, path, request))
+            self._waiting.append(task)
             self._publish(job)
             self._lock.notify_all()
-            running = self._running()
-            if running is not None and running.background and not job.background:
-                self._stepped_aside.add(running.id)
-        if running is not None and running.id in self._stepped_aside:
-            self.cancel(running.id)
+            aside = self._background() if task.is_heavy and not job.background else None
+            if aside is not None:
+                self._stepped_aside.add(aside.id)
+        if aside is not None:
+            self.cancel(aside.id)
         return job
 
     def stepped_aside(self, job_id: str) -> bool:
@@ -215,22 +225,20 @@ class JobRunner:
 
     def stores_boxes(self, project: str, operator: str) -> bool:
         """True while a job stores the 2D boxes of a file as an action of this operator."""
-        with self._lock:
-            job = self._running()
-            is_theirs = job is not None and (job.project, job.operator, job.kind) == (project, operator, "boxes")
-            return is_theirs and job is not None and job.stage != LIFT_STAGE
+        return any(
+            (job.project, job.operator, job.kind, job.state) == (project, operator, "boxes", JobState.RUNNING)
+            and job.stage != LIFT_STAGE
+            for job in self.all()
+        )
 
     def uploads_in_use(self, path: Path) -> set[str]:
         """Ids of the files with 2D boxes that jobs of the project in the folder `path` still have to read."""
         with self._lock:
-            orders = [(folder, request) for _, folder, request in (*self._waiting, *self._current)]
-            return {
-                request.upload for folder, request in orders if folder == path and isinstance(request, BoxesRequest)
-            }
+            tasks = [task.request for task in (*self._waiting, *self._current) if task.path == path]
+        return {request.upload for request in tasks if isinstance(request, BoxesRequest)}
 
     def is_idle(self) -> bool:
-        with self._lock:
-            return not self._waiting and self._running() is None
+        return all(job.state.ended for job in self.all())
 
     @contextmanager
     def stepping_aside(self) -> Iterator[None]:
@@ -243,8 +251,7 @@ class JobRunner:
         finally:
             with self._lock:
                 self._drawing -= 1
-                running = self._running()
-                if running is not None and running.background:
+                if self._background() is not None:
                     timer = threading.Timer(PAUSE_AFTER_S, self._resume, (self._pauses,))
                     timer.daemon = True
                     timer.start()
@@ -256,12 +263,13 @@ class JobRunner:
 
     def _pause(self, is_paused: bool) -> None:
         self._pauses += is_paused
-        running = self._running()
-        if self._worker is not None and running is not None and running.background:
-            self._worker.pause(is_paused)
+        job = self._background()
+        if job is not None and job.id in self._workers:
+            self._workers[job.id].pause(is_paused)
 
-    def _running(self) -> Job | None:
-        return next((job for job in self._jobs.values() if job.state is JobState.RUNNING), None)
+    def _background(self) -> Job | None:
+        """The running job in the background, if any."""
+        return next((job for job in self._jobs.values() if job.background and job.state is JobState.RUNNING), None)
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -278,14 +286,13 @@ class JobRunner:
         """Stops a job: a waiting one at once, a running one at its next safe point."""
         job = self.get(job_id)
         with self._lock:
-            waiting = [entry for entry in self._waiting if entry[0] == job_id]
-            for entry in waiting:
-                self._waiting.remove(entry)
+            waiting = [task for task in self._waiting if task.job_id == job_id]
+            self._waiting = [task for task in self._waiting if task.job_id != job_id]
             running = self._jobs[job_id].state is JobState.RUNNING
-            if running and self._stopping != job_id:
-                self._stopping = job_id
-                if self._worker is not None:
-                    self._worker.stop(self._grace_s)
+            if running and job_id not in self._stopping:
+                self._stopping.add(job_id)
+                if job_id in self._workers:
+                    self._workers[job_id].stop()
         if waiting:
             return self._update(job_id, state=JobState.CANCELLED, message="stopped before it began")
         return self._update(job_id, stage="stopping") if running else job
@@ -322,46 +329,48 @@ class JobRunner:
         return file if is_within(file.parent, file) else None
 
     def close(self) -> None:
-        """Ends the thread: stops the running job, and fails the waiting ones."""
+        """Ends the threads: stops the running jobs, and fails the waiting ones."""
         with self._lock:
             self._closed = True
             waiting, self._waiting = self._waiting, []
-            if self._worker is not None:
-                self._worker.stop(min(self._grace_s, CLOSING_GRACE_S))
+            for worker in self._workers.values():
+                worker.stop(CLOSING_GRACE_S)
             self._lock.notify_all()
-        for job_id, _, _ in waiting:
-            self._update(job_id, state=JobState.FAILED, message=SERVER_STOPPED)
-        if self._thread.is_alive():
-            self._thread.join()
+        for task in waiting:
+            self._update(task.job_id, state=JobState.FAILED, message=SERVER_STOPPED)
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
 
-    # --- in the runner's thread ------------------------------------------------------------------------------
+    # --- in the runner's threads -----------------------------------------------------------------------------
 
-    def _run(self) -> None:
-        while (entry := self._next()) is not None:
-            job_id, path, request = entry
+    def _run(self, heavy: bool) -> None:
+        while (task := self._next(heavy)) is not None:
             try:
-                self._run_job(job_id, path, request)
+                self._run_job(task)
             except Exception:  # a job that cannot be started must not block the next ones
-                LOG.exception("job %s failed", job_id)
-                self._update(job_id, state=JobState.FAILED, message=INTERNAL)
+                LOG.exception("job %s failed", task.job_id)
+                self._update(task.job_id, state=JobState.FAILED, message=INTERNAL)
             with self._lock:
-                self._current = []
+                self._current.remove(task)
+                self._stopping.discard(task.job_id)
             self._tidy()
 
-    def _next(self) -> tuple[str, Path, JobRequest] | None:
+    def _next(self, heavy: bool) -> _Task | None:
         with self._lock:
-            while not self._waiting and not self._closed:
+            while not self._closed:
+                lane = [task for task in self._waiting if task.is_heavy == heavy]
+                if lane:
+                    task = next((task for task in lane if not in_background(task.request)), lane[0])
+                    self._waiting.remove(task)
+                    self._current.append(task)
+                    self._jobs[task.job_id] = self._jobs[task.job_id].model_copy(update={"state": JobState.RUNNING})
+                    return task
                 self._lock.wait()
-            if self._closed:
-                return None
-            entry = next((entry for entry in self._waiting if not in_background(entry[2])), self._waiting[0])
-            self._waiting.remove(entry)
-            self._current = [entry]
-            self._jobs[entry[0]] = self._jobs[entry[0]].model_copy(update={"state": JobState.RUNNING})
-            self._stopping = None
-            return entry
+        return None
 
-    def _run_job(self, job_id: str, path: Path, request: JobRequest) -> None:
+    def _run_job(self, task: _Task) -> None:
+        job_id, path, request = task
         began = time.monotonic()
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
@@ -376,51 +385,47 @@ class JobRunner:
         )
         worker = WorkerProcess(order, folder / WORK_LOG)
         with self._lock:
-            self._worker = worker
-            if self._closed or self._stopping == job_id:
+            self._workers[job_id] = worker
+            if self._closed or job_id in self._stopping:
                 worker.stop(CLOSING_GRACE_S)
             elif self._drawing:
                 self._pause(True)
         last: WorkerMessage | None = None
-        for message in worker.messages():
-            self._handle(job_id, message, began)
-            last = message
+        for last in worker.messages():
+            self._handle(job_id, last, began)
         with self._lock:
-            self._worker = None
+            del self._workers[job_id]
         self._ended(job_id, last, worker.exit_code)
 
     def _handle(self, job_id: str, message: WorkerMessage, began: float) -> None:
-        job = self.get(job_id)
         match message:
             case Progress():
-                stage = "stopping" if self._stopping == job_id else message.stage
+                stage = "stopping" if job_id in self._stopping else message.stage
                 eta_s = message.eta_s if message.eta_s is not None else _estimate(message, began)
                 self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=eta_s)
             case Measured():
-                self._update(job_id, curves=(*job.curves, message.point))
+                self._update(job_id, curves=(*self.get(job_id).curves, message.point))
 
     def _ended(self, job_id: str, last: WorkerMessage | None, exit_code: int | None) -> None:
+        end: dict[str, Any] = {"state": JobState.FAILED}
         match last:
-            case Finished():
-                done = self.get(job_id).total
-                end = {"state": JobState.DONE, "message": last.message, "result": last.result, "done": done}
-                end["download"] = "kept" if "file" in last.result else None
+            case Ended(state=JobState.DONE, message=message, result=result):
+                download = "kept" if result and "file" in result else None
+                end = {"state": JobState.DONE, "message": message, "result": result, "download": download}
+                end["done"] = self.get(job_id).total
             case _ if self._closed:
-                end = {"state": JobState.FAILED, "message": SERVER_STOPPED}
-            case Failed(is_fault=True):
+                end["message"] = SERVER_STOPPED
+            case Ended(is_fault=True):
                 LOG.error("job %s failed:\n%s", job_id, last.message)
-                end = {"state": JobState.FAILED, "message": INTERNAL}
-            case Failed():
-                end = {"state": JobState.FAILED, "message": last.message}
-            case Stopped() if job_id in self._stepped_aside:
-                end = {"state": JobState.CANCELLED, "message": STEPPED_ASIDE}
-            case Stopped():
-                end = {"state": JobState.CANCELLED, "message": last.message}
-            case _ if self._stopping == job_id:
+                end["message"] = INTERNAL
+            case Ended(state=state):
+                aside = state is JobState.CANCELLED and job_id in self._stepped_aside
+                end = {"state": state, "message": STEPPED_ASIDE if aside else last.message}
+            case _ if job_id in self._stopping:
                 end = {"state": JobState.CANCELLED, "message": "stopped"}
             case _:
                 LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, self._log_end(job_id))
-                end = {"state": JobState.FAILED, "message": f"the worker ended unexpectedly ({_reason(exit_code)})"}
+                end["message"] = f"the worker ended unexpectedly ({_reason(exit_code)})"
         self._update(job_id, stage="", eta_s=None, **_public(end, self._public_message))
 
     def _log_end(self, job_id: str) -> str:
@@ -441,6 +446,8 @@ class JobRunner:
 
     def _tidy(self) -> None:
         """Removes the oldest jobs from the list, marks outdated exports as gone, and deletes their files."""
+        # listed first: what another thread begins meanwhile is not looked at
+        folders = [path for path in self.folder.iterdir() if path.is_dir()] if self.folder.is_dir() else []
         with self._lock:
             exports = self._latest_exports()
             old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
@@ -453,10 +460,9 @@ class JobRunner:
             download = None if file is None else "kept" if job.id in needed and file.is_file() else "gone"
             if download != job.download:
                 self._update(job.id, download=download)
-        if self.folder.is_dir():
-            for path in self.folder.iterdir():
-                if path.is_dir() and path.name not in needed:
-                    shutil.rmtree(path, ignore_errors=True)
+        for path in folders:
+            if path.name not in needed:
+                shutil.rmtree(path, ignore_errors=True)
 
     def _latest_exports(self) -> set[str]:
         """Ids of the latest exports of each project."""

@@ -7,7 +7,6 @@ import zipfile
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
@@ -51,8 +50,6 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S
 from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.loaded_detectors import require_view
-
-T = TypeVar("T")
 
 MOST_FAILURES = 20
 RESUMES = "stopped; training again with the same boxes continues from here"
@@ -289,11 +286,7 @@ def export_work(job: JobContext, request: ExportRequest) -> Outcome:
         out,
         request.format,
         choose=ExportFilter(
-            _tuple(request.states),
-            _tuple(request.classes),
-            _tuple(request.recordings),
-            request.empty_frames,
-            request.skip_unreadable,
+            request.states, request.classes, request.recordings, request.empty_frames, request.skip_unreadable
         ),
         split=None if split is None else Split(parse_shares(split.shares), split.by, split.seed),
         options=ExportOptions(request.images, request.pictures),
@@ -306,10 +299,6 @@ def export_work(job: JobContext, request: ExportRequest) -> Outcome:
     summary["unreadable"] = report.unreadable[:MOST_FAILURES]
     result = {"file": packed.name, "bytes": packed.stat().st_size, **summary, "lost": lost}
     return Outcome(f"{amount(report.objects, 'box')} in {amount(report.frames, 'frame')}", result)
-
-
-def _tuple(values: list[T] | None) -> tuple[T, ...] | None:
-    return None if values is None else tuple(values)
 
 
 def _pack(job: JobContext, folder: Path, packed: Path) -> None:

@@ -22,14 +22,13 @@ from annotator.types.errors import AnnotatorError
 from annotator.web.jobs.records import (
     PAUSE,
     RESUME,
-    Failed,
-    Finished,
+    Ended,
     JobContext,
+    JobState,
     JobStoppedError,
     Order,
     Outcome,
     Progress,
-    Stopped,
     WorkerMessage,
     in_background,
 )
@@ -88,13 +87,13 @@ def run(order: Order, send: Callable[[WorkerMessage], None], orders: Orders) -> 
             outcome: Outcome = work(
                 JobContext(project, order.folder, order.operator, send, orders.stopped), order.request
             )
-        send(Finished(message=outcome.message, result=outcome.result))
+        send(Ended(state=JobState.DONE, message=outcome.message, result=outcome.result))
     except JobStoppedError as error:
-        send(Stopped(message=str(error)))
+        send(Ended(state=JobState.CANCELLED, message=str(error)))
     except AnnotatorError as error:
-        send(Failed(message=str(error), is_fault=False))
+        send(Ended(state=JobState.FAILED, message=str(error)))
     except Exception:  # reported to the server, which logs it
-        send(Failed(message=traceback.format_exc(), is_fault=True))
+        send(Ended(state=JobState.FAILED, message=traceback.format_exc(), is_fault=True))
 
 
 def lower_priority(niceness: int) -> None:

@@ -9,11 +9,12 @@ from fastapi import APIRouter
 from fastapi.responses import Response
 from pydantic import Field
 
-from annotator.project import Basis, Project
+from annotator.project import Basis
 from annotator.types import Correction
 from annotator.types.frame import MOST_OFFSET_S, MOST_SHIFT_M
-from annotator.web.context import Context, Ctx, Operator
-from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
+from annotator.web.context import AtProject, Ctx, InProject
+from annotator.web.frame_json import AtFrame
+from annotator.web.schemas import CameraJson, RowId, Schema, Unit3, WithEffort
 from annotator.workflows.recorded.adjusting import correct_calibration, estimate_recording_up
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import alignment
@@ -32,14 +33,6 @@ class CorrectionJson(Schema):
     turn_deg: tuple[Degrees, Degrees, Degrees]
     shift_m: tuple[Metres, Metres, Metres]
     time_offset_s: Seconds
-
-    @classmethod
-    def of(cls, correction: Correction) -> CorrectionJson:
-        return cls.model_construct(
-            turn_deg=tuple(np.degrees(correction.turn_rad).tolist()),
-            shift_m=correction.shift_m,
-            time_offset_s=correction.time_offset_s,
-        )
 
     def correction(self) -> Correction:
         x, y, z = np.radians(self.turn_deg).tolist()
@@ -70,7 +63,7 @@ class AlignmentJson(Schema):
     height: int
     points: list[float]
     correction: CorrectionJson
-    up: list[float] | None
+    up: tuple[float, ...] | None
     up_source: Literal["unknown", "files", "project"]
     images: list[ImageAt]
     labels: int
@@ -81,7 +74,7 @@ class AlignmentJson(Schema):
 class EstimatedUp(Schema):
     """An estimated up direction with its certainty (0 to 1), or the reason why there is none."""
 
-    up: list[float] | None
+    up: tuple[float, ...] | None
     certainty: float
     spread_deg: float
     frames: int
@@ -89,15 +82,14 @@ class EstimatedUp(Schema):
     reason: str
 
 
-class Adjusting(Schema):
+class Adjusting(WithEffort):
     """The frame on screen, and the `adjusted` of the recording that the change is based on."""
 
     frame: RowId
     adjusted: RowId
-    effort: Effort | None = None
 
     def basis(self) -> Basis:
-        return Basis(self.adjusted, self.frame, None if self.effort is None else self.effort.stored())
+        return Basis(self.adjusted, self.frame, self.stored_effort())
 
 
 class UpIn(Adjusting):
@@ -113,9 +105,9 @@ class CorrectionIn(Adjusting):
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/alignment")
-def show(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> AlignmentJson:
+def show(at: AtFrame) -> AlignmentJson:
     """How the frame's cloud lies on its image."""
-    return _alignment(ctx, ctx.project(name), frame_id)
+    return _alignment(at, at.frame_id)
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/recorded.jpg", response_class=Response)
@@ -126,57 +118,48 @@ def recorded_image(ctx: Ctx, name: str, frame_id: RowId) -> Response:
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/estimate-up")
-def estimate_up(ctx: Ctx, operator: Operator, name: str, recording: RowId) -> EstimatedUp:
+def estimate_up(at: AtProject, recording: RowId) -> EstimatedUp:
     """Estimate the up direction from some of the recording's frames. Nothing is stored."""
-    found = estimate_recording_up(ctx.project(name), recording)
-    return EstimatedUp(
-        up=None if found.up is None else list(found.up),
-        certainty=found.certainty,
-        spread_deg=float(np.degrees(found.spread_rad)),
-        frames=found.frames,
-        agreeing=found.agreeing,
-        reason=found.reason,
-    )
+    found = estimate_recording_up(at.project, recording)
+    return EstimatedUp.of(found, spread_deg=float(np.degrees(found.spread_rad)))
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/up")
-def set_up(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: UpIn) -> AlignmentJson:
+def set_up(at: AtProject, recording: RowId, body: UpIn) -> AlignmentJson:
     """Set the recording's up direction. Stored boxes do not change."""
-    project = ctx.project(name)
-    project.adjustments.set_up(recording, body.up, operator, body.basis())
-    return _adjusted(ctx, operator, project, body.frame)
+    at.project.adjustments.set_up(recording, body.up, at.operator, body.basis())
+    return _adjusted(at, body.frame)
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/correction")
-def correct(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: CorrectionIn) -> AlignmentJson:
+def correct(at: AtProject, recording: RowId, body: CorrectionIn) -> AlignmentJson:
     """Correct the recording's calibration. 3D boxes and pseudo-views stay where they are in the clouds."""
-    project = ctx.project(name)
-    correct_calibration(project, recording, body.correction.correction(), operator, body.basis())
-    return _adjusted(ctx, operator, project, body.frame)
+    correct_calibration(at.project, recording, body.correction.correction(), at.operator, body.basis())
+    return _adjusted(at, body.frame)
 
 
-def _adjusted(ctx: Context, operator: str, project: Project, frame_id: int) -> AlignmentJson:
-    shown = _alignment(ctx, project, frame_id)
-    ctx.hub.recording_adjusted(project, shown.recording, shown.adjusted, operator)
+def _adjusted(at: InProject, frame_id: int) -> AlignmentJson:
+    shown = _alignment(at, frame_id)
+    at.ctx.hub.recording_adjusted(at.project, shown.recording, shown.adjusted, at.operator)
     return shown
 
 
-def _alignment(ctx: Context, project: Project, frame_id: int) -> AlignmentJson:
-    shown = alignment(project, ctx.caches.frames, frame_id)
-    camera = shown.recorded.camera
-    return AlignmentJson.model_construct(
-        recording=shown.recording.id,
-        name=shown.recording.name,
-        adjusted=shown.recording.adjusted,
+def _alignment(at: InProject, frame_id: int) -> AlignmentJson:
+    shown = alignment(at.project, at.ctx.caches.frames, frame_id)
+    camera, recording = shown.recorded.camera, shown.recording
+    return AlignmentJson.of(
+        shown,
+        recording=recording.id,
+        name=recording.name,
+        adjusted=recording.adjusted,
         camera=CameraJson.of(camera),
         width=camera.width_px,
         height=camera.height_px,
         points=shown.xyz_m.astype(np.float64).round(4).ravel().tolist(),
-        correction=CorrectionJson.of(shown.recording.correction),
-        up=None if shown.up is None else list(shown.up),
-        up_source=shown.up_source,
+        correction=CorrectionJson.model_construct(
+            turn_deg=tuple(np.degrees(recording.correction.turn_rad).tolist()),
+            shift_m=recording.correction.shift_m,
+            time_offset_s=recording.correction.time_offset_s,
+        ),
         images=[ImageAt(frame=frame, seconds=seconds) for frame, seconds in shown.images],
-        labels=shown.labels,
-        drawn_images=shown.drawn_images,
-        is_virtual=shown.is_virtual,
     )

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter
 from pydantic import Field, ValidationError
 
-from annotator.project import ProjectConfig, Receipt
+from annotator.project import ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle, Value
 from annotator.project.classes.edit import ClassEdit
@@ -15,10 +15,10 @@ from annotator.project.overview import ClassList, list_classes
 from annotator.project.project import change_classes
 from annotator.types.errors import ConfigError
 from annotator.types.messages import first_problem
-from annotator.web.context import Ctx, Operator
-from annotator.web.frame_json import STALE, both_versions, frame_state
+from annotator.web.context import AtProject
+from annotator.web.frame_json import STALE, AtFrame
 from annotator.web.routes.projects import ProjectInfo, project_info
-from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, RowId, Schema, Uid
+from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, Schema, Uid
 
 router = APIRouter(tags=["classes"])
 
@@ -72,35 +72,28 @@ class Merge(Schema):
 
 
 class Remove(Schema):
-    """Removes a class; one with boxes only if they are to be removed, too."""
+    """Removes a class, one with boxes only if they are to be removed, too; or an attribute with its values."""
 
-    do: Literal["remove"]
+    do: Literal["remove", "remove_attribute"]
     name: ClassName
     with_boxes: bool = False
 
     def edit(self, config: ProjectConfig) -> ClassEdit:
+        if self.do == "remove_attribute":
+            return edit.remove_attribute(config, self.name)
         made = edit.remove_class(config, self.name)
         return made if self.with_boxes else ClassEdit(made.config)
 
 
 class Order(Schema):
-    """Orders the classes."""
+    """Orders the classes or the attributes."""
 
-    do: Literal["order"]
+    do: Literal["order", "order_attributes"]
     names: ClassNames
 
     def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.order_classes(config, self.names)
-
-
-class OrderAttributes(Schema):
-    """Orders the attributes."""
-
-    do: Literal["order_attributes"]
-    names: ClassNames
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.order_attributes(config, self.names)
+        reorder = edit.order_classes if self.do == "order" else edit.order_attributes
+        return reorder(config, self.names)
 
 
 class PutAttribute(Schema):
@@ -128,31 +121,11 @@ class RenameAttribute(Schema):
         return edit.rename_attribute(config, self.name, self.new)
 
 
-class RemoveAttribute(Schema):
-    """Removes an attribute with its values."""
-
-    do: Literal["remove_attribute"]
-    name: ClassName
-
-    def edit(self, config: ProjectConfig) -> ClassEdit:
-        return edit.remove_attribute(config, self.name)
-
-
 class ClassChange(Schema):
     """One change of the classes or attributes."""
 
     change: Annotated[
-        Add
-        | Style
-        | Rename
-        | Merge
-        | Remove
-        | Order
-        | OrderAttributes
-        | PutAttribute
-        | RenameAttribute
-        | RemoveAttribute,
-        Field(discriminator="do"),
+        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute, Field(discriminator="do")
     ]
 
 
@@ -164,33 +137,28 @@ class ValuesIn(FrameChange):
 
 
 @router.get("/api/projects/{name}/classes")
-def classes(ctx: Ctx, operator: Operator, name: str) -> ClassList:
+def classes(at: AtProject) -> ClassList:
     """The classes and attributes, with the numbers of their boxes and values."""
-    return list_classes(ctx.project(name))
+    return list_classes(at.project)
 
 
 @router.post("/api/projects/{name}/classes")
-def change(ctx: Ctx, operator: Operator, name: str, body: ClassChange) -> ProjectInfo:
+def change(at: AtProject, body: ClassChange) -> ProjectInfo:
     """Change the classes or attributes; labels follow. What no other change brings back is backed up before."""
-    project = ctx.project(name)
     try:
-        change_classes(project, body.change.edit, operator)
+        change_classes(at.project, body.change.edit, at.operator)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
-    return project_info(name, project)
+    return project_info(at)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/attributes", responses=STALE)
-def set_values(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ValuesIn) -> FrameStateJson:
+def set_values(at: AtFrame, body: ValuesIn) -> FrameStateJson:
     """Set values of a label, or of the frame; those of a track in all its labels, as one action."""
-    project = ctx.project(name)
-    context = body.context(operator, body.uid)
-    with both_versions(ctx, name, frame_id, operator, body):
+    context, project = body.context(at.operator, body.uid), at.project
+    with at.change(body) as changed:
         if body.uid is None:
-            changed: tuple[tuple[int, Receipt], ...] = (
-                (frame_id, project.frames.set_attributes(frame_id, body.values, context)),
-            )
+            changed.append((at.frame_id, project.frames.set_attributes(at.frame_id, body.values, context)))
         else:
-            changed = project.labels.set_attributes(frame_id, body.uid, body.values, context)
-    ctx.hub.frames_changed(project, changed, operator)
-    return frame_state(ctx, name, frame_id, operator)
+            changed += project.labels.set_attributes(at.frame_id, body.uid, body.values, context)
+    return at.state()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
-from annotator.project import Origin, Project, Reverted
+from annotator.project import History, Origin, Reverted
 from annotator.project.log.event_types import (
     FrameFinalised,
     FrameReopened,
@@ -29,9 +28,9 @@ from annotator.project.overview import list_frames
 from annotator.types import BoxKind
 from annotator.types.errors import HistoryError
 from annotator.types.label import MOST_TRACK
-from annotator.web.context import Context, Ctx, Operator
+from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response
-from annotator.web.frame_json import STALE, both_versions, frame_response, frame_row, frame_state
+from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, frame_row
 from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
@@ -51,34 +50,21 @@ from annotator.workflows.workbench.save_object import apply_changes
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
-class Accept(Schema):
-    """Accepts a label unchanged."""
+DECIDED: dict[str, type[LabelAccepted | LabelRejected | LabelDeleted]] = {
+    "accept": LabelAccepted,
+    "reject": LabelRejected,
+    "delete": LabelDeleted,
+}
 
-    kind: Literal["accept"]
+
+class Decide(Schema):
+    """Accepts a label unchanged, rejects it (the object does not exist), or removes it: it may be proposed again."""
+
+    kind: Literal["accept", "reject", "delete"]
     uid: Uid
 
     def payload(self) -> Payload:
-        return LabelAccepted(uid=self.uid)
-
-
-class Reject(Schema):
-    """Rejects a label: the object does not exist."""
-
-    kind: Literal["reject"]
-    uid: Uid
-
-    def payload(self) -> Payload:
-        return LabelRejected(uid=self.uid)
-
-
-class Delete(Schema):
-    """Removes a label; the object may be proposed again."""
-
-    kind: Literal["delete"]
-    uid: Uid
-
-    def payload(self) -> Payload:
-        return LabelDeleted(uid=self.uid)
+        return DECIDED[self.kind](uid=self.uid)
 
 
 class Edit(Schema):
@@ -144,26 +130,15 @@ class ImageBoxesIn(Schema):
 
 
 class Finalise(Schema):
-    """Finalises the frame."""
+    """Finalises the frame, or reopens it."""
 
-    kind: Literal["finalise"]
-
-    def payload(self) -> Payload:
-        return FrameFinalised()
-
-
-class Reopen(Schema):
-    """Reopens the frame."""
-
-    kind: Literal["reopen"]
+    kind: Literal["finalise", "reopen"]
 
     def payload(self) -> Payload:
-        return FrameReopened()
+        return FrameFinalised() if self.kind == "finalise" else FrameReopened()
 
 
-ChangeIn = Annotated[
-    Accept | Reject | Delete | Edit | Track | Create | ImageBoxesIn | Finalise | Reopen, Field(discriminator="kind")
-]
+ChangeIn = Annotated[Decide | Edit | Track | Create | ImageBoxesIn | Finalise, Field(discriminator="kind")]
 
 
 class ChangesIn(FrameChange):
@@ -171,9 +146,6 @@ class ChangesIn(FrameChange):
 
     changes: Annotated[list[ChangeIn], Field(min_length=1, max_length=MOST_BOXES)]
     subject: Uid | None = None
-
-    def payloads(self) -> list[Payload]:
-        return [entry.payload() for entry in self.changes]
 
     def sent(self) -> list[Any]:
         changes: list[Any] = self.model_dump(mode="json")["changes"]
@@ -199,72 +171,67 @@ class StepOut(Schema):
 
 @router.get("/api/projects/{name}/frames")
 def frames(
-    ctx: Ctx,
-    name: str,
+    at: AtProject,
     recording: RowId | None = None,
     offset: RowId = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
 ) -> FrameListJson:
     """A part of the list of frames, in order."""
-    rows, total = list_frames(ctx.project(name), recording, offset, limit)
+    rows, total = list_frames(at.project, recording, offset, limit)
     return FrameListJson(frames=[frame_row(row) for row in rows], total=total)
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
-def frame(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> JSONResponse:
+def frame(at: AtFrame) -> JSONResponse:
     """All data of a frame that the page shows."""
-    state = frame_response(ctx, name, frame_id, operator)
-    ctx.caches.detectors.warm(ctx.project(name))
-    return state
+    response = ModelResponse(at.state())
+    at.ctx.caches.detectors.warm(at.project)
+    return response
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
-def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ChangesIn) -> JSONResponse:
+def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     """Change one frame: all changes or none, as one undo step."""
-    project = ctx.project(name)
-    open_frame = partial(ctx.caches.frames.open, project, frame_id)
-    with both_versions(ctx, name, frame_id, operator, body):
-        known = ctx.caches.frames.known_page(project, frame_id)
-        context = body.context(operator, body.subject)
-        receipt = apply_changes(project, frame_id, body.payloads(), context, open_frame, known)
-    ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
-    return frame_response(ctx, name, frame_id, operator)
+    with at.change(body) as changed:
+        known = at.ctx.caches.frames.known_page(at.project, at.frame_id)
+        context = body.context(at.operator, body.subject)
+        payloads = [entry.payload() for entry in body.changes]
+        changed.append((at.frame_id, apply_changes(at.project, at.frame_id, payloads, context, at.open, known)))
+    return ModelResponse(at.state())
 
 
 @router.post("/api/projects/{name}/undo", responses=STALE)
-def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut:
+def undo(at: AtProject, body: StepIn) -> StepOut:
     """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first.
 
     Refused while 2D boxes of a file are being stored for this operator.
     """
-    return _step(ctx, operator, name, body, lambda project: project.history.undo)
+    return _step(at, body, History.undo)
 
 
 @router.post("/api/projects/{name}/redo", responses=STALE)
-def redo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut:
+def redo(at: AtProject, body: StepIn) -> StepOut:
     """Redo the action that was undone last; otherwise as `undo`."""
-    return _step(ctx, operator, name, body, lambda project: project.history.redo)
+    return _step(at, body, History.redo)
 
 
-def _step(
-    ctx: Context, operator: str, name: str, body: StepIn, method: Callable[[Project], Callable[..., Reverted]]
-) -> StepOut:
-    if ctx.jobs.stores_boxes(name, operator):
+def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepOut:
+    ctx, project, operator = at.ctx, at.project, at.operator
+    if ctx.jobs.stores_boxes(at.name, operator):
         # the import is one action: what it stores after its undo could not be undone
         raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
-    project = ctx.project(name)
     ctx.follow_runs.stop(project, operator)
     try:
-        reverted = method(project)(operator, skip=body.skip, effort=body.stored_effort())
+        reverted = method(project.history, operator, skip=body.skip, effort=body.stored_effort())
     except HistoryError as error:
         if error.frame_id is None:
             raise
-        present = frame_state(ctx, name, error.frame_id, operator).model_dump(mode="json")
+        present = InFrame(ctx, at.name, operator, error.frame_id).state().model_dump(mode="json")
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
-    ctx.hub.frames_changed(project, ((reverted.frame_id, reverted.receipt), *reverted.others), operator)
-    state = frame_state(ctx, name, reverted.frame_id, operator)
+    at.told(((reverted.frame_id, reverted.receipt), *reverted.others))
+    state = InFrame(ctx, at.name, operator, reverted.frame_id).state()
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 
 
@@ -285,7 +252,5 @@ def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Respons
 def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
     """The image of a pseudo-view, from the cache or the project."""
     project = ctx.project(name)
-    content = ctx.caches.view_images.get(view_id)
-    if content is None:
-        content = project.views.content(view_id)
+    content = ctx.caches.view_images.get(view_id) or project.views.content(view_id)
     return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

@@ -6,17 +6,17 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Body, Path, Query
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from annotator.detection.pretrained import has_base
 from annotator.project import Project
 from annotator.project.config import free_path
 from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import NotFoundError
-from annotator.web.context import Ctx, Operator
+from annotator.web.context import AtProject, Ctx, InProject, Operator
 from annotator.web.jobs.records import CopyRequest, CurvePoint, Job, JobRequest
 from annotator.web.routes.projects import ModelInfo, model_info
-from annotator.web.schemas import RowId
+from annotator.web.schemas import RowId, Schema
 from annotator.web.uploads import Upload, add_upload, find_upload, remove_upload
 from annotator.workflows.exporting import WRITERS, ExportFormat
 from annotator.workflows.importing import BoxFormat, FlatFormat, preview_boxes
@@ -55,13 +55,13 @@ class FormatList(BaseModel):
     formats: list[FormatInfo]
 
 
-@router.post("/api/projects/{project}/jobs", status_code=201)
-def begin(project: str, body: Annotated[JobRequest, Body()], ctx: Ctx, operator: Operator) -> Job:
-    """Start a job (train, propose, lift, export, import or copy); it waits until earlier jobs have ended."""
-    path = ctx.project(project).path
+@router.post("/api/projects/{name}/jobs", status_code=201)
+def begin(at: AtProject, body: Annotated[JobRequest, Body()]) -> Job:
+    """Start a job (train, propose, lift, export, import or copy); it waits for earlier ones of its lane."""
+    path = at.project.path
     if isinstance(body, CopyRequest):
         free_path(path.parent, body.name)
-    return ctx.jobs.add(project, path, body, operator)
+    return at.ctx.jobs.add(at.name, path, body, at.operator)
 
 
 @router.get("/api/jobs")
@@ -95,11 +95,11 @@ def formats(operator: Operator) -> FormatList:
 
 
 UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
-FileName = Annotated[str, Query(min_length=1, max_length=255)]
+FileName = Query(alias="name", min_length=1, max_length=255)
 Content = Annotated[bytes, Body(media_type="application/octet-stream")]
 
 
-class BoxesFile(BaseModel):
+class BoxesFile(Schema):
     """A file with 2D boxes on camera images, or with 3D boxes.
 
     Attributes:
@@ -122,39 +122,33 @@ class BoxesFile(BaseModel):
     notes: tuple[str, ...]
 
 
-@router.post("/api/projects/{project}/boxes-files", status_code=201)
-def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: Operator) -> BoxesFile:
+@router.post("/api/projects/{name}/boxes-files", status_code=201)
+def upload(at: AtProject, file: Annotated[str, FileName], content: Content) -> BoxesFile:
     """Send a JSON file of 2D or 3D boxes, a CSV file of 3D boxes, or a packed folder of boxes. Nothing is imported."""
-    opened = ctx.project(project)
-    stored = add_upload(opened, name, content, ctx.jobs.uploads_in_use(opened.path))
+    stored = add_upload(at.project, file, content, at.ctx.jobs.uploads_in_use(at.project.path))
     try:
-        return _described(opened, stored, None)
+        return _described(at.project, stored, None)
     except BaseException:
-        remove_upload(opened, stored.id)
+        remove_upload(at.project, stored.id)
         raise
 
 
-@router.get("/api/projects/{project}/boxes-files/{id}")
-def look(project: str, id: UploadId, ctx: Ctx, operator: Operator, recording: RowId | None = None) -> BoxesFile:
+@router.get("/api/projects/{name}/boxes-files/{id}")
+def look(at: AtProject, id: UploadId, recording: RowId | None = None) -> BoxesFile:
     """A file that was sent, matched with one recording, or with all."""
-    opened = ctx.project(project)
-    return _described(opened, find_upload(opened, id), recording)
+    return _described(at.project, find_upload(at.project, id), recording)
 
 
 def _described(project: Project, upload: Upload, recording: int | None) -> BoxesFile:
     name = None if recording is None else project.recordings.get(recording).name
     found = preview_boxes(project, upload.path, upload.format, name)
-    return BoxesFile(
+    return BoxesFile.of(
+        found,
         id=upload.id,
         name=upload.path.name,
         format=upload.format,
-        is_3d=found.is_3d,
-        ambiguous=found.ambiguous,
-        boxes=found.boxes,
         scores=None if found.scores is None else (found.scores.low, found.scores.high),
         source=upload.path.stem,
-        found=found.found,
-        notes=found.notes,
     )
 
 
@@ -203,85 +197,74 @@ class ModelList(BaseModel):
     material: TrainingData
 
 
-@router.get("/api/projects/{project}/models")
-def models(project: str, ctx: Ctx, operator: Operator) -> ModelList:
+@router.get("/api/projects/{name}/models")
+def models(at: AtProject) -> ModelList:
     """All detectors of a project."""
-    opened = ctx.project(project)
-    details = [_details(project, opened, model.id) for model in opened.models.all()]
-    base = "in use" if opened.models.active(DetectorKind.VIEW) is None else "available"
+    base = "in use" if at.project.models.active(DetectorKind.VIEW) is None else "available"
+    counts = at.project.statistics()
+    labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
+    to_lift = len(at.project.boxes.frames_without_labels())
     return ModelList(
-        models=details,
+        models=[_details(at, model.id) for model in at.project.models.all()],
         base=base if has_base() else None,
-        learn_every=opened.config.settings.learn_every,
-        material=_material(opened),
+        learn_every=at.project.config.settings.learn_every,
+        material=TrainingData(
+            image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels, to_lift=to_lift
+        ),
     )
 
 
-class Learning(BaseModel):
-    """Whether to learn while somebody labels.
-
-    Attributes:
-        every: a round of training in the background after so many reviewed boxes; null: never.
-    """
-
-    model_config = ConfigDict(extra="forbid")
+class Learning(Schema):
+    """To learn while somebody labels: after `every` so many reviewed boxes; null: never."""
 
     every: Annotated[int, Field(ge=1, le=1_000_000)] | None
 
 
-@router.put("/api/projects/{project}/models/learning", status_code=204)
-def set_learning(project: str, body: Learning, ctx: Ctx, operator: Operator) -> None:
+@router.put("/api/projects/{name}/models/learning", status_code=204)
+def set_learning(at: AtProject, body: Learning) -> None:
     """Switch rounds of training in the background on or off."""
-    opened = ctx.project(project)
-    opened.configure(settings=opened.config.settings.model_copy(update={"learn_every": body.every}))
+    settings = at.project.config.settings.model_copy(update={"learn_every": body.every})
+    at.project.configure(settings=settings)
 
 
-@router.post("/api/projects/{project}/models/load", status_code=204)
-def load(project: str, ctx: Ctx, operator: Operator) -> None:
+@router.post("/api/projects/{name}/models/load", status_code=204)
+def load(at: AtProject) -> None:
     """Begin to load the detectors in use, since the operator is about to draw."""
-    ctx.caches.detectors.warm(ctx.project(project), at_once=True)
+    at.ctx.caches.detectors.warm(at.project, at_once=True)
 
 
-@router.post("/api/projects/{project}/models/base/activate", status_code=204)
-def use_base(project: str, ctx: Ctx, operator: Operator) -> None:
+@router.post("/api/projects/{name}/models/base/activate", status_code=204)
+def use_base(at: AtProject) -> None:
     """Use the base detector in place of the project's own view detectors."""
     if not has_base():
         raise NotFoundError("this installation has no base detector")
-    ctx.project(project).models.deactivate(DetectorKind.VIEW)
+    at.project.models.deactivate(DetectorKind.VIEW)
 
 
-@router.post("/api/projects/{project}/models/{model}/activate")
-def activate(project: str, model: RowId, ctx: Ctx, operator: Operator) -> ModelDetails:
+@router.post("/api/projects/{name}/models/{model}/activate")
+def activate(at: AtProject, model: RowId) -> ModelDetails:
     """Make a detector the active one of its role."""
-    opened = ctx.project(project)
-    opened.models.activate(model)
-    return _details(project, opened, model)
+    at.project.models.activate(model)
+    return _details(at, model)
 
 
-@router.get("/api/projects/{project}/models/{model}/pictures/{number}.jpg", response_class=FileResponse)
-def picture(project: str, model: RowId, number: PictureNumber, ctx: Ctx, operator: Operator) -> FileResponse:
+@router.get("/api/projects/{name}/models/{model}/pictures/{number}.jpg", response_class=FileResponse)
+def picture(at: AtProject, model: RowId, number: PictureNumber) -> FileResponse:
     """An image outside a detector's training data, with its detections."""
-    pictures = model_facts(ctx.project(project).models.get(model)).pictures
+    pictures = model_facts(at.project.models.get(model)).pictures
     if number >= len(pictures):
         raise NotFoundError(f"model {model} has no picture {number}")
     return FileResponse(pictures[number], media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
 
 
-def _details(name: str, project: Project, model_id: int) -> ModelDetails:
-    model = project.models.get(model_id)
+def _details(at: InProject, model_id: int) -> ModelDetails:
+    model = at.project.models.get(model_id)
     facts = model_facts(model)
     return ModelDetails(
-        **model_info(model).model_dump(),
+        **dict(model_info(model)),
         box_kind=model.box_kind,
         boxes=facts.boxes,
-        pictures=[f"/api/projects/{name}/models/{model.id}/pictures/{n}.jpg" for n in range(len(facts.pictures))],
+        pictures=[f"/api/projects/{at.name}/models/{model.id}/pictures/{n}.jpg" for n in range(len(facts.pictures))],
         curves=[CurvePoint(role=model.role, epoch=point.epoch, metrics=point.metrics) for point in facts.curves],
         decision=facts.decision,
     )
-
-
-def _material(project: Project) -> TrainingData:
-    counts = project.statistics()
-    labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
-    to_lift = len(project.boxes.frames_without_labels())
-    return TrainingData(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels, to_lift=to_lift)

@@ -9,10 +9,8 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from annotator.geometry.outline import visible_edges
-from annotator.project import Project
-from annotator.types import BoxKind, DetectorKind
-from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state
+from annotator.types import Box2D, BoxKind, DetectorKind
+from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
     MOST_BOXES,
     Axes,
@@ -23,7 +21,6 @@ from annotator.web.schemas import (
     FrameStateJson,
     ImageBoxIn,
     Outline,
-    RowId,
     Schema,
     SuggestionJson,
     Uid,
@@ -51,6 +48,9 @@ class DrawnIn(Schema):
     image_box: Box2DJson
     boxes: ViewBoxesIn
     axes: Axes | None = None
+
+    def drawn(self) -> list[Box2D | None]:
+        return [None if box is None else box.box() for box in self.boxes]
 
 
 class StepsIn(DrawnIn):
@@ -133,30 +133,28 @@ class SuggestionsOut(Schema):
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/steps")
-def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsIn) -> StepsOut:
+def steps(at: AtFrame, body: StepsIn) -> StepsOut:
     """The views for an object's boxes so far, with suggestions, and its 3D box. Nothing is stored."""
-    project = ctx.project(name)
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    labelling, ready = _labelled(ctx, project, opened, body, body.box_kind, body.suggest)
-    return _steps_json(ctx, name, opened, labelling, ready)
+    opened = at.open()
+    return _steps_json(at, opened, *_labelled(at, opened, body, body.box_kind, body.suggest))
 
 
 def _labelled(
-    ctx: Context, project: Project, opened: OpenFrame, body: DrawnIn, kind: BoxKind, suggest: bool = True
+    at: InFrame, opened: OpenFrame, body: DrawnIn, kind: BoxKind, suggest: bool = True
 ) -> tuple[Labelling, Readiness]:
     """The state of a drawn object, and that of the view detector that suggests its boxes."""
-    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S if suggest else 0.0)
+    ready = at.ctx.caches.detectors.readiness(at.project, DetectorKind.VIEW, LOADING_WAIT_S if suggest else 0.0)
     detector = ready.detector if suggest else None
-    boxes = [None if box is None else box.box() for box in body.boxes]
     axes = None if body.axes is None else np.array(body.axes)
-    return label_object(project, opened, body.image_box.box(), boxes, kind, axes, detector), ready
+    return label_object(at.project, opened, body.image_box.box(), body.drawn(), kind, axes, detector), ready
 
 
-def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling, ready: Readiness) -> StepsOut:
+def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Readiness) -> StepsOut:
+    detector = ready.detector
     return StepsOut(
         steps=[
             StepJson(
-                views=[drawn_view(ctx, name, view, opened.picture(view)) for view in step.views],
+                views=[drawn_view(at, view, opened.picture(view)) for view in step.views],
                 suggested=[None if box is None else Box2DOut.of(box) for box in step.suggested],
             )
             for step in labelling.steps
@@ -166,22 +164,21 @@ def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling
         points=labelling.points,
         stop=labelling.stop,
         detector=ready.state,
-        measured_by=None if ready.detector is None else ready.detector.title,
-        suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
-        problem=None if ready.problem is None else ctx.public_message(ready.problem),
-        note=None if labelling.note is None else ctx.public_message(labelling.note),
+        measured_by=None if detector is None else detector.title,
+        suggestion=None if detector is None else SuggestionJson.of(detector.suggestion),
+        problem=at.ctx.public(ready.problem),
+        note=at.ctx.public(labelling.note),
     )
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
-def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageBoxIn) -> WholeOut:
+def whole(at: AtFrame, body: ImageBoxIn) -> WholeOut:
     """The whole boxes that are offered for an object whose silhouettes are drawn. Nothing is stored."""
-    project = ctx.project(name)
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    detector = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S).detector
-    stored = project.frames.get(frame_id)
-    offers = ctx.caches.whole_boxes(project).of(opened.frame, stored, body.image_box.box(), detector)
-    outlines = visible_edges(opened.frame.camera, [offer.box for offer in offers])
+    frame, caches = at.open().frame, at.ctx.caches
+    detector = caches.detectors.readiness(at.project, DetectorKind.VIEW, LOADING_WAIT_S).detector
+    stored = at.project.frames.get(at.frame_id)
+    offers = caches.whole_boxes(at.project).of(frame, stored, body.image_box.box(), detector)
+    outlines = visible_edges(frame.camera, [offer.box for offer in offers])
     return WholeOut(
         boxes=[
             WholeBoxJson(box=Box3DOut.of(offer.box), outline=outline.round(2).tolist())
@@ -191,34 +188,30 @@ def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageB
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/label/suggestions", response_model_exclude_none=True)
-def suggestions(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> SuggestionsOut:
+def suggestions(at: AtFrame) -> SuggestionsOut:
     """Boxes that the image detector suggests."""
-    project = ctx.project(name)
-    ready = ctx.caches.detectors.readiness(project, DetectorKind.IMAGE)
+    ready = at.ctx.caches.detectors.readiness(at.project, DetectorKind.IMAGE)
     if ready.detector is None:
-        return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.public_message(ready.problem))
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    min_score = frame_config(project, opened.frame).min_image_score
-    boxes = suggested_image_boxes(opened, ready.detector, min_score, project.config.classes)
+        return SuggestionsOut(boxes=[], problem=at.ctx.public(ready.problem))
+    opened = at.open()
+    min_score = frame_config(at.project, opened.frame).min_image_score
+    boxes = suggested_image_boxes(opened, ready.detector, min_score, at.project.config.classes)
     return SuggestionsOut(boxes=[Box2DOut.of(box) for box in boxes])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)
-def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut:
+def save(at: AtFrame, body: SaveIn) -> SaveOut:
     """Store the drawn boxes and suggest the others; an object with all four boxes on its views becomes a label."""
-    project = ctx.project(name)
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    image_boxes = [box.box() for box in body.image_boxes]
+    opened, given = at.open(), body.object
     drawn = answer = None
-    if body.object is not None:
-        on_views = [None if box is None else box.box() for box in body.object.boxes]
-        labelling, ready = _labelled(ctx, project, opened, body.object, body.box_kind)
-        suggested = None if body.object.suggestion is None else body.object.suggestion.stored()
-        drawn = ObjectDrawn(body.object.image_box.box(), on_views, labelling, body.object.uid, suggested)
-        answer = _steps_json(ctx, name, opened, labelling, ready)
-    with both_versions(ctx, name, frame_id, operator, body):
-        context = body.context(operator, body.subject)
-        saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)
-    if saved.receipt is not None:
-        ctx.hub.frame_changed(project, frame_id, saved.receipt.revision, operator)
-    return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid, drawn=answer)
+    if given is not None:
+        labelling, ready = _labelled(at, opened, given, body.box_kind)
+        suggested = None if given.suggestion is None else given.suggestion.stored()
+        drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, suggested)
+        answer = _steps_json(at, opened, labelling, ready)
+    with at.change(body) as changed:
+        image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)
+        saved = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
+        if saved.receipt is not None:
+            changed.append((at.frame_id, saved.receipt))
+    return SaveOut.model_construct(state=at.state(), uid=saved.uid, drawn=answer)

@@ -24,7 +24,7 @@ from annotator.project.config import rename_project, set_aside
 from annotator.project.database.store import waiting_at_most
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
-from annotator.web.context import Context, Ctx, Operator
+from annotator.web.context import AtProject, Context, Ctx, InProject, Operator
 from annotator.web.errors import INTERNAL
 from annotator.web.schemas import ClassName, Schema
 from annotator.workflows.detectors import stand_in
@@ -54,7 +54,7 @@ class ProjectSummary(BaseModel):
     missing: list[MissingRecording] = []
 
 
-class RecordingInfo(BaseModel):
+class RecordingInfo(Schema):
     """A recording of a project; `missing` is True if its path does not exist."""
 
     id: int
@@ -65,7 +65,7 @@ class RecordingInfo(BaseModel):
     missing: bool
 
 
-class ModelInfo(BaseModel):
+class ModelInfo(Schema):
     """A trained detector, in short."""
 
     model_config = ConfigDict(ser_json_inf_nan="null")
@@ -86,7 +86,7 @@ class ActiveDetectors(BaseModel):
     stand_in: str | None
 
 
-class ProjectInfo(BaseModel):
+class ProjectInfo(Schema):
     """One project."""
 
     name: str
@@ -134,18 +134,15 @@ def summary_of(name: str, project: Project) -> ProjectSummary:
     )
 
 
-def project_info(name: str, project: Project) -> ProjectInfo:
+def project_info(at: InProject) -> ProjectInfo:
     """One project."""
-    short, config = summary_of(name, project), project.config
-    return ProjectInfo(
-        name=name,
-        classes=short.classes,
+    project, config = at.project, at.project.config
+    return ProjectInfo.of(
+        summary_of(at.name, project),
         class_styles={each: style.model_dump(mode="json") for each, style in config.class_styles.items()},
         attributes=[attribute.model_dump(mode="json") for attribute in config.attributes],
         settings=config.settings.model_dump(mode="json"),
         recordings=[recording_info(recording) for recording in project.recordings.all()],
-        labels_by_state=short.labels_by_state,
-        frames=short.frames,
         detectors=ActiveDetectors(
             image=_detector(project, DetectorKind.IMAGE),
             view=_detector(project, DetectorKind.VIEW),
@@ -156,26 +153,12 @@ def project_info(name: str, project: Project) -> ProjectInfo:
 
 def recording_info(stored: StoredRecording) -> RecordingInfo:
     """A recording of a project."""
-    return RecordingInfo(
-        id=stored.id,
-        name=stored.name,
-        format=stored.format,
-        frames=stored.frames,
-        is_sequence=stored.is_sequence,
-        missing=why_missing(stored.path) is not None,
-    )
+    return RecordingInfo.of(stored, missing=why_missing(stored.path) is not None)
 
 
 def model_info(model: StoredModel) -> ModelInfo:
     """A trained detector, in short."""
-    return ModelInfo(
-        id=model.id,
-        role=model.role,
-        name=model.path.parent.name,
-        created_ns=model.created_ns,
-        active=model.active,
-        metrics=model.metrics,
-    )
+    return ModelInfo.of(model, name=model.path.parent.name)
 
 
 def _detector(project: Project, role: DetectorKind) -> ModelInfo | None:
@@ -240,37 +223,36 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     return summary_of(body.name, ctx.project(body.name))
 
 
-@router.get("/api/projects/{project}")
-def project(project: str, ctx: Ctx, operator: Operator) -> ProjectInfo:
+@router.get("/api/projects/{name}")
+def project(at: AtProject) -> ProjectInfo:
     """One project with its recordings and detectors."""
-    return project_info(project, ctx.project(project))
+    return project_info(at)
 
 
-@router.patch("/api/projects/{project}")
-def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> ProjectInfo:
+@router.patch("/api/projects/{name}")
+def change(at: AtProject, body: ProjectChange) -> ProjectInfo:
     """Change the classes or the rotation of boxes."""
-    opened = ctx.project(project)
-    old = opened.config.settings
+    old = at.project.config.settings
     settings = None if body.rotation is None else old.model_copy(update={"rotation": body.rotation})
-    opened.configure(classes=body.classes, settings=settings, author=operator)
-    return project_info(project, opened)
+    at.project.configure(classes=body.classes, settings=settings, author=at.operator)
+    return project_info(at)
 
 
-@router.post("/api/projects/{project}/rename")
-def rename(project: str, body: NewName, ctx: Ctx, operator: Operator) -> ProjectSummary:
+@router.post("/api/projects/{name}/rename")
+def rename(name: str, body: NewName, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Rename a project; pages that show it are told its new name."""
-    with ctx.closed(project) as folder:
-        name = rename_project(folder, body.name)
-    ctx.jobs.renamed(project, name)
-    ctx.hub.send({"type": "renamed", "project": project, "name": name, "operator": operator})
-    return summary_of(name, ctx.project(name))
+    with ctx.closed(name) as folder:
+        new = rename_project(folder, body.name)
+    ctx.jobs.renamed(name, new)
+    ctx.hub.send({"type": "renamed", "project": name, "name": new, "operator": operator})
+    return summary_of(new, ctx.project(new))
 
 
-@router.delete("/api/projects/{project}")
-def remove(project: str, ctx: Ctx, operator: Operator) -> RemovedProject:
+@router.delete("/api/projects/{name}")
+def remove(name: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     """Move a project into the folder of removed ones, from which it can be brought back."""
-    with ctx.closed(project) as folder:
+    with ctx.closed(name) as folder:
         aside = set_aside(folder)
-    ctx.hub.send({"type": "removed", "project": project, "operator": operator})
+    ctx.hub.send({"type": "removed", "project": name, "operator": operator})
     place = ctx.public_message(str(aside.absolute()))
-    return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, project]))
+    return RemovedProject(folder=place, command=shlex.join(["annotator", "project", "copy", place, name]))

@@ -11,12 +11,11 @@ from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from annotator.project import Project
 from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, MovedError
-from annotator.web.context import Ctx, Operator
+from annotator.web.context import AtProject, Ctx, InProject, Operator
 from annotator.web.errors import error_response, status_of
 from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
@@ -126,7 +125,7 @@ class ListedRecordings(BaseModel):
     recordings: list[ListedRecording]
 
 
-class AddedRecording(BaseModel):
+class AddedRecording(Schema):
     """Result for one added recording.
 
     Attributes:
@@ -141,7 +140,7 @@ class AddedRecording(BaseModel):
     is_new: bool
     new_frames: int
     missing_frames: int
-    notes: list[str]
+    notes: tuple[str, ...]
     broken: list[str]
     left_out: int
     can_leave_out: bool
@@ -166,10 +165,10 @@ def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListin
     return ctx.folders.list(path)
 
 
-@router.get("/api/projects/{project}/recordings")
-def recordings(project: str, ctx: Ctx, operator: Operator) -> ListedRecordings:
+@router.get("/api/projects/{name}/recordings")
+def recordings(at: AtProject) -> ListedRecordings:
     """The recordings of a project, also those that were removed from it."""
-    stored = ctx.project(project).recordings
+    stored = at.project.recordings
     numbers = stored.label_counts()
     return ListedRecordings(
         recordings=[
@@ -179,10 +178,11 @@ def recordings(project: str, ctx: Ctx, operator: Operator) -> ListedRecordings:
     )
 
 
-@router.post("/api/projects/{project}/recordings", response_model=AddedRecordings, responses=MOVED)
-def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> AddedRecordings | JSONResponse:
+@router.post("/api/projects/{name}/recordings", response_model=AddedRecordings, responses=MOVED)
+def add(at: AtProject, body: NewRecording) -> AddedRecordings | JSONResponse:
     """Add a recording below one of the server's folders to a project; its files are not copied."""
-    opened, path = ctx.project(project), ctx.folders.find(body.path)
+    ctx, opened = at.ctx, at.project
+    path = ctx.folders.find(body.path)
     try:
         results = add_recordings(
             opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
@@ -192,14 +192,10 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
         return error_response(type(error).__name__, message, status_of(error), moved=moved)
     ctx.caches.frames.forget(opened)
     added = [
-        AddedRecording(
+        AddedRecording.of(
+            result,
             recording=recording_info(result.recording),
-            is_new=result.is_new,
-            new_frames=result.new_frames,
-            missing_frames=result.missing_frames,
-            notes=list(result.notes),
             broken=[ctx.public_message(text) for text in result.broken.sentences],
-            left_out=result.left_out,
             can_leave_out=len(result.broken.errors) > result.left_out,
         )
         for result in results
@@ -208,8 +204,8 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
         return AddedRecordings(added=added)
     try:
         with_labels = [result.recording.id for result in results if has_own_labels(opened, result.recording.id)]
-        request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
-        job = None if request is None else ctx.jobs.add(project, opened.path, request, operator)
+        request = ImportRequest(kind="import", recordings=tuple(with_labels)) if with_labels else None
+        job = None if request is None else ctx.jobs.add(at.name, opened.path, request, at.operator)
     except InputError as error:
         # the recordings have been added
         reason = ctx.public_message(str(error))
@@ -218,37 +214,35 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
     return AddedRecordings(added=added, job=job)
 
 
-@router.patch("/api/projects/{project}/recordings/{recording}")
-def move(project: str, recording: RowId, body: RecordingPath, ctx: Ctx, operator: Operator) -> RecordingInfo:
+@router.patch("/api/projects/{name}/recordings/{recording}")
+def move(at: AtProject, recording: RowId, body: RecordingPath) -> RecordingInfo:
     """Set the new path of a moved recording; all its frames must be there."""
-    opened, path = ctx.project(project), ctx.folders.find(body.path)
-    moved = move_recording(opened, recording, path, operator)
-    ctx.caches.frames.forget(opened)
+    moved = move_recording(at.project, recording, at.ctx.folders.find(body.path), at.operator)
+    at.ctx.caches.frames.forget(at.project)
     return recording_info(moved)
 
 
-@router.delete("/api/projects/{project}/recordings/{recording}")
-def remove(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
+@router.delete("/api/projects/{name}/recordings/{recording}")
+def remove(at: AtProject, recording: RowId) -> ListedRecordings:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
-    opened = ctx.project(project)
-    with _told(opened, ctx, operator):
-        opened.recordings.remove(recording, operator)
-    return recordings(project, ctx, operator)
+    with _told(at):
+        at.project.recordings.remove(recording, at.operator)
+    return recordings(at)
 
 
-@router.post("/api/projects/{project}/recordings/{recording}/restore")
-def restore(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
+@router.post("/api/projects/{name}/recordings/{recording}/restore")
+def restore(at: AtProject, recording: RowId) -> ListedRecordings:
     """Bring a removed recording back, with its labels."""
-    opened = ctx.project(project)
-    with _told(opened, ctx, operator):
-        bring_back(opened, recording)
-    return recordings(project, ctx, operator)
+    with _told(at):
+        bring_back(at.project, recording)
+    return recordings(at)
 
 
 @contextmanager
-def _told(opened: Project, ctx: Ctx, operator: str) -> Iterator[None]:
+def _told(at: InProject) -> Iterator[None]:
     """Tells the pages which recordings were removed or have come back within the `with` block."""
-    ctx.hub.recordings_are(opened, opened.recordings.removed_by())
+    hub, stored = at.ctx.hub, at.project.recordings
+    hub.recordings_are(at.project, stored.removed_by())
     yield
-    ctx.caches.frames.forget(opened)
-    ctx.hub.recordings_are(opened, opened.recordings.removed_by(), operator)
+    at.ctx.caches.frames.forget(at.project)
+    hub.recordings_are(at.project, stored.removed_by(), at.operator)

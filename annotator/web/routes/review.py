@@ -12,8 +12,8 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
-from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state
+from annotator.web.context import AtProject
+from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
     Box3DJson,
     Box3DOut,
@@ -105,65 +105,60 @@ class CopyIn(FrameChange):
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
-def ortho(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: OrthoIn) -> OrthoOut:
+def ortho(at: AtFrame, body: OrthoIn) -> OrthoOut:
     """Three views along the box's axes; points outside the box are dimmed."""
-    opened = ctx.caches.frames.open(ctx.project(name), frame_id, operator)
-    drawn = ortho_views(opened, body.box.box(), body.size_px)
-    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view, png(item.view.rgb)))) for item in drawn]
+    drawn = ortho_views(at.open(), body.box.box(), body.size_px)
+    views = [OrthoView(name=item.name, **dict(drawn_view(at, item.view, png(item.view.rgb)))) for item in drawn]
     return OrthoOut(views=views)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
-def refit_box(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
+def refit_box(at: AtFrame, body: RefitIn) -> RefitOut:
     """Refit a box, starting from its present pose. Nothing is stored."""
-    opened, config, ready = _ready(ctx, name, frame_id, operator)
+    opened, config, ready = _ready(at)
     fitted = refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem)
-    return RefitOut(
+    return RefitOut.of(
+        fitted,
         box=Box3DOut.of(fitted.box),
         outline=fitted.outline.round(2).tolist(),
         quality=QualityJson.of(fitted.quality),
-        method=fitted.method,
         measured_by=ready.detector.title if ready.detector is not None and fitted.method == RCV else None,
-        note=None if fitted.note is None else ctx.public_message(fitted.note),
+        note=at.ctx.public(fitted.note),
     )
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
-def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageBoxIn) -> FitOut:
+def fit(at: AtFrame, body: ImageBoxIn) -> FitOut:
     """Find the object in an image box. Nothing is stored."""
-    opened, config, ready = _ready(ctx, name, frame_id, operator)
+    opened, config, ready = _ready(at)
     fitted = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
-    return FitOut(
+    return FitOut.of(
+        fitted,
         box=None if fitted.box is None else Box3DOut.of(fitted.box),
         outline=fitted.outline.round(2).tolist(),
-        points=fitted.points,
-        score=fitted.score,
         quality=QualityJson.of(fitted.quality),
         measured_by=None if ready.detector is None else ready.detector.title,
         suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
-        note=None if fitted.note is None else ctx.public_message(fitted.note),
-        too_few_points=fitted.too_few_points,
+        note=at.ctx.public(fitted.note),
     )
 
 
-def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenFrame, RcvConfig, Readiness]:
+def _ready(at: InFrame) -> tuple[OpenFrame, RcvConfig, Readiness]:
     """A frame, the recursion's settings for it, and the state of the project's view detector."""
-    project = ctx.project(name)
-    opened = ctx.caches.frames.open(project, frame_id, operator)
-    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
-    drawn = project.boxes.on_image(frame_id)
+    opened, project = at.open(), at.project
+    ready = at.ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
+    drawn = project.boxes.on_image(at.frame_id)
     image_kind = BoxKind.BOX if drawn is None else drawn.box_kind
     return opened, frame_config(project, opened.frame, ready.detector, image_kind=image_kind), ready
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", responses=STALE)
-def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson:
+def copy(at: AtFrame, body: CopyIn) -> FrameStateJson:
     """Copy the reviewed boxes of another frame, except those that this frame already has."""
-    project = ctx.project(name)
-    with both_versions(ctx, name, frame_id, operator, body):
-        receipt = copy_boxes(project, frame_id, body.source, body.context(operator))
-    ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
-    return frame_state(ctx, name, frame_id, operator)
+    with at.change(body) as changed:
+        receipt = copy_boxes(at.project, at.frame_id, body.source, body.context(at.operator))
+        changed.append((at.frame_id, receipt))
+    return at.state()
 
 
 # The page requests the queue again long before it has shown this many items.
@@ -182,7 +177,7 @@ class ItemJson(Schema):
     uid: str | None
     label: str | None
     doubt: float | None
-    sources: list[str]
+    sources: tuple[str, ...]
 
 
 class QueueOut(Schema):
@@ -194,8 +189,7 @@ class QueueOut(Schema):
 
 @router.get("/api/projects/{name}/queue")
 def queue(
-    ctx: Ctx,
-    name: str,
+    at: AtProject,
     order: Order = Order.WORST,
     recording: RowId | None = None,
     label: ClassName | None = None,
@@ -213,34 +207,26 @@ def queue(
     `attribute` is one of boxes, tracks or frames: those with this `value`, with one that `contains` a text, or from
     `low` to `high`; with any value (`known`), or without one. `source`: those of objects that it sees.
     """
-    project = ctx.project(name)
     wanted = None
     if attribute is not None:
-        of_frame = {each.name: each for each in project.config.attributes if each.of is AttributeOf.FRAME}.get(
-            attribute
+        of_frame = next(
+            (each for each in at.project.config.attributes if each.name == attribute and each.of is AttributeOf.FRAME),
+            None,
         )
         usual = None if of_frame is None else of_frame.default
         wanted = ValueFilter(attribute, of_frame is not None, usual, known, value, contains, low, high)
-    queued = all_items(project, order, recording, label, wanted, source, limit)
+    queued = all_items(at.project, order, recording, label, wanted, source, limit)
     items = [
-        ItemJson(
-            frame=item.frame.id,
-            key=item.frame.key,
-            recording=item.frame.recording_id,
-            uid=item.uid,
-            label=item.label,
-            doubt=item.doubt,
-            sources=list(item.sources),
-        )
+        ItemJson.of(item, frame=item.frame.id, key=item.frame.key, recording=item.frame.recording_id)
         for item in queued.items
     ]
     return QueueOut(items=items, remaining=queued.total)
 
 
 @router.get("/api/projects/{name}/queue/sources")
-def sources(ctx: Ctx, name: str) -> dict[str, int]:
+def sources(at: AtProject) -> dict[str, int]:
     """The number of objects that each source sees among the proposals to review; "annotator" for our own."""
-    return ctx.project(name).labels.waiting_sources()
+    return at.project.labels.waiting_sources()
 
 
 # Time limit for counting points; the next request counts those of further frames.
@@ -248,13 +234,13 @@ READING_S = 3.0
 
 
 @router.get("/api/projects/{name}/statistics")
-def statistics(ctx: Ctx, name: str) -> ReportedStatistics:
+def statistics(at: AtProject) -> ReportedStatistics:
     """The same numbers as `annotator stats --json`."""
-    return reported_statistics(ctx.project(name))
+    return reported_statistics(at.project)
 
 
 @router.get("/api/projects/{name}/checks")
-def checks(ctx: Ctx, name: str, frame: RowId | None = None) -> CheckReport:
+def checks(at: AtProject, frame: RowId | None = None) -> CheckReport:
     """Warnings about labels, of one frame or of all."""
-    report = check_project(ctx.project(name), frame, READING_S)
-    return report.model_copy(update={"unreadable": tuple(map(ctx.public_message, report.unreadable))})
+    report = check_project(at.project, frame, READING_S)
+    return report.model_copy(update={"unreadable": tuple(map(at.ctx.public_message, report.unreadable))})

@@ -38,13 +38,7 @@ class PointColor(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ShownBox:
-    """A 3D box of the scene.
-
-    Attributes:
-        uid: of its label; None for a box without a label.
-        box: camera frame.
-        state: determines its colour.
-    """
+    """A 3D box of the scene."""
 
     uid: str | None
     box: OrientedBox
@@ -56,8 +50,6 @@ class Draft:
     """An object that is being labelled.
 
     Attributes:
-        image_box: on the camera image.
-        views: the pseudo-views of the present step.
         box: the 3D box from the 2D boxes drawn so far, camera frame.
     """
 
@@ -73,11 +65,7 @@ class SceneContent:
     Attributes:
         key: identifies the recording; the camera is reset if it changes.
         frame: None = an empty viewport.
-        selected: uid of the selected box.
-        draft: the object that is being labelled, if any.
-        most_points: maximum number of shown points; a larger cloud is thinned.
         point_size: factor of the default size, which depends on the cloud's distance.
-        reset_camera: move the camera to its initial pose.
     """
 
     key: tuple[str, int] | None
@@ -97,7 +85,6 @@ class InitialCamera:
     """The initial pose of the viewport's camera, in the camera frame, metres.
 
     Attributes:
-        position: of the camera.
         look_at: the point at the centre of the screen.
         up: unit vector that points up on the screen.
     """

@@ -81,11 +81,7 @@ def _cloud(frame: Frame, most_points: int) -> _Cloud:
 
 
 class Scene:
-    """The scene of one viser server. Not thread-safe.
-
-    Attributes:
-        content: the present content.
-    """
+    """The scene of one viser server. Not thread-safe."""
 
     def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
         self._server = server

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import numpy as np
@@ -24,6 +24,7 @@ from websockets.protocol import State
 from websockets.typing import Origin, Subprotocol
 
 from annotator.types.errors import NotFoundError
+from annotator.web.background import Periodic
 from annotator.web.schemas import Box3DOut
 from annotator.web.viewport.drawing import SceneContent, pick
 from annotator.web.viewport.scene import PointCounts, Scene
@@ -123,22 +124,30 @@ UNSENDABLE = (1005, 1006, 1015)
 GONE, TRY_AGAIN = 1001, 1013
 
 
-@runtime_checkable
-class ViserEndpoint(Protocol):
-    """A viser server behind the proxy.
+class ViserPage:
+    """A page of viser behind the proxy, with its own server on loopback.
 
     Attributes:
         id: its name in messages.
-        port: on `HOST`.
-        origin: a secret that it requires of every connection.
+        port: of its server, on `HOST`.
+        origin: a secret that its server requires of every connection.
     """
 
-    id: str
-    port: int
-    origin: str
+    def __init__(self, id: str) -> None:
+        self.id = id
+        self.origin = f"annotator://{secrets.token_hex(16)}"
+        with silence():
+            self._server = start_viser(HOST, self.origin)
+        self.port = self._server.get_port()
+        self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+
+    def close(self) -> None:
+        """Stops the server, which disconnects its browsers."""
+        with silence():
+            self._server.stop()
 
 
-async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> Response:
+async def forward_http(request: Request, viewport: ViserPage, path: str) -> Response:
     """Forwards a request for one of viser's files."""
     headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
     async with (
@@ -154,7 +163,7 @@ async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> 
     return Response(body, response.status_code, {**headers_out, "Content-Security-Policy": POLICY})
 
 
-async def forward_socket(browser: WebSocket, viewport: ViserEndpoint) -> None:
+async def forward_socket(browser: WebSocket, viewport: ViserPage) -> None:
     """Forwards a browser's WebSocket until either side closes it.
 
     Each direction waits for its receiver, so no messages pile up here: with a slow browser, viser drops outdated ones.
@@ -230,38 +239,24 @@ Send = Callable[["Viewport", dict[str, Any]], None]
 """Sends an event of a viewport to its page; called from any thread."""
 
 
-class Viewport:
-    """One viewport with its viser server; `show` is thread-safe.
+class Viewport(ViserPage):
+    """One viewport; `show` is thread-safe. Its id is not guessable.
 
     Attributes:
-        id: its name in URLs; not guessable.
-        operator: its owner.
-        project: the project whose frames it shows.
-        port: of its viser server, on 127.0.0.1.
-        origin: a secret that its viser server requires of every connection.
         sockets: number of browsers connected through the proxy.
         used_s: time of its last use, `time.monotonic`.
     """
 
     def __init__(self, id: str, operator: str, project: str, send: Send) -> None:
-        """Starts the viser server.
-
-        Args:
-            send: called with the viewport's events.
-        """
-        self.id, self.operator, self.project = id, operator, project
+        super().__init__(id)
+        self.operator, self.project = operator, project
         self.sockets = 0
         self.used_s = time.monotonic()
         self._send = send
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
-        self.origin = f"annotator://{secrets.token_hex(16)}"
-        with silence():
-            self._server = start_viser(HOST, self.origin)
-        self.port = self._server.get_port()
-        self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self._scene = Scene(self._server, self._gizmo_moved)
-        self._listen()
+        self._server.scene.on_click()(self._clicked)
 
     def show(self, content: SceneContent) -> PointCounts:
         """Shows a scene. While an operator drags the gizmo, the selected box stays at the gizmo."""
@@ -271,22 +266,13 @@ class Viewport:
             same = content.selected == self._scene.content.selected
             return self._scene.show(content, hold_gizmo=dragged and same)
 
-    def close(self) -> None:
-        """Stops the viser server, which disconnects its browsers."""
-        with silence():
-            self._server.stop()
-
-    def _listen(self) -> None:
-        @self._server.scene.on_click()
-        def clicked(event: viser.SceneClickEvent) -> None:
-            with _logged("a click"):
-                self._clicked(np.array(event.ray_origin, np.float64), np.array(event.ray_direction, np.float64))
-
-    def _clicked(self, origin_m: np.ndarray, direction: np.ndarray) -> None:
-        boxes = [shown for shown in self._scene.content.boxes if shown.uid is not None]
-        index = pick([shown.box for shown in boxes], origin_m, direction)
-        if index is not None:
-            self.send("select", uid=boxes[index].uid)
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        with _logged("a click"):
+            boxes = [shown for shown in self._scene.content.boxes if shown.uid is not None]
+            ray = np.array(event.ray_origin, np.float64), np.array(event.ray_direction, np.float64)
+            index = pick([shown.box for shown in boxes], *ray)
+            if index is not None:
+                self.send("select", uid=boxes[index].uid)
 
     async def _gizmo_moved(self, event: viser.TransformControlsEvent) -> None:
         # a coroutine: viser runs coroutines in order on its event loop, but plain functions in a pool in any order
@@ -313,19 +299,12 @@ def _logged(what: str) -> Iterator[None]:
 class Viewports:
     """The open viewports: limits their number per operator, and closes unused ones. Thread-safe."""
 
-    def __init__(
-        self,
-        send: Send,
-        *,
-        unseen_s: float = UNSEEN_S,
-        sweep_s: float = SWEEP_S,
-    ) -> None:
-        self._send = send
-        self._unseen_s, self._sweep_s = unseen_s, sweep_s
+    def __init__(self, send: Send, *, unseen_s: float = UNSEEN_S, sweep_s: float = SWEEP_S) -> None:
+        self._send, self._unseen_s = send, unseen_s
         self._lock = threading.Lock()
         self._open: dict[str, Viewport] = {}
-        self._stop = threading.Event()
-        self._sweeper: threading.Thread | None = None
+        self._sweeper = Periodic("viewports", sweep_s, self._sweep)
+        self._sweeper.start()
 
     def open(self, operator: str, project: str) -> Viewport:
         """Opens a viewport; closes the operator's oldest ones beyond the limit."""
@@ -334,9 +313,6 @@ class Viewports:
             self._open[new.id] = new
             of_operator = [viewport for viewport in self._open.values() if viewport.operator == operator]
             surplus = [self._open.pop(viewport.id) for viewport in of_operator[:-MOST_PER_OPERATOR]]
-            if self._sweeper is None:
-                self._sweeper = threading.Thread(target=self._sweep, name="viewports", daemon=True)
-                self._sweeper.start()
         for viewport in surplus:
             viewport.close()
         return new
@@ -357,15 +333,12 @@ class Viewports:
 
     def close(self) -> None:
         """Closes all viewports."""
-        self._stop.set()
+        self._sweeper.close()
         with self._lock:
             viewports = list(self._open.values())
             self._open.clear()
-            sweeper, self._sweeper = self._sweeper, None
         for viewport in viewports:
             viewport.close()
-        if sweeper is not None:
-            sweeper.join()
 
     def connected(self, viewport: Viewport, change: int) -> None:
         """Counts a browser that has connected to a viewport (+1) or disconnected (-1)."""
@@ -375,15 +348,14 @@ class Viewports:
         viewport.send("connected", connected=viewport.sockets > 0)
 
     def _sweep(self) -> None:
-        while not self._stop.wait(self._sweep_s):
-            now = time.monotonic()
-            with self._lock:
-                for viewport in self._open.values():
-                    if viewport.sockets > 0:
-                        viewport.used_s = now
-                unseen = [viewport for viewport in self._open.values() if now - viewport.used_s > self._unseen_s]
-                for viewport in unseen:
-                    del self._open[viewport.id]
+        now = time.monotonic()
+        with self._lock:
+            for viewport in self._open.values():
+                if viewport.sockets > 0:
+                    viewport.used_s = now
+            unseen = [viewport for viewport in self._open.values() if now - viewport.used_s > self._unseen_s]
             for viewport in unseen:
-                LOG.info("viewport %s of %s closed: no page shows it", viewport.id, viewport.operator)
-                viewport.close()
+                del self._open[viewport.id]
+        for viewport in unseen:
+            LOG.info("viewport %s of %s closed: no page shows it", viewport.id, viewport.operator)
+            viewport.close()

@@ -15,7 +15,7 @@ from annotator.project.classes.attributes import Attribute, ClassStyle
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
-expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+expect = pytest.importorskip("playwright.sync_api").expect
 
 
 def row(page: Page, name: str) -> Locator:

@@ -155,14 +155,6 @@ def test_a_drag_stores_its_start_and_end_at_every_zoom(bench) -> None:
         assert it.edges() == pytest.approx([*start, *end], abs=0.05)
     assert set(it.whys) == {"draw"}
     assert it.js("getComputedStyle(editor.root.querySelector('img')).imageRendering") == "pixelated"
-    # the zoom of the browser's page
-    it.js("editor.root.querySelector('.zoom-bar button').click()")
-    for zoom in (0.8, 1.5):
-        it.set(selected=-1)
-        it.page.evaluate("(zoom) => { document.body.style.zoom = zoom; }", zoom)
-        _settle(it.page)
-        it.drag((30.0, 40.0), (200.0, 150.0))
-        assert it.edges() == pytest.approx([30, 40, 200, 150], abs=0.5)
 
 
 def test_boxes_are_drawn_changed_selected_nudged_and_deleted(bench) -> None:

@@ -1,27 +1,38 @@
-"""Review in a real browser: changing the selected box in the views along its axes, and by numbers.
+"""Review in a real browser: boxes that are changed in their views and by numbers, fitted, drawn on the image or copied.
 
 tests/page/geometry.test.js has the geometry of the views.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import Any
+import re
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import seen_by_viewer
-from review_desk import Desk, middle
+from browser_page import drag, drag_box, seen_by_viewer
+from drawing import Scene
+from review_desk import FRAMES, Desk, middle
 from scipy.spatial.transform import Rotation
 
-from annotator.types import ReviewState
+from annotator.project import WriteContext
+from annotator.project.classes.edit import add_class
+from annotator.project.project import change_classes
+from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
+if TYPE_CHECKING:
+    from annotator.workflows.detectors import Detectors
+
+
+expect = pytest.importorskip("playwright.sync_api").expect
 
 
 def test_numbers_edges_arrow_keys_and_the_handle_of_the_views_change_a_box(desk: Desk, wait_for) -> None:
-    page, uid, before = desk.page, desk.uid, desk.label.box
+    page, before = desk.page, desk.label.box
     revision = desk.project.frames.get(desk.frame).revision
     field = page.get_by_test_id("field-center-x")
     was = field.input_value()
@@ -44,41 +55,8 @@ def test_numbers_edges_arrow_keys_and_the_handle_of_the_views_change_a_box(desk:
     wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 2)
     turn = Rotation.from_matrix(before.rotation.T @ desk.label.box.rotation).magnitude()
     assert np.degrees(turn) == pytest.approx(20, abs=0.2)
-    # typing into a clicked number replaces it
-    for name in ("size-length", "track"):
-        field = page.get_by_test_id(f"field-{name}")
-        field.fill("1.2" if name == "size-length" else "12")
-        field.blur()
-        desk.settled()
-        field.click()
-        page.keyboard.type("3")
-        expect(field).to_have_value("3")
-    field.press("Escape")
-    field.blur()
-    desk.settled()
 
     # the views
-    rect = desk.box("top").bounding_box()
-    assert rect is not None
-    # dragging sends no requests, and Escape ends it
-    image = page.get_by_test_id("editor-overlay")
-    lines = image.evaluate_all("found => found.map((one) => one.innerHTML)")
-    with suppress(sync_api.TimeoutError):  # until the next box is loaded ahead
-        while page.wait_for_event("request", timeout=700):
-            pass
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url) if "/api/projects/" in request.url else None)
-    right = (rect["x"] + rect["width"] - 1, rect["y"] + rect["height"] / 2)
-    page.mouse.move(*right)
-    page.mouse.down()
-    page.mouse.move(right[0] + 20, right[1], steps=4)
-    page.wait_for_timeout(150)
-    assert asked == []
-    assert image.evaluate_all("found => found.map((one) => one.innerHTML)") != lines
-    expect(page.get_by_test_id("label-state")).to_have_text("not saved")
-    page.keyboard.press("Escape")
-    page.mouse.up()
-    desk.settled()
     # an edge moves one face by the same distance
     for view in ("top", "side"):
         before, rect = desk.label.box, desk.box(view).bounding_box()
@@ -117,46 +95,9 @@ def test_numbers_edges_arrow_keys_and_the_handle_of_the_views_change_a_box(desk:
     np.testing.assert_allclose(after.size_m, before.size_m, atol=1e-9)
     desk.settled()  # the new views are along the new axes, where the box is a rectangle
 
-    # arrow keys are one edit
-    requests: list[Any] = []
-    page.on("request", lambda request: requests.append(request) if request.url.endswith("/ortho") else None)
-    page.goto(f"/#/{desk.name}/review/{desk.frame}?uid={uid}")
-    page.reload()
-    desk.settled()
-    before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
-    # the request for this box, as the page also asks for the next one's pictures
-    asked_views = next(
-        request
-        for request in reversed(requests)
-        if np.allclose(request.post_data_json["box"]["center"], before.center_m, atol=1e-9)
-    )
-    # sent again, because the browser may have dropped its answer
-    answer = desk.live.client.post(asked_views.url, json=asked_views.post_data_json).raise_for_status()
-    front = next(view for view in answer.json()["views"] if view["name"] == "front")
-    page.mouse.click(*middle(desk.box("front")))
-    # in one step, since on a slow machine two key presses can be so far apart that they are two edits
-    page.evaluate(
-        """() => {
-          for (const key of Array(3).fill("ArrowRight"))
-            document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
-        }"""
-    )
-    wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 1)
-    shift = np.array(front["axes"]) @ (desk.label.box.center_m - before.center_m)
-    np.testing.assert_allclose(shift, [3 * front["metres_per_px"], 0, 0], atol=1e-6)
 
-
-def test_the_3d_view_forwards_keys_and_its_gizmo_moves_the_box(desk_3d: Desk, wait_for) -> None:
+def test_the_gizmo_of_the_3d_view_moves_the_box(desk_3d: Desk, wait_for) -> None:
     desk, page = desk_3d, desk_3d.page
-    first = desk.uid
-    where = page.get_by_test_id("viewport").bounding_box()
-    assert where is not None
-    page.mouse.click(where["x"] + 8, where["y"] + where["height"] - 8)
-    page.get_by_test_id("viewport-frame").content_frame.locator("body").evaluate("body => window.focus()")
-    desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED)
-    page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{first}"])').wait_for()
-    desk.settled()
     with page.expect_response(lambda response: '"gizmo":"translate"' in (response.request.post_data or "")) as answer:
         desk.press("t")
     expect(page.get_by_test_id("gizmo-translate")).to_have_attribute("aria-pressed", "true")
@@ -189,3 +130,177 @@ def test_the_3d_view_forwards_keys_and_its_gizmo_moves_the_box(desk_3d: Desk, wa
     np.testing.assert_allclose(moved / np.linalg.norm(moved), box.rotation[:, axis], atol=2e-3)
     np.testing.assert_allclose(after.size_m, box.size_m, atol=1e-9)
     np.testing.assert_allclose(after.rotation, box.rotation, atol=1e-6)
+
+
+def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
+    drag_box(desk.page, "review-image", box, 320, 240)
+
+
+def test_boxes_are_drawn_by_a_drag_fitted_again_and_copied_from_the_previous_frame(desk: Desk, wait_for) -> None:
+    asked, note = desk.page.get_by_test_id("act-draw"), desk.page.get_by_test_id("image-note")
+    desk.press("b")
+    expect(asked).to_have_attribute("aria-pressed", "true")
+    expect(note).to_have_text("Drag a box around a person. Press Esc to cancel.")
+    desk.press("Escape")
+    expect(asked).to_have_attribute("aria-pressed", "false")
+    expect(note).to_have_text("")
+    # a digit during the drag chooses the class, and a short drag draws nothing
+    change_classes(desk.project, lambda config: add_class(config, "chair"), "Ada")
+    page = desk.page
+    page.reload()
+    desk.settled()
+    x, y = middle(page.get_by_test_id("review-image").locator("img.picture"))
+    fits: list[dict[str, Any]] = []
+
+    def keep(route: Any) -> None:
+        fits.append(route.request.post_data_json["image_box"])
+        route.abort()
+
+    page.route("**/fit", keep)
+    boxes = page.get_by_test_id("review-image").get_by_test_id("editor-box")
+    drag(page, (x, y), (x + 5, y + 5))
+    expect(boxes).to_have_count(0)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 20, y + 30)
+    expect(boxes.locator("text")).to_have_text("person")
+    desk.press("2")
+    page.mouse.move(x + 30, y + 40)
+    expect(boxes.locator("text")).to_have_text("chair")
+    with page.expect_event("requestfailed"):
+        page.mouse.up()
+    expect(boxes).to_have_count(0)
+    assert [fit["label"] for fit in fits] == ["chair"]
+    assert desk.label.label == "person"  # the digit was not for the selected box
+    page.unroute("**/fit")
+    # an object with too few points is not sent to views that do not exist
+    sparse = {
+        "box": None,
+        "outline": [],
+        "points": 0,
+        "score": None,
+        "quality": None,
+        "measured_by": "the base detector",
+        "suggestion": None,
+        "note": "fewer than 5 points lie in this box",
+        "too_few_points": True,
+    }
+    desk.page.route("**/fit", lambda route: route.fulfill(json=sparse))
+    drag(desk.page, (x, y), (x + 30, y + 40))
+    toast = desk.page.get_by_test_id("toast-warn").last
+    expect(toast).to_contain_text("Fewer than 5 points lie in this box, too few for a 3D box")
+    expect(toast).to_contain_text("copy its box here")
+    expect(desk.page.get_by_test_id("image-note")).to_have_text("")
+    assert f"/review/{desk.frame}" in desk.page.url
+    desk.page.unroute("**/fit")
+
+    # fitting again starts from the box
+    frame, label = desk.frame, desk.label
+    off = OrientedBox.from_parts(label.box.center_m + np.array([0.15, 0, 0]), label.box.rotation, label.box.size_m)
+    context = WriteContext(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.edit(frame, label.uid, context, label=label.label, box=off)
+    desk.page.reload()
+    desk.page.locator(f'[data-testid="frame-box"][data-uid="{label.uid}"]').click()
+    desk.settled()
+    with desk.page.expect_response(lambda response: response.url.endswith("/refit")) as answer:
+        desk.press("g")
+    assert answer.value.ok
+    fitted = np.array(answer.value.json()["box"]["center"])
+    wait_for(lambda: np.abs(desk.label.box.center_m - fitted).max() < 1e-6)
+    desk.settled()
+
+    frames = [stored.id for stored in desk.project.frames.of()]
+    for label in desk.project.labels.of_frame(frames[FRAMES - 1]):
+        if label.state is ReviewState.EDITED:
+            continue
+        context = WriteContext(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+        desk.project.labels.accept(frames[FRAMES - 1], label.uid, context)
+    before = desk.project.labels.of_frame(frames[FRAMES - 1])
+    desk.page.goto(f"/#/{desk.name}/review/{frames[FRAMES]}")
+    desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
+    desk.press("c")
+    wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before))
+    copies = desk.project.labels.of_frame(frames[FRAMES])
+    assert {label.state for label in copies} == {ReviewState.PROPOSED}
+    assert all(np.array_equal(a.box.size_m, b.box.size_m) for a, b in zip(copies, before, strict=True))
+    # the first one is selected: Space accepts it
+    desk.page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{copies[0].uid}"]').wait_for()
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: not desk.project.labels.of_frame(frames[FRAMES]))
+    expect(note).to_have_text("Drag a box around an object to add it.")
+    # one that was copied to where nothing is says so
+    box = before[0].box
+    away = OrientedBox.from_parts(box.center_m + np.array([0.0, -30.0, 0.0]), box.rotation, box.size_m)
+    context = WriteContext(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+    desk.project.labels.edit(frames[FRAMES - 1], before[0].uid, context, label=before[0].label, box=away)
+    desk.press("c")
+    expect(desk.page.get_by_text("1 copy holds no points here: move or delete it.")).to_be_visible()
+
+
+def test_a_new_box_is_drawn_on_the_image(
+    desk: Desk, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, wait_for
+) -> None:
+    page, known = desk.page, {stored.label.uid for stored in desk.project.labels.select()}
+    ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
+    detectors = desk.live.context.caches.detectors
+    monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: ready)
+    index = desk.project.frames.get(desk.frame).index
+    assert index is not None
+    scene = Scene.of(generated / "people", index, ("person",))
+    with page.expect_request("**/models/load"):  # when the first drag begins
+        draw_on_image(desk, scene.image_box(0))
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.settled()
+    desk.press("t")  # gizmo and views work as for other boxes
+    field = page.get_by_test_id("field-size-length")
+    was = field.input_value()
+    for key in ("Enter", "Escape"):  # only the number comes back
+        field.fill("")
+        field.press(key)
+        expect(field).to_have_value(was)
+    field.fill("0.9")
+    field.press("Enter")
+    assert {stored.label.uid for stored in desk.project.labels.select()} == known
+    desk.press("n")  # the page asks before it leaves a box that is not accepted
+    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box, not accepted yet")
+    page.get_by_test_id("dialog-stay").click()
+    page.locator("dialog").wait_for(state="detached")
+    page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()
+    desk.press("ArrowRight", "Space")  # an arrow key leaves unsaved changes for a moment
+    wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1)
+    (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
+    assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
+    assert made.label.box.size_m[0] == pytest.approx(0.9)
+    assert made.label.suggestion is not None and made.label.suggestion.corrected
+    assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
+    statistics = desk.live.client.get(f"{desk.api}/statistics").json()
+    assert (
+        statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 4
+    )  # the drag, the number, the arrow, Space
+    # it stays selected, so that it can be followed
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{made.label.uid}"]').wait_for()
+    expect(page.get_by_test_id("act-follow")).to_be_enabled()
+    # one key accepts a new box and follows it
+    desk.settled()
+    draw_on_image(desk, scene.image_box(1))
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.press("v")
+    expect(page.get_by_test_id("follow-title")).to_contain_text("Followed forward")
+    assert desk.project.labels.count([ReviewState.ACCEPTED]) == 2
+
+    # without a detector, the box is continued in Label
+    monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: Readiness("none"))
+    desk.settled()
+    frame = desk.frame
+    page.goto(f"/#/{desk.name}/review/{frame}")
+    desk.settled()
+    draw_on_image(desk, scene.image_box(1))
+    expect(page).to_have_url(re.compile(f"/label/{frame}$"))
+    expect(page.get_by_test_id("toast-warn").last).to_contain_text("There is no pseudo-view detector yet")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    page.wait_for_selector(".label-mode:not([data-saving])")
+    state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
+    assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
+    (kept,) = state["image_boxes"]["boxes"]
+    assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))

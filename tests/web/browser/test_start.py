@@ -1,4 +1,4 @@
-"""The start page in a real browser: creating projects, adding and locating recordings, and errors."""
+"""The start page in a real browser: projects are created; recordings, rigs and bags are added and located; errors."""
 
 from __future__ import annotations
 
@@ -6,17 +6,25 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+from bag_writer import BagWriter
 from browser_page import label_truth
+from room_api import label_object
+from ros_takes import SIZE, START_NS, K, write_camera, write_mount, write_scan
 
-from annotator.project import Project, create_project
-
-expect = pytest.importorskip("playwright.sync_api").expect
+from annotator.project import Project, WriteContext, create_project
+from annotator.recordings import open_recording
+from annotator.recordings.recording import stored_options
+from annotator.types import Source
 
 if TYPE_CHECKING:
     from conftest import Shop
     from live_server import Live
     from playwright.sync_api import Page, Route
+
+
+expect = pytest.importorskip("playwright.sync_api").expect
 
 
 def test_a_new_project_can_be_created_filled_and_opened(
@@ -234,10 +242,93 @@ def test_open_pages_follow_a_project_that_is_renamed_removed_missing_or_not_answ
 
     # the note of a lost connection does not stay on the start page
     page.goto("/#/")
-    page.route_web_socket("**/api/events**", lambda socket: socket.close())
+    lost = [True]  # such a route stays on the shared page
+    page.route_web_socket("**/api/events**", lambda it: it.close() if lost else it.connect_to_server())
     page.goto("/#/later/statistics")
     page.reload()
     expect(offline).to_contain_text("no connection")
     page.get_by_test_id("home").click()
     expect(page.get_by_test_id("new-project").first).to_be_visible()
     expect(offline).to_be_empty()
+    lost.clear()
+
+
+def test_virtual_cameras_are_added_and_share_a_label(start: Page, shop: Shop) -> None:
+    create_project(shop.live.settings.projects_root, "rig", ("car",)).close()
+    shop.projects.append("rig")
+    start.reload()
+    start.get_by_test_id("add-recording-rig").click()
+    start.get_by_test_id("folder-clouds").click()
+    start.get_by_test_id("add-drive").click()
+    added = start.get_by_test_id("added-recording")
+    expect(added).to_have_text(["drive: 1 frame"])
+    # another choice makes the button usable again
+    start.get_by_test_id("which-cameras").select_option(label="4 virtual cameras all around the LiDAR")
+    start.get_by_test_id("add-drive").click()
+    expect(added.nth(4)).to_have_text("drive@around-270: 1 frame")
+    start.get_by_test_id("dialog-done").click()
+    project, tag = shop.live.context.project("rig"), start.get_by_test_id("editor-tag")
+    uid = label_object(project, 2, -10.0)
+    start.goto("/#/rig/review/3")
+    expect(tag).to_have_text(["car #3 · around-000"])
+    # what changes in the other camera is shown at once
+    project.labels.delete(2, uid, WriteContext(project.frames.get(2).revision, "maria", Source.MANUAL))
+    expect(tag).to_have_count(0)
+    start.goto("/#/rig/label/3")
+    start.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+    expect(tag).to_have_count(0)
+    label_object(project, 2, -10.0)
+    expect(tag).to_have_text(["car #3 · around-000"])
+    start.goto("/#/rig/alignment/3")
+    expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
+    expect(start.get_by_test_id("keep-correction")).to_be_hidden()
+    expect(start.get_by_test_id("estimate-up")).to_be_visible()
+
+
+def test_topics_and_calibrations_are_chosen_with_a_preview(start: Page, shop: Shop, tmp_path: Path) -> None:
+    live, root = shop.live, shop.folder
+    (tmp_path / "left and right").mkdir()
+    with BagWriter(tmp_path / "left and right", "ros1") as bag:
+        write_mount(bag)
+        write_scan(bag, START_NS)
+        for name in ("left", "right"):
+            write_camera(bag, name, START_NS)
+    shutil.copy(bag.path, root / "two_cameras.bag")
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_camera(bag, "camera/color", START_NS)
+        bag.image("/camera/depth/image_raw", START_NS, np.full(SIZE[::-1], 2000, np.uint16), "16UC1")
+        for name in ("camera_info", "other_info"):
+            bag.info(f"/camera/depth/{name}", START_NS, SIZE, K)
+    shutil.copy(bag.path, root / "depth.bag")
+    live.client.post("/api/projects", json={"name": "drive", "classes": ["car"]})
+    shop.projects.append("drive")
+    start.reload()
+    start.get_by_test_id("add-recording-drive").click()
+    start.get_by_test_id(f"folder-{root.name}").click()
+    start.get_by_test_id("add-two_cameras.bag").click()
+    dialog = start.get_by_test_id("topics-dialog")
+    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("choose one of its topics with Images")
+    dialog.get_by_test_id("dialog-add").click()
+    expect(dialog).to_contain_text("Please choose topics that can be read first.")
+    dialog.get_by_test_id("topic-image").select_option("/right/image_raw")
+    picture = dialog.get_by_test_id("topics-preview")
+    expect(picture).to_be_visible()
+    assert picture.evaluate("image => image.naturalWidth") == 32
+    expect(dialog.get_by_test_id("topic-points")).to_contain_text("/points (chosen automatically)")
+    expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/right/camera_info (chosen automatically)")
+    expect(dialog.get_by_test_id("topic-depth_info")).to_be_hidden()
+    dialog.get_by_test_id("dialog-add").click()
+    expect(start.get_by_test_id("added-recording")).to_have_text("two_cameras: 1 frame")
+    (stored,) = live.context.project("drive").recordings.all()
+    assert stored.options == '{"image":"/right/image_raw"}'
+    assert len(open_recording(stored.path, stored_options(stored.options))) == 1
+
+    start.get_by_test_id("add-depth.bag").click()
+    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("topics with Depth calibration: /camera/depth/c")
+    dialog.get_by_test_id("topic-depth_info").select_option("/camera/depth/other_info")
+    expect(dialog.get_by_test_id("topics-preview")).to_be_visible()
+    expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/camera/color/camera_info (chosen")
+    expect(dialog.get_by_test_id("topic-camera_info")).to_have_value("")
+    dialog.get_by_role("button", name="Close").click()
+    for name in ("two_cameras.bag", "depth.bag"):
+        (root / name).unlink()

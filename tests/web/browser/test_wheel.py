@@ -159,19 +159,12 @@ def test_the_sdist_contains_the_repository_without_generated_files(archives: Pat
     assert {name for name in names if name.startswith("projects/")} == {"projects/README.md"}
 
 
-def test_the_installed_program_is_from_the_wheel(installed: Installed) -> None:
-    code = "import annotator, importlib.metadata as m; print(annotator.__file__, m.version('rcv-annotator'))"
-    file, version = installed.run("python", "-c", code).split()
+def test_the_installed_program_is_from_the_wheel(installed: Installed, project: str) -> None:
+    file = installed.run("python", "-c", "import annotator; print(annotator.__file__)")
     assert installed.programs.parent in Path(file).parents
-    assert version == __version__
-    said = f"annotator {__version__}\n"
-    assert installed.run("annotator", "--version") == installed.run("python", "-m", "annotator", "--version") == said
-
-
-def test_annotate_without_detectors_is_an_error(installed: Installed, project: str) -> None:
+    assert installed.run("annotator", "--version") == f"annotator {__version__}\n"
     said = installed.run("annotator", "annotate", project, code=2)
     assert f"has no image detector yet; run `annotator train {project}`" in said
-    assert "Traceback" not in said
 
 
 def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamespace) -> None:
