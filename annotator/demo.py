@@ -31,8 +31,8 @@ from annotator.project import (
     WriteContext,
     create_project,
 )
-from annotator.project.log.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
+from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording

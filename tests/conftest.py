@@ -161,7 +161,7 @@ def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Pat
 @pytest.fixture
 def older_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tracks may have two boxes in a frame, as a repair can leave them."""
-    from annotator.project.log import writing
+    from annotator.project import writing
 
     monkeypatch.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
 

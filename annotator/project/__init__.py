@@ -2,15 +2,13 @@
 
 from annotator.project.adjustments import Basis
 from annotator.project.boxes import ImageBoxes, ViewBoxes
+from annotator.project.changes import Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
+from annotator.project.events import Effort, Event
 from annotator.project.frames import StoredFrame
+from annotator.project.history import History, Reverted
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
-from annotator.project.log.event_types import Origin
-from annotator.project.log.events import Effort, Event
-from annotator.project.log.history import History, Reverted
-from annotator.project.log.records import ViewGeometry
-from annotator.project.log.writing import FramePart, Receipt, WriteContext, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import (
     ListedProject,
@@ -21,7 +19,9 @@ from annotator.project.project import (
 )
 from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
+from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
+from annotator.project.writing import FramePart, Receipt, WriteContext, new_action
 
 __all__ = [
     "REVIEWED",

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
-from annotator.project.log.event_types import LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError

@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext, open_project
+from annotator.project.changes import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
-from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
-from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.overview import read_page
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -41,7 +41,7 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "frame_attributes")
+TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "classes")
 ATTRIBUTES = (
     Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
     Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),
@@ -104,10 +104,10 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
 
 
 def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
-    """All rows of the derived tables, ordered by row id, without the ids."""
+    """All rows of the audited tables, hidden ones included, ordered by their keys, without the ids."""
     state: dict[str, list[tuple[object, ...]]] = {}
     with project.store.read() as connection:
-        for table in DERIVED_TABLES:
+        for table in TABLES:
             rows = connection.execute(text(f"SELECT * FROM {table} ORDER BY 1")).mappings().all()
             named = table != "frames" and "id" in (rows[0] if rows else {})
             state[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]

@@ -19,7 +19,7 @@ from live_server import PATIENCE_S, ended, look
 from room_api import ROOM, coco
 
 from annotator.project import Project, WriteContext, create_project
-from annotator.project.log.event_types import ImageBoxesSet
+from annotator.project.changes import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError

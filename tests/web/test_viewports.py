@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from annotator.project.labels import NewLabel
-from annotator.project.log.writing import WriteContext
+from annotator.project.writing import WriteContext
 from annotator.types import OrientedBox, ReviewState
 from annotator.web.viewport.viewports import MOST_PER_OPERATOR, MOST_SILENT, Viewports, start_viser
 

@@ -26,7 +26,7 @@ from test_events import listen, next_of
 from annotator.detection import pretrained
 from annotator.detection.pretrained import TITLE
 from annotator.project import WriteContext, open_project
-from annotator.project.log.event_types import ImageBoxesSet
+from annotator.project.changes import ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError

@@ -24,8 +24,8 @@ from typing import IO
 
 from annotator.project import Project
 from annotator.project.config import BoxRotation
-from annotator.project.log.writing import WriteContext
 from annotator.project.proposals import RunShare
+from annotator.project.writing import WriteContext
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording, open_recording

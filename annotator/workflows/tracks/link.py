@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.log.event_types import LinkedLabel, TracksLinked
-from annotator.project.log.records import BoxRecord
+from annotator.project.records import BoxRecord
 from annotator.recordings import Recording
 from annotator.recordings.frame_times import recorded_times
 from annotator.recordings.kitti import KittiFolder

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
-from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
+from annotator.project.changes import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import neighbours, read_page
+from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, TrackingConfig, link, overlap_at_place

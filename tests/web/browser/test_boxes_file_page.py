@@ -13,7 +13,7 @@ from room_api import coco
 from annotator.detection import pretrained
 from annotator.detection.pretrained import TITLE
 from annotator.project import Project, WriteContext
-from annotator.project.log.event_types import ImageBoxesSet
+from annotator.project.changes import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.web.jobs.records import WORK

@@ -7,7 +7,7 @@ import pytest
 from review_desk import Desk
 
 from annotator.project import NewLabel, WriteContext
-from annotator.project.log.event_types import LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.types import Label, ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect

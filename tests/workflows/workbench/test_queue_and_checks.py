@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
-from annotator.project.log.event_types import LinkedLabel, TracksLinked
+from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import NotFoundError
 from annotator.workflows.checking.box_rules import UsualSize, odd_size_message

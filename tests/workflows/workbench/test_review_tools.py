@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains, same_box
 from annotator.geometry.outline import box_on_image
 from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext, create_project
-from annotator.project.log.event_types import LabelRejected, LabelTracked
+from annotator.project.changes import LabelRejected, LabelTracked
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.pseudo_view import BACKGROUND
