@@ -61,7 +61,7 @@ class Adjustments:
             made = read_events(connection, select(events).where(events.c.kind == KIND))
             changed = [row for event in made for row in event.rows if row.table == "adjustments"]
             corrections = {int(row.key): (row.after or {}).get("correction") for row in changed}
-            return frozenset(id for id, correction in corrections.items() if correction and moving(correction))
+            return frozenset(id for id, stored in corrections.items() if stored and moving(stored) is not None)
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS

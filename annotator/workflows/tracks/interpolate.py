@@ -189,14 +189,8 @@ def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: in
     indices = {frame.id: index for index, frame in enumerate(frames)}
     keys: dict[int, KeyFrame] = {}
     for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
-        if stored.frame_id not in indices:
-            continue
-        index = indices[stored.frame_id]
-        if index in keys:
-            raise ConfigError(
-                f"frame {frames[index].key} has two reviewed boxes of track {track_id}; give one of them another track"
-            )
-        keys[index] = KeyFrame(index, stored.label)
+        if (index := indices.get(stored.frame_id)) is not None:
+            keys[index] = KeyFrame(index, stored.label)
     return [keys[index] for index in sorted(keys)]
 
 
