@@ -205,29 +205,24 @@ def read_row(connection: Connection, table: str, key: Key) -> Row | None:
     return None if found is None else dict(zip(columns, found, strict=True))
 
 
-def apply_rows(connection: Connection, rows: Iterable[RowChange], event_id: int, revision: int) -> None:
-    """Changes the tables.
-
-    Args:
-        rows: the changes, at most one of each row.
-        event_id, revision: of the event, which the rows of 2D boxes and adjustments name.
-    """
+def apply_events(connection: Connection, made: Sequence[Event]) -> None:
+    """Changes the tables as the events of one write say."""
+    last = {(row.table, row.key): event for event in made for row in event.rows}
     by_table: dict[str, list[RowChange]] = defaultdict(list)
-    for row in rows:
+    for row in as_one(row for event in made for row in event.rows):
         by_table[row.table].append(row)
     # in the order of their references
     for table in AUDITED:
         if changes := by_table.pop(table, None):
-            own = NOT_AUDITED.get(table, ())
-            follows = {"event_id": event_id} if "event_id" in own else {}
-            if table == "view_labels":
-                follows["revision"] = revision
-            _apply(driver_of(connection), table, changes, follows)
+            _apply(driver_of(connection), table, changes, last)
     if by_table:
         raise ProjectError(f"an event changes rows of {next(iter(by_table))!r}, which is no audited table")
 
 
-def _apply(driver: sqlite3.Connection, table: str, changes: Sequence[RowChange], follows: Mapping[str, int]) -> None:
+def _apply(
+    driver: sqlite3.Connection, table: str, changes: Sequence[RowChange], last: Mapping[tuple[str, Key], Event]
+) -> None:
+    own = NOT_AUDITED.get(table, ())
     key = AUDITED[table]
     removed = [(each.key,) for each in changes if each.after is None]
     if removed:
@@ -243,7 +238,11 @@ def _apply(driver: sqlite3.Connection, table: str, changes: Sequence[RowChange],
     for each in changes:
         if each.after is None:
             continue
-        values = each.after | follows
+        values = each.after
+        if "event_id" in own:
+            values = values | {"event_id": last[table, each.key].id}
+        if table == "view_labels":
+            values = values | {"revision": last[table, each.key].revision}
         if each.before is None:
             inserted[tuple(values)].append(tuple(values.values()))
         else:
@@ -279,7 +278,7 @@ def rebuild(connection: Connection) -> int:
     count = 0
     with without_track_index(connection):
         for event in read_events(connection):
-            apply_rows(connection, event.rows, event.id, event.revision)
+            apply_events(connection, [event])
             count += 1
     hide_removed(connection)
     return count

@@ -45,7 +45,7 @@ from annotator.project.events import (
     Event,
     Key,
     RowChange,
-    apply_rows,
+    apply_events,
     as_one,
     changed_row,
     insert_event,
@@ -273,16 +273,16 @@ class Write:
             )
             stored.append(insert_event(self.connection, event))
         if stored:
-            self._apply(as_one(row for event in stored for row in event.rows), stored[-1])
+            self._apply(stored)
         if self._pass is not None:
             run, content = self._pass
             values = (self.frame_id, stored[0].id, run, packed(content))
             self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?, ?)", values)
         return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
 
-    def _apply(self, rows: list[RowChange], last: Event) -> None:
+    def _apply(self, stored: list[Event]) -> None:
         try:
-            apply_rows(self.connection, rows, last.id, last.revision)
+            apply_events(self.connection, stored)
         except sqlite3.IntegrityError as error:
             if "track_id" not in str(error) and "one_box_a_track" not in str(error):
                 raise
@@ -294,7 +294,7 @@ class Write:
             ) from error
         if self.frame_id is not None:
             newer = "UPDATE frames SET revision = ? WHERE id = ?"
-            driver_of(self.connection).execute(newer, (last.revision, self.frame_id))
+            driver_of(self.connection).execute(newer, (stored[-1].revision, self.frame_id))
 
     def _track_with_two(self) -> int:
         """The track with two boxes in the frame, after an attempt to store both."""

@@ -24,7 +24,7 @@ from store_samples import (
 )
 
 from annotator.project import Project, create_project
-from annotator.project.changes import LinkedLabel, TracksLinked
+from annotator.project.changes import ImageBoxesSet, LabelCreated, LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, TrackTakenError
@@ -109,6 +109,16 @@ def test_a_rebuild_repairs_corrupted_tables(project: Project, frame: int) -> Non
         connection.execute(text("UPDATE frames SET finalised = 1"))
     assert state_of(project) != before
     assert project.log.rebuild() == 2
+    assert state_of(project) == before
+
+
+def test_a_write_of_several_changes_names_the_event_of_each(project: Project, frame: int) -> None:
+    drawn = ImageBoxesSet(boxes=tuple(some_boxes(1)), box_kind=BoxKind.BOX)
+    made = LabelCreated(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    receipt = project.log.append(frame, [drawn, made], by_hand())
+    boxes, before = project.boxes.on_image(frame), state_of(project)
+    assert boxes is not None and boxes.event_id == receipt.event_ids[0]
+    project.log.rebuild()
     assert state_of(project) == before
 
 

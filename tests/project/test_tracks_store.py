@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
-from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording, writing
+from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
 from annotator.project.changes import (
     LabelAccepted,
     LabelCreated,

@@ -30,7 +30,7 @@ from annotator.project.events import (
     CLASSES,
     Event,
     RowChange,
-    apply_rows,
+    apply_events,
     changed_row,
     event_of,
     hide_removed,
@@ -201,7 +201,7 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                         connection.execute(insert(events), values)
                         event = event_of(_Attributes(values))
                         _require_applicable(connection, event)
-                        apply_rows(connection, event.rows, event.id, event.revision)
+                        apply_events(connection, [event])
                         newer = update(frames).where(frames.c.id == event.frame_id)
                         connection.execute(newer.values(revision=event.revision))
                 except (AnnotatorError, DBAPIError, sqlite3.Error, TypeError, ValueError, KeyError):
@@ -296,7 +296,7 @@ def _append(connection: Connection, store: Store, frame_id: int | None, change: 
         view = str(change.key).partition(":")[0]
     revision = _revision(connection, {"frame_id": frame_id, "view_id": view}) + 1
     event = Event(0, frame_id, view, revision, KIND, AUTHOR, store.clock(), Source.IMPORTED, (change,))
-    apply_rows(connection, [change], insert_event(connection, event).id, revision)
+    apply_events(connection, [insert_event(connection, event)])
     connection.execute(update(frames).where(frames.c.id == frame_id).values(revision=revision))
 
 
@@ -334,7 +334,9 @@ def _rows(source: sqlite3.Connection, table: str, repaired: Repaired) -> Iterato
     after = -1
     while after < last:
         try:
-            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}", (after,))
+            cursor = source.execute(
+                f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}", (after,)
+            )
             found = cursor.fetchall()
             if not found:
                 return
@@ -346,9 +348,7 @@ def _rows(source: sqlite3.Connection, table: str, repaired: Repaired) -> Iterato
         after = found[-1][0]
 
 
-def _one_by_one(
-    source: sqlite3.Connection, table: str, first: int, last: int, repaired: Repaired
-) -> Iterator[Row]:
+def _one_by_one(source: sqlite3.Connection, table: str, first: int, last: int, repaired: Repaired) -> Iterator[Row]:
     for number in range(first, last + 1):
         try:
             cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid = ?", (number,))

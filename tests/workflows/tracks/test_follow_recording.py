@@ -389,9 +389,7 @@ def test_a_stretch_ends_at_the_next_reviewed_box(
     assert [len(labels_of(people, index)) for index in range(5)] == [1, 1, 1, 1, 0]
 
 
-def test_what_cannot_be_followed_is_refused(
-    people: Project, truths: list[list[Truth]], view: ReadyDetector
-) -> None:
+def test_what_cannot_be_followed_is_refused(people: Project, truths: list[list[Truth]], view: ReadyDetector) -> None:
     frames = people.frames.of()
     with pytest.raises(ConfigError, match="frame 000000 has no reviewed box to follow; accept one first"):
         follow_one(people, view, None)
