@@ -9,6 +9,7 @@ from annotator.project.frames import StoredFrame
 from annotator.project.history import History, Reverted
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
+from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import (
     ListedProject,
@@ -21,7 +22,7 @@ from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-from annotator.project.writing import FramePart, Receipt, WriteContext, new_action
+from annotator.project.writing import Receipt, WriteContext
 
 __all__ = [
     "REVIEWED",

@@ -11,8 +11,9 @@ from sqlalchemy import Connection, bindparam, select, update
 from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, moving, unit_up
 from annotator.project.database.schema import adjustments, events, frames
 from annotator.project.events import Effort, read_events
+from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import ADJUSTED
-from annotator.project.writing import Receipt, Write, WriteContext, Writer, new_action, require_writable
+from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import Correction
 from annotator.types.errors import ProjectError, StaleRevisionError
 
@@ -97,11 +98,11 @@ class Adjustments:
             frame = connection.execute(first.order_by(frames.c.position.nulls_last(), frames.c.id).limit(1)).first()
             if frame is None:
                 raise ProjectError(f"recording {recording_id} has no such frame; nothing was changed")
-            present, _ = adjustment_in(connection.execute(ADJUSTED, {"recording": recording_id}).one())
-            row = adjustment_row(recording_id, change(present))
+            before, _ = adjustment_in(connection.execute(ADJUSTED, {"recording": recording_id}).one())
+            row = adjustment_row(recording_id, change(before))
             context = WriteContext(frame.revision, author, effort=basis.effort)
             where = require_writable(connection, frame.id, context)
-            write = Write(self.writer, connection, frame.id, where, context, new_action())
+            write = Write(self.writer.store, self.writer.folder, connection, frame.id, where, context, new_action())
             write.put("adjustments", recording_id, row)
             write.event(KIND)
             receipt = write.finish()

@@ -28,10 +28,11 @@ from annotator.project.classes.changing import made_changes, values_after
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.events import CLASSES, Effort, Event, Key, RowChange, as_one, event_of, read_row, rows_of
+from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
-from annotator.project.writing import Receipt, Write, WriteContext, Writer, new_action, require_writable
+from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import Source
 from annotator.types.errors import HistoryError, TrackTakenError
 from annotator.types.label import AttributeValue
@@ -261,7 +262,9 @@ class History:
             # counted once, on the first frame
             context = WriteContext(revision, author, effort=None if receipts else effort, undoes=step.action)
             where = require_writable(connection, frame_id, context)
-            write = Write(self._writer, connection, frame_id, where, context, action, restoring.config)
+            write = Write(
+                self._writer.store, self._writer.folder, connection, frame_id, where, context, action, restoring.config
+            )
             for row in rows:
                 write.put(row.table, row.key, restoring.target(row))
             write.event(KIND)
@@ -362,11 +365,11 @@ class _Restoring:
     def _classes(self) -> set[str]:
         """The classes that the rows to put back need."""
         used = set[str]()
-        for row in (row for rows in self.by_frame.values() for row in rows if row.before is not None):
-            if row.table == "labels" and "class_id" in row.before:
-                used.add(self._terms.names[row.before["class_id"]])
-            elif "boxes" in row.before:
-                used |= {box.label for box in self._terms.boxes_2d(row.before["boxes"])}
+        for before in (row.before for rows in self.by_frame.values() for row in rows):
+            if before is not None and "class_id" in before:
+                used.add(self._terms.names[before["class_id"]])
+            elif before is not None and "boxes" in before:
+                used |= {box.label for box in self._terms.boxes_2d(before["boxes"])}
         return used
 
     def _present(self, row: RowChange, event_id: int) -> RowChange:

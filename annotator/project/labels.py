@@ -24,6 +24,7 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
+from annotator.project.log import FramePart, Writer
 from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
 from annotator.project.review import (
     By,
@@ -35,7 +36,7 @@ from annotator.project.review import (
     worst_of_frames,
 )
 from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
-from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.project.writing import Receipt, WriteContext
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -296,7 +297,9 @@ class Labels:
                 return frozenset()
             attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
             return frozenset(
-                row.uid for row in rows if is_kept(row._mapping, row.label, terms.said(row.said, frame_id), attributes)
+                row.uid
+                for row in rows
+                if is_kept(dict(row._mapping), row.label, terms.said(row.said, frame_id), attributes)
             )
 
     def with_box(self, uid: str, box: OrientedBox) -> LabelMoved:

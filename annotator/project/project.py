@@ -39,12 +39,12 @@ from annotator.project.frames import Frames
 from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
+from annotator.project.log import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.project.writing import Log, Writer
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"
@@ -155,13 +155,13 @@ class Project:
         if is_same and made.change == Relabelling():
             return None
         number = change_rows(self._writer, connection, old, new, made.change, author)
-        if gone := set(old.classes) - set(new.classes):
-            if used := sorted(gone & class_counts(connection, removed=True).keys()):
-                raise ProjectError(
-                    f"project {old.name}: {', '.join(map(repr, used))} cannot be removed while boxes use it; give them "
-                    "another class (--into on the command line), or remove them, too (--with-boxes); recordings that "
-                    "were removed may have some"
-                )
+        gone = set(old.classes) - set(new.classes)
+        if used := sorted(gone & class_counts(connection, removed=True).keys()) if gone else []:
+            raise ProjectError(
+                f"project {old.name}: {', '.join(map(repr, used))} cannot be removed while boxes use it; give them "
+                "another class (--into on the command line), or remove them, too (--with-boxes); recordings that "
+                "were removed may have some"
+            )
         require_fitting(connection, old.attributes, new.attributes)
         return number
 

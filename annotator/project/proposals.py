@@ -13,6 +13,8 @@ from annotator.project.changes import ProposalsReplaced, ProposedObject
 from annotator.project.database.schema import AnyRow, events, frames, labels, passes
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
+from annotator.project.log import Writer, require_writable
+from annotator.project.making import make
 from annotator.project.records import OWN, ProposalRecord, parsed, storable
 from annotator.project.rows import Terms
 from annotator.project.sources import (
@@ -25,7 +27,7 @@ from annotator.project.sources import (
     replace_open,
     source_tracks,
 )
-from annotator.project.writing import Receipt, Write, WriteContext, Writer, make, require_writable
+from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 
 
@@ -126,7 +128,7 @@ class Proposals:
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
-            write = Write(self.writer, connection, frame_id, where, context)
+            write = Write(self.writer.store, self.writer.folder, connection, frame_id, where, context)
             before = OpenProposals.of(write)
             kept = before.kept
             staying = [

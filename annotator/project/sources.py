@@ -27,9 +27,11 @@ from annotator.project.classes.values import (
 from annotator.project.config import read_config
 from annotator.project.database.schema import columns_of, frames, labels
 from annotator.project.labels import NewLabel
+from annotator.project.log import Writer, import_action
+from annotator.project.making import new_label, said_json
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
-from annotator.project.writing import Receipt, Write, WriteContext, Writer, import_action, new_label, said_json
+from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
@@ -121,7 +123,7 @@ def _certainty(said: SaidRecord) -> float:
     return 1.0 if said.score is None else said.score
 
 
-# --- storing what a source says ----------------------------------------------------------------------------------------
+# --- storing what a source says ---------------------------------------------------------------------------------------
 
 KIND = "proposals_imported"
 
@@ -188,7 +190,7 @@ def bring(
                 context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
                 made_in = import_action(context, action)
-                write = Write(writer, connection, frame_id, where, context, made_in, config, terms)
+                write = Write(writer.store, writer.folder, connection, frame_id, where, context, made_in, config, terms)
                 write.know_all(present[frame_id])
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
@@ -387,7 +389,7 @@ def replace_open(
         tracks = of_tracks(write.connection, write.terms, attributes, write.frame_id, known)
 
     def with_values(group: Group, track_id: int | None) -> Group:
-        """The group with the values of its object: what its sources give, else those of its track, else the defaults."""
+        """The group with the values of its object: of its sources, else of its track, else the defaults."""
         if not attributes:
             return group
         of_label = [each for each in attributes if each.is_of(group[0].label)]

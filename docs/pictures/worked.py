@@ -25,8 +25,8 @@ from annotator.project.changes import (
     ProposedObject,
 )
 from annotator.project.jobs import record_result
+from annotator.project.log import Writer
 from annotator.project.records import BoxRecord, ProposalRecord
-from annotator.project.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 
 # class -> its share, and the size of its boxes in metres

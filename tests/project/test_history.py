@@ -34,8 +34,8 @@ from annotator.project.backup.verify import verify
 from annotator.project.changes import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.log import new_action
 from annotator.project.records import BoxRecord
-from annotator.project.writing import new_action
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
 

@@ -10,8 +10,8 @@ from store_samples import box_at, by_hand
 from annotator.project import FramePart, NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.verify import verify
 from annotator.project.changes import LabelCreated
+from annotator.project.log import new_action
 from annotator.project.records import BoxRecord
-from annotator.project.writing import new_action
 from annotator.types.errors import HistoryError
 
 KEYS = ["0", "1"]

@@ -27,8 +27,8 @@ from annotator.project.backup.make import Reason, automatic_backups, back_up_aut
 from annotator.project.backup.take_in import restore
 from annotator.project.config import BACKUPS
 from annotator.project.labels import Labels
+from annotator.project.log import ChangedFrame, Log
 from annotator.project.models import Models
-from annotator.project.writing import ChangedFrame, Log
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.web import background

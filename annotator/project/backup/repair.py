@@ -226,9 +226,9 @@ def _require_applicable(connection: Connection, event: Event) -> None:
 def _free_tracks(connection: Connection, store: Store) -> None:
     """Takes second boxes off their tracks, where the events that did so are lost."""
     query = (
-        "SELECT uid, frame_id, track_id FROM labels AS own WHERE track_id IS NOT NULL AND state <> 'rejected' AND EXISTS "
-        "(SELECT 1 FROM labels AS other WHERE other.frame_id = own.frame_id AND other.track_id = own.track_id "
-        "AND other.state <> 'rejected' AND other.id < own.id)"
+        "SELECT uid, frame_id, track_id FROM labels AS own WHERE track_id IS NOT NULL AND state <> 'rejected' "
+        "AND EXISTS (SELECT 1 FROM labels AS other WHERE other.frame_id = own.frame_id "
+        "AND other.track_id = own.track_id AND other.state <> 'rejected' AND other.id < own.id)"
     )
     for uid, frame_id, track_id in connection.exec_driver_sql(query).all():
         change = RowChange("labels", uid, {"track_id": track_id}, {"track_id": None})
@@ -261,7 +261,7 @@ def _revision(connection: Connection, values: Row) -> int:
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings the rows to the state that the damaged database shows, if it does."""
     with reading(copy) as source, store.write() as connection:
-        for table, key in AUDITED.items():
+        for table in AUDITED:
             for row in _rows(source, table, Repaired(Path(), True)):
                 try:
                     with connection.begin_nested():

@@ -33,8 +33,8 @@ from annotator.project.config import CONFIG_FILE, check_name, free_path, read_co
 from annotator.project.database.generation import wal_of
 from annotator.project.database.schema import class_changes, frames, models, recordings
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.log import Writer
 from annotator.project.recordings import KEPT, Recordings
-from annotator.project.writing import Writer
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
 

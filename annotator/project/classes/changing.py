@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
@@ -12,10 +12,11 @@ from annotator.project.classes.attributes import Relabelling
 from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
 from annotator.project.events import CLASSES
+from annotator.project.log import Writer
 from annotator.project.records import SaidRecord, parsed
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
 from annotator.project.sources import show_others
-from annotator.project.writing import Write, WriteContext, Writer
+from annotator.project.writing import Write, WriteContext
 from annotator.types import ReviewState, Source
 
 KIND = "classes_changed"
@@ -67,7 +68,9 @@ def change_classes(
 
 
 def _write(writer: Writer, connection: Connection, revision: int, author: str, config: ProjectConfig) -> Write:
-    return Write(writer, connection, None, "the classes", WriteContext(revision, author), None, config)
+    return Write(
+        writer.store, writer.folder, connection, None, "the classes", WriteContext(revision, author), None, config
+    )
 
 
 def _frames_of(connection: Connection, class_id: int) -> set[int]:
@@ -95,7 +98,9 @@ def _show_others(
         # the frame may be finalised, or of a removed recording
         (revision,) = driver_of(connection).execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
         context = WriteContext(revision, author, Source.IMPORTED)
-        write = Write(writer, connection, frame_id, f"frame with id {frame_id}", context, None, config)
+        write = Write(
+            writer.store, writer.folder, connection, frame_id, f"frame with id {frame_id}", context, None, config
+        )
         show_others(write, removed, uids)
         write.finish()
 
@@ -173,7 +178,7 @@ def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
     ]
 
 
-def values_after(terms: Terms, changes: Iterable[Relabelling], label: str, row: Mapping[str, object]) -> Row:
+def values_after(terms: Terms, changes: Iterable[Relabelling], label: str, row: Row) -> Row:
     """The columns with values of a label after changes of the classes, as far as the row has them.
 
     Args:

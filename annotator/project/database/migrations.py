@@ -173,7 +173,7 @@ CREATE TABLE moves (
     time_ns INTEGER NOT NULL
 )
 """
-# position: index in the latest scan; NULL if that scan did not find the frame. attributes: values, as JSON; NULL = none.
+# position: index in the latest scan; NULL if that scan did not find the frame. attributes: values, as JSON.
 _FRAMES = """
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
@@ -201,8 +201,8 @@ CREATE TABLE class_changes (
 )
 """
 # rows: JSON; long ones are packed (`PackedText` in schema.py). action: id of the operator's step that it is a part of.
-# undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or draft that the effort was
-# for (actions: drags, clicks, keys; seconds), or the source of imported boxes.
+# undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or draft that the effort
+# (actions: drags, clicks, keys; seconds) was for, or the source of imported boxes.
 _EVENTS = """
 CREATE TABLE events (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -222,9 +222,9 @@ CREATE TABLE events (
     CHECK (frame_id IS NOT NULL OR view_id IS NOT NULL)
 )
 """
-# track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what each
-# source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box: as the
-# recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
+# track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what
+# each source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box:
+# as the recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
 _LABELS = """
 CREATE TABLE labels (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -311,8 +311,8 @@ _SHOWN_LABELS = """
 CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id, classes.name AS label,
     labels.box, labels.score, labels.source, labels.state, labels.author, labels.time_ns, labels.track_id,
     labels.track_linked, labels.box_kind, labels.attributes, labels.values_set, labels.origin, labels.image_box,
-    labels.suggestion, labels.said, labels.proposed_box, labels.view_disagreement, labels.kept_share, labels.last_change,
-    labels.image_agreement, labels.expected_iou_loss, labels.run_id
+    labels.suggestion, labels.said, labels.proposed_box, labels.view_disagreement, labels.kept_share,
+    labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.run_id
 FROM labels LEFT JOIN classes ON classes.id = labels.class_id WHERE labels.hidden = 0
 """
 _SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"

@@ -2,12 +2,12 @@
 
 What people change lies in six tables. One door (`writing.py`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
-`[table, key, before, after]`. Of an updated row, `before` and `after` have only the columns that differ; null is no row.
+`[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
 
 - `labels` (key: `uid`): 3D boxes. A label names its class by id. Its box lies in the frame of its cloud, as it was
   recorded, so a correction of the calibration moves none. A track has one box in a frame: an index says so.
-- `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON, too, a
-  class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
+- `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
+  too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
 - `frames` (`id`): only `finalised` and `attributes` are audited; `revision` counts the changes, and the scans of a
   recording change the rest.
 - `classes` (`id`): their names. To rename a class or to merge two is a change here.

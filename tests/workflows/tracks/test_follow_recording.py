@@ -14,7 +14,7 @@ from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.changes import FrameFinalised
-from annotator.project.writing import Writer
+from annotator.project.log import Writer
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
