@@ -200,12 +200,12 @@ def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[l
     return st.lists(step, min_size=1, max_size=longest)
 
 
-def actions(project: Project, views: list[str], step: Step) -> dict[str, Callable[[], object]]:
+def actions(project: Project, views: list[str], step: Step, who: str = "ann") -> dict[str, Callable[[], object]]:
     """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it."""
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
-    change, view = by_hand(frame.revision), views[b % len(views)]
+    change, view = by_hand(frame.revision, who), views[b % len(views)]
     uid = labels[a % len(labels)].uid if labels else "nobody"
     return {
         "propose": lambda: project.proposals.replace(
@@ -233,27 +233,29 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
         "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
-        "span": lambda: project.log.append_to_frames([_carried_over(other, a) for other in project.frames.of()[:2]]),
+        "span": lambda: project.log.append_to_frames(
+            [_carried_over(other, a, who) for other in project.frames.of()[:2]]
+        ),
         "adjust": lambda: project.adjustments.correct(
-            frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), "ann"
+            frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who
         ),
         "values": lambda: project.labels.set_attributes(
             frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change
         ),
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
-        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), "ann"),
+        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), who),
         "bulk": lambda: project.log.append(
             frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
         ),
     }
 
 
-def _carried_over(frame: StoredFrame, track_id: int) -> FramePart:
+def _carried_over(frame: StoredFrame, track_id: int, who: str) -> FramePart:
     """One frame's part of an action that spans several frames."""
     proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
     uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
     carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)
-    return FramePart(frame.id, [carried], by_hand(frame.revision))
+    return FramePart(frame.id, [carried], by_hand(frame.revision, who))
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

@@ -41,7 +41,6 @@ from annotator.types.errors import ConfigError, HistoryError, ProjectError
 
 KINDS = ("undo", "redo", "adjust", "values", "frame values")
 STEPS = lists_of_steps(*KINDS, frames=2, longest=14)
-WITH_CLASSES = lists_of_steps(*KINDS, "classes", frames=2, longest=14)
 
 
 def _take(project: Project, view: str, step: Step) -> None:
@@ -94,26 +93,6 @@ def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: li
             # the rebuild restores the undo states, too
             assert _all(lambda: project.history.undo("ann")) == undone
             assert content(project) == before
-
-
-@settings(max_examples=6)
-@given(WITH_CLASSES)
-def test_rebuilt_and_maintained_state_agree_after_proposals_and_undo(
-    steps: list[Step],
-) -> None:
-    with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
-        project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
-        view = project.views.store(np.full((2, 2, 3), 7, np.uint8))
-        give_attributes(project)
-        for step in steps:
-            _take(project, view, step)
-        before, order = state_of(project), content(project)
-        undo = project.history.next("ann")
-        project.log.rebuild()
-        assert state_of(project) == before
-        assert content(project) == order
-        with open_project(project.path) as again:
-            assert again.history.next("ann") == undo
 
 
 def test_only_labels_that_an_action_is_named_after_are_counted(project: Project, frame: int) -> None:
