@@ -1,12 +1,13 @@
 """Projects: the folder, its SQLite database, migrations and label events."""
 
 from annotator.project.adjustments import Basis
+from annotator.project.audit.events import Effort, Event
+from annotator.project.audit.history import History, Reverted
+from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.changes import Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
-from annotator.project.events import Effort, Event
 from annotator.project.frames import StoredFrame
-from annotator.project.history import History, Reverted
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
 from annotator.project.log import FramePart, new_action
@@ -22,7 +23,6 @@ from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-from annotator.project.writing import Receipt, WriteContext
 
 __all__ = [
     "REVIEWED",

@@ -9,11 +9,11 @@ import numpy as np
 from sqlalchemy import Connection, bindparam, select, update
 
 from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, moving, unit_up
+from annotator.project.audit.events import Effort, read_events
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.database.schema import adjustments, events, frames
-from annotator.project.events import Effort, read_events
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import ADJUSTED
-from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import Correction
 from annotator.types.errors import ProjectError, StaleRevisionError
 

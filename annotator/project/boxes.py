@@ -15,12 +15,12 @@ from jaxtyping import UInt8
 from sqlalchemy import Connection, bindparam, select
 
 from annotator.files import open_file, read_file, write_atomic
+from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, ViewBoxesSet
 from annotator.project.database.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.project.log import Writer
 from annotator.project.records import ViewGeometry, storable
 from annotator.project.rows import Terms
-from annotator.project.writing import Receipt, WriteContext
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 

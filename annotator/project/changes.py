@@ -1,4 +1,4 @@
-"""What callers ask the store to change, one model for each kind; `writing.py` makes changed rows of them."""
+"""What callers ask the store to change, one model for each kind; `audit/making.py` makes changed rows of them."""
 
 from __future__ import annotations
 

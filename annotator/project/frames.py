@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, bindparam, func, select
 
+from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import FrameAttributesSet, FrameFinalised, FrameReopened
 from annotator.project.database.schema import AnyRow, frames
 from annotator.project.log import Writer
 from annotator.project.recordings import KEPT
 from annotator.project.rows import values_of
-from annotator.project.writing import Receipt, WriteContext
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 

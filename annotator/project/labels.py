@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, bindparam, func, select
 
+from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
     LabelAccepted,
     LabelAttributesSet,
@@ -36,7 +37,6 @@ from annotator.project.review import (
     worst_of_frames,
 )
 from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
-from annotator.project.writing import Receipt, WriteContext
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from sqlalchemy import Connection, bindparam, func, select
 
+from annotator.project.audit.events import Event, read_events, rebuild
+from annotator.project.audit.making import make
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import (
     Payload,
     ProposalsReplaced,
@@ -17,14 +20,7 @@ from annotator.project.changes import (
 )
 from annotator.project.database.schema import ALL_LABELS, events, frames, recordings
 from annotator.project.database.store import Store
-from annotator.project.events import (
-    Event,
-    read_events,
-    rebuild,
-)
-from annotator.project.making import make
 from annotator.project.records import storable
-from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, StaleRevisionError, TrackTakenError
 

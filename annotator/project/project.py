@@ -14,6 +14,7 @@ from sqlalchemy import Connection
 
 from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
+from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
 from annotator.project.backup.snapshot import unfinished_folder
@@ -36,7 +37,6 @@ from annotator.project.config import (
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
-from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
 from annotator.project.log import Log, Writer

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
+from annotator.project.audit.making import make
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import ProposalsReplaced, ProposedObject
 from annotator.project.database.schema import AnyRow, events, frames, labels, passes
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
 from annotator.project.log import Writer, require_writable
-from annotator.project.making import make
 from annotator.project.records import OWN, ProposalRecord, parsed, storable
 from annotator.project.rows import Terms
 from annotator.project.sources import (
@@ -27,7 +28,6 @@ from annotator.project.sources import (
     replace_open,
     source_tracks,
 )
-from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.project.adjusting import adjustment_in, unit_up
+from annotator.project.audit.events import hide_removed
 from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, moves, recordings
 from annotator.project.database.store import Store
-from annotator.project.events import hide_removed
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError

@@ -12,6 +12,8 @@ import numpy as np
 from sqlalchemy import func, select, true
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
+from annotator.project.audit.making import new_label, said_json
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.classes.values import (
     Values,
     borrowed,
@@ -28,10 +30,8 @@ from annotator.project.config import read_config
 from annotator.project.database.schema import columns_of, frames, labels
 from annotator.project.labels import NewLabel
 from annotator.project.log import Writer, import_action
-from annotator.project.making import new_label, said_json
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
-from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 
 # Minimum exact 3D IoU at which two boxes count as the same object.

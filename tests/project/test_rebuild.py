@@ -27,8 +27,8 @@ from store_samples import (
 )
 
 from annotator.project import Project, create_project
+from annotator.project.audit.events import as_one
 from annotator.project.changes import ImageBoxesSet, LabelCreated, LinkedLabel, TracksLinked
-from annotator.project.events import as_one
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError

@@ -24,9 +24,9 @@ from store_samples import (
 )
 
 from annotator.project import NewLabel, Project
+from annotator.project.audit.events import rows_json
 from annotator.project.changes import LabelCreated
 from annotator.project.database.schema import PACKED_FROM
-from annotator.project.events import rows_json
 from annotator.project.records import BOXES_2D, BoxRecord, ProposalRecord, ViewGeometry, storable
 from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView
 from annotator.types.errors import ProjectError

@@ -17,16 +17,7 @@ from sqlalchemy import Connection, func, insert, select, update
 from sqlalchemy.exc import DBAPIError
 
 from annotator.files import open_file
-from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
-from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
-from annotator.project.backup.take_in import copy_regular, new_project
-from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.generation import has_foreign_wal, wal_of
-from annotator.project.database.migrations import UNRELEASED, application_problem
-from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.events import (
+from annotator.project.audit.events import (
     CLASSES,
     Event,
     RowChange,
@@ -39,6 +30,15 @@ from annotator.project.events import (
     rebuild,
     without_track_index,
 )
+from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
+from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
+from annotator.project.backup.take_in import copy_regular, new_project
+from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
+from annotator.project.database.generation import has_foreign_wal, wal_of
+from annotator.project.database.migrations import UNRELEASED, application_problem
+from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 

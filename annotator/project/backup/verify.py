@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection
 
 from annotator.files import sha256_of
+from annotator.project.audit.events import rebuild
 from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
 from annotator.project.backup.snapshot import (
     database_problems,
@@ -25,7 +26,6 @@ from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.generation import has_foreign_wal
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
-from annotator.project.events import rebuild
 from annotator.types.errors import ProjectError
 from annotator.types.messages import amount, first_few
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
 
+from annotator.project.audit.events import CLASSES
+from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.classes.attributes import Relabelling
 from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
-from annotator.project.events import CLASSES
 from annotator.project.log import Writer
 from annotator.project.records import SaidRecord, parsed
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
 from annotator.project.sources import show_others
-from annotator.project.writing import Write, WriteContext
 from annotator.types import ReviewState, Source
 
 KIND = "classes_changed"

@@ -225,35 +225,36 @@ CREATE TABLE events (
 # track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what
 # each source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box:
 # as the recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
+# Short columns come first: a query of many rows reads no further.
 _LABELS = """
 CREATE TABLE labels (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     uid TEXT NOT NULL UNIQUE,
     frame_id INTEGER NOT NULL REFERENCES frames (id),
     class_id INTEGER NOT NULL REFERENCES classes (id),
-    box TEXT NOT NULL,
-    score REAL,
-    source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
+    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1)),
     state TEXT NOT NULL CHECK (state IN ('proposed', 'accepted', 'edited', 'rejected')),
-    author TEXT NOT NULL,
-    time_ns INTEGER NOT NULL,
+    source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
+    score REAL,
     track_id INTEGER,
     track_linked BOOLEAN NOT NULL CHECK (track_linked IN (0, 1)),
-    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
-    attributes TEXT NOT NULL,
-    values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
-    origin TEXT,
-    image_box TEXT,
-    suggestion TEXT,
-    said TEXT,
-    proposed_box TEXT,
     view_disagreement REAL,
     kept_share REAL,
     last_change REAL,
     image_agreement REAL,
     expected_iou_loss REAL,
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
     run_id INTEGER REFERENCES runs (id),
-    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1))
+    origin TEXT,
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    box TEXT NOT NULL,
+    proposed_box TEXT,
+    attributes TEXT NOT NULL,
+    image_box TEXT,
+    suggestion TEXT,
+    said TEXT
 )
 """
 _IMAGE_LABELS = """
@@ -309,10 +310,10 @@ CREATE TABLE passes (
 # What people see: without the labels and boxes of removed recordings.
 _SHOWN_LABELS = """
 CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id, classes.name AS label,
-    labels.box, labels.score, labels.source, labels.state, labels.author, labels.time_ns, labels.track_id,
-    labels.track_linked, labels.box_kind, labels.attributes, labels.values_set, labels.origin, labels.image_box,
-    labels.suggestion, labels.said, labels.proposed_box, labels.view_disagreement, labels.kept_share,
-    labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.run_id
+    labels.state, labels.source, labels.score, labels.track_id, labels.track_linked, labels.view_disagreement,
+    labels.kept_share, labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind,
+    labels.values_set, labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box,
+    labels.attributes, labels.image_box, labels.suggestion, labels.said
 FROM labels LEFT JOIN classes ON classes.id = labels.class_id WHERE labels.hidden = 0
 """
 _SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"

@@ -1,6 +1,6 @@
 """The tables of a project, read from what the migrations make; they are the truth.
 
-What people change lies in six tables. One door (`writing.py`) writes a changed row, and with it a row of `events`, the
+What people change lies in six tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
 `[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
 

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, select
 
+from annotator.project.audit.events import Effort, Event, RowChange, event_of
 from annotator.project.database.schema import events
-from annotator.project.events import Effort, Event, RowChange, event_of
 from annotator.project.records import BOXES_2D, parsed
 from annotator.types import Box2D, ReviewState
 

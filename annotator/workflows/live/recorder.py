@@ -23,9 +23,9 @@ from types import TracebackType
 from typing import IO
 
 from annotator.project import Project
+from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
 from annotator.project.proposals import RunShare
-from annotator.project.writing import WriteContext
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording, open_recording

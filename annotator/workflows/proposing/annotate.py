@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 
+from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
 from annotator.project.project import Project
 from annotator.project.proposals import RunShare
-from annotator.project.writing import WriteContext
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source

@@ -23,16 +23,16 @@ from sqlalchemy import Connection, bindparam, func, select
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
 from annotator.project.adjustments import make_stale
+from annotator.project.audit.events import CLASSES, Effort, Event, Key, RowChange, as_one, event_of, read_row, rows_of
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, fitting
 from annotator.project.classes.changing import made_changes, values_after
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, recordings
-from annotator.project.events import CLASSES, Effort, Event, Key, RowChange, as_one, event_of, read_row, rows_of
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
-from annotator.project.writing import Receipt, Write, WriteContext
 from annotator.types import Source
 from annotator.types.errors import HistoryError, TrackTakenError
 from annotator.types.label import AttributeValue

@@ -8,6 +8,7 @@ from typing import Any
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting import moved_box
+from annotator.project.audit.writing import Write
 from annotator.project.changes import (
     FrameAttributesSet,
     FrameFinalised,
@@ -34,7 +35,6 @@ from annotator.project.classes.values import Values, after_edit, checked, is_sam
 from annotator.project.database.schema import columns_of
 from annotator.project.records import ProposalRecord, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
-from annotator.project.writing import Write
 from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue

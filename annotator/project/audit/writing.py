@@ -9,10 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from annotator.project.config import ProjectConfig, read_config
-from annotator.project.database.schema import columns_of, packed
-from annotator.project.database.store import Store
-from annotator.project.events import (
+from annotator.project.audit.events import (
     Effort,
     Event,
     Key,
@@ -23,6 +20,9 @@ from annotator.project.events import (
     insert_event,
     read_row,
 )
+from annotator.project.config import ProjectConfig, read_config
+from annotator.project.database.schema import columns_of, packed
+from annotator.project.database.store import Store
 from annotator.project.rows import Row, Terms, driver_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError, TrackTakenError
