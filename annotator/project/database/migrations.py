@@ -307,14 +307,16 @@ CREATE TABLE passes (
     content PACKED_TEXT NOT NULL
 )
 """
-# What people see: without the labels and boxes of removed recordings.
+# What people see: without the labels and boxes of removed recordings. A join with the classes would be made for every
+# query, and keep SQLite from choosing the order of others.
 _SHOWN_LABELS = """
-CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id, classes.name AS label,
-    labels.state, labels.source, labels.score, labels.track_id, labels.track_linked, labels.view_disagreement,
-    labels.kept_share, labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind,
-    labels.values_set, labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box,
-    labels.attributes, labels.image_box, labels.suggestion, labels.said
-FROM labels LEFT JOIN classes ON classes.id = labels.class_id WHERE labels.hidden = 0
+CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id,
+    (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label, labels.state, labels.source,
+    labels.score, labels.track_id, labels.track_linked, labels.view_disagreement, labels.kept_share,
+    labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind, labels.values_set,
+    labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box, labels.attributes,
+    labels.image_box, labels.suggestion, labels.said
+FROM labels WHERE labels.hidden = 0
 """
 _SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"
 _SHOWN_VIEW_LABELS = "CREATE VIEW shown_view_labels AS SELECT * FROM view_labels WHERE hidden = 0"
@@ -373,9 +375,8 @@ _INDEXES = (
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
-    "CREATE INDEX labels_of_frame ON labels (frame_id, state)",
-    "CREATE INDEX labels_by_state ON labels (state, class_id) WHERE hidden = 0",
-    "CREATE INDEX labels_by_class ON labels (class_id, state)",
+    "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden)",
+    "CREATE INDEX labels_by_class ON labels (class_id, state, hidden)",
     "CREATE INDEX labels_of_track ON labels (track_id) WHERE track_id IS NOT NULL",
     # an object has one box in a frame
     "CREATE UNIQUE INDEX one_box_a_track ON labels (frame_id, track_id) "

@@ -81,7 +81,7 @@ def _tables() -> MetaData:
             columns = [
                 Column(
                     column,
-                    _TYPES[kind](),
+                    _TYPES[kind or "TEXT"](),  # the name of a class in a view has none
                     *([ForeignKey(to[column])] if column in to else []),
                     primary_key=bool(is_key),
                     nullable=not (is_required or is_key),
