@@ -20,8 +20,8 @@ from annotator.detection.pretrained import has_base
 from annotator.evaluation.report import Report
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
-from annotator.project.log.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
+from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording

@@ -13,7 +13,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import Effort, Project, StoredFrame, WriteContext
 from annotator.project.boxes import png
-from annotator.project.log.event_types import Payload
+from annotator.project.changes import Payload
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth

@@ -29,8 +29,8 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.boxes import png
-from annotator.project.log.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
+from annotator.project.records import BoxRecord
 from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView

@@ -20,10 +20,10 @@ import numpy as np
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, Project, RunShare, WriteContext, create_project, open_project
+from annotator.project.changes import LabelAccepted, LabelEdited, Payload, ProposalsReplaced, ProposedObject
 from annotator.project.jobs import record_result
-from annotator.project.log.event_types import LabelAccepted, LabelEdited, Payload, ProposalsReplaced, ProposedObject
-from annotator.project.log.records import BoxRecord, ProposalRecord
-from annotator.project.log.writing import Writer
+from annotator.project.log import Writer
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.workflows.importing import BoxFormat, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue

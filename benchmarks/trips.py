@@ -153,7 +153,7 @@ def trip(project: Project, out: Path, format: ExportFormat) -> ExportReport:
     is_flat = format is ExportFormat.COCO
     with project.store.write() as connection:
         connection.exec_driver_sql("UPDATE labels SET attributes = '{}'" if is_flat else "DELETE FROM labels")
-        connection.exec_driver_sql("DELETE FROM frame_attributes")
+        connection.exec_driver_sql("UPDATE frames SET attributes = NULL")
     if is_flat:
         left_out = import_image_boxes(project, out, None).of(Note.VALUE)
     else:

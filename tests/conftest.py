@@ -159,14 +159,6 @@ def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Pat
 
 
 @pytest.fixture
-def older_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tracks may have two boxes in a frame, as a repair can leave them."""
-    from annotator.project.log import writing
-
-    monkeypatch.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
-
-
-@pytest.fixture
 def own_copy(generated: Path, tmp_path: Path) -> Callable[[str], Path]:
     """A copy of a generated recording that the test may change: `own_copy("people")`."""
 

@@ -15,8 +15,8 @@ from annotator.cli.options import AsJson, ProjectName, Projects, names_in, open_
 from annotator.cli.output import print_facts, print_json, print_line
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
-from annotator.project.classes.applying import ClassCounts
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
+from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassRow, list_classes
 from annotator.project.project import change_classes

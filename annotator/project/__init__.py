@@ -1,16 +1,16 @@
 """Projects: the folder, its SQLite database, migrations and label events."""
 
 from annotator.project.adjustments import Basis
+from annotator.project.audit.events import Effort, Event
+from annotator.project.audit.history import History, Reverted
+from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.boxes import ImageBoxes, ViewBoxes
+from annotator.project.changes import Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
-from annotator.project.log.event_types import Origin
-from annotator.project.log.events import Effort, Event
-from annotator.project.log.history import History, Reverted
-from annotator.project.log.records import ViewGeometry
-from annotator.project.log.writing import FramePart, Receipt, WriteContext, new_action
+from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import (
     ListedProject,
@@ -21,6 +21,7 @@ from annotator.project.project import (
 )
 from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
+from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
 
 __all__ = [

@@ -6,15 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, bindparam, select, update
 
-from annotator.project.adjusting import Adjustment, Moves, between, read_adjustment, unit_up
+from annotator.project.adjusting import Adjustment, adjustment_in, adjustment_row, moving, unit_up
+from annotator.project.audit.events import Effort, read_events
+from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.database.schema import adjustments, events, frames
-from annotator.project.log.event_types import RecordingAdjusted
-from annotator.project.log.events import Effort
-from annotator.project.log.writing import Receipt, WriteContext, Writer
+from annotator.project.log import Writer, new_action, require_writable
+from annotator.project.recordings import ADJUSTED
 from annotator.types import Correction
 from annotator.types.errors import ProjectError, StaleRevisionError
+
+KIND = "recording_adjusted"
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,10 @@ class Adjustments:
     def corrected(self) -> frozenset[int]:
         """Recordings whose calibration has been corrected, present or not."""
         with self.writer.store.read() as connection:
-            return Moves(connection).corrected
+            made = read_events(connection, select(events).where(events.c.kind == KIND))
+            changed = [row for event in made for row in event.rows if row.table == "adjustments"]
+            corrections = {int(row.key): (row.after or {}).get("correction") for row in changed}
+            return frozenset(id for id, stored in corrections.items() if stored and moving(stored) is not None)
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
@@ -72,13 +78,7 @@ class Adjustments:
             StaleRevisionError: someone else has adjusted the recording since.
             ProjectError: the recording has no frames.
         """
-
-        def corrected(present: Adjustment) -> Adjustment:
-            T = between(present.correction, correction)
-            up = present.up
-            return Adjustment(up if up is None or T is None else unit_up(T.rotation.apply(up)), correction)
-
-        return self._set(recording_id, author, corrected, basis)
+        return self._set(recording_id, author, lambda present: present.corrected(correction), basis)
 
     def _set(
         self,
@@ -98,10 +98,22 @@ class Adjustments:
             frame = connection.execute(first.order_by(frames.c.position.nulls_last(), frames.c.id).limit(1)).first()
             if frame is None:
                 raise ProjectError(f"recording {recording_id} has no such frame; nothing was changed")
-            new = change(read_adjustment(connection, recording_id))
-            payload = RecordingAdjusted(recording=recording_id, up=new.up, correction=new.correction)
+            before, _ = adjustment_in(connection.execute(ADJUSTED, {"recording": recording_id}).one())
+            row = adjustment_row(recording_id, change(before))
             context = WriteContext(frame.revision, author, effort=basis.effort)
-            return self.writer.to_frame_in(connection, frame.id, (payload,), context)
+            where = require_writable(connection, frame.id, context)
+            write = Write(self.writer.store, self.writer.folder, connection, frame.id, where, context, new_action())
+            write.put("adjustments", recording_id, row)
+            write.event(KIND)
+            receipt = write.finish()
+            make_stale(connection, recording_id, frame.id)
+            return receipt
+
+
+def make_stale(connection: Connection, recording_id: int, frame_id: int) -> None:
+    """Gives the other frames of a recording a new revision: changes based on the earlier geometry are refused."""
+    others = (frames.c.recording_id == recording_id) & (frames.c.id != frame_id)
+    connection.execute(update(frames).where(others).values(revision=frames.c.revision + 1))
 
 
 # Built once, since building this frequent query takes longer than running it.

@@ -15,10 +15,12 @@ from jaxtyping import UInt8
 from sqlalchemy import Connection, bindparam, select
 
 from annotator.files import open_file, read_file, write_atomic
+from annotator.project.audit.writing import Receipt, WriteContext
+from annotator.project.changes import ImageBoxesSet, ViewBoxesSet
 from annotator.project.database.schema import AnyRow, frames, image_labels, labels, view_labels
-from annotator.project.log.event_types import ImageBoxesSet, ViewBoxesSet
-from annotator.project.log.records import BOXES_2D, ViewGeometry, parsed, storable
-from annotator.project.log.writing import Receipt, WriteContext, Writer
+from annotator.project.log import Writer
+from annotator.project.records import ViewGeometry, storable
+from annotator.project.rows import Terms
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
@@ -221,7 +223,8 @@ class Boxes:
             query = query.where(frames.c.recording_id.in_(recordings))
         ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
         with self.writer.store.read() as connection:
-            return tuple(map(_image_boxes, connection.execute(ordered)))
+            terms = Terms(connection)
+            return tuple(_image_boxes(row, terms) for row in connection.execute(ordered))
 
     def frames_with_images(self) -> frozenset[int]:
         """Ids of the frames with a labelled camera image."""
@@ -252,7 +255,8 @@ class Boxes:
         """All labelled pseudo-views of the project, including those without a frame."""
         query = select(view_labels).order_by(view_labels.c.event_id)
         with self.writer.store.read() as connection:
-            return tuple(map(_view_boxes, connection.execute(query)))
+            terms = Terms(connection)
+            return tuple(_view_boxes(row, terms) for row in connection.execute(query))
 
 
 # Built once, since building these frequent queries takes longer than running them.
@@ -263,29 +267,19 @@ _ON_VIEWS = select(view_labels).where(view_labels.c.frame_id == bindparam("frame
 def read_image_boxes(connection: Connection, frame_id: int) -> ImageBoxes | None:
     """As `Boxes.on_image`, within the caller's transaction."""
     row = connection.execute(_ON_IMAGE, {"frame": frame_id}).first()
-    return None if row is None else _image_boxes(row)
+    return None if row is None else _image_boxes(row, Terms(connection))
 
 
 def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, ...]:
     """As `Boxes.on_views_of`, within the caller's transaction."""
-    return tuple(map(_view_boxes, connection.execute(_ON_VIEWS, {"frame": frame_id})))
+    terms = Terms(connection)
+    return tuple(_view_boxes(row, terms) for row in connection.execute(_ON_VIEWS, {"frame": frame_id}))
 
 
-@lru_cache(maxsize=1024)
-def _boxes(content: str) -> tuple[Box2D, ...]:
-    """Stored boxes, which a page reads again after each change of its frame."""
-    return parsed(BOXES_2D.validate_json, content)
-
-
-@lru_cache(maxsize=1024)
-def _geometry(content: str) -> ViewGeometry:
-    return parsed(ViewGeometry.model_validate_json, content)
-
-
-def _image_boxes(row: AnyRow) -> ImageBoxes:
+def _image_boxes(row: AnyRow, terms: Terms) -> ImageBoxes:
     return ImageBoxes(
         row.frame_id,
-        _boxes(row.boxes),
+        terms.boxes_2d(row.boxes),
         BoxKind(row.box_kind),
         row.author,
         row.time_ns,
@@ -294,15 +288,15 @@ def _image_boxes(row: AnyRow) -> ImageBoxes:
     )
 
 
-def _view_boxes(row: AnyRow) -> ViewBoxes:
+def _view_boxes(row: AnyRow, terms: Terms) -> ViewBoxes:
     return ViewBoxes(
         row.view_id,
         row.frame_id,
         row.revision,
-        _boxes(row.boxes),
+        terms.boxes_2d(row.boxes),
         BoxKind(row.box_kind),
         row.step,
-        None if row.geometry is None else _geometry(row.geometry),
+        terms.geometry(row.geometry, row.frame_id),
         row.author,
         row.time_ns,
         Source(row.source),

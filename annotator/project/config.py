@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import weakref
@@ -23,14 +24,11 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, select
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.project.database.schema import events
-from annotator.project.log.event_types import ClassesChanged
-from annotator.project.log.events import event_of
-from annotator.project.log.records import parsed
+from annotator.project.database.schema import class_changes
 from annotator.text import is_within
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
 from annotator.types.messages import first_problem
@@ -218,17 +216,21 @@ class _Version(BaseModel):
 
 # --- changes of `project.json` together with the database -------------------------------------------------------------
 # Both have the old classes or both the new ones, also after a kill. The new file is written beside the old one before
-# the transaction ends, under a name with the number of its event. Afterwards it takes the old one's place. After a
-# kill, the next process looks for that event: if the log has it, the transaction has ended well, and the new file
+# the transaction ends, under a name with the number of its change. Afterwards it takes the old one's place. After a
+# kill, the next process looks for that change: if the table has it, the transaction has ended well, and the new file
 # counts; otherwise it is removed.
 
-_PREPARED = f"{CONFIG_FILE}.event-"
+_PREPARED = f"{CONFIG_FILE}.change-"
 
 
-def prepare_config(folder: Path, config: ProjectConfig, connection: Connection) -> Path:
-    """Writes the configuration that counts once the transaction of `connection` has ended; returns its file."""
-    newest = connection.execute(select(func.max(events.c.id))).scalar()
-    path = folder / f"{_PREPARED}{newest}"
+def config_hash(config: ProjectConfig) -> str:
+    """SHA-256 (hex) of a configuration's file."""
+    return hashlib.sha256(config_bytes(config)).hexdigest()
+
+
+def prepare_config(folder: Path, config: ProjectConfig, number: int) -> Path:
+    """Writes the configuration that counts once the transaction of a change has ended; returns its file."""
+    path = folder / f"{_PREPARED}{number}"
     try:
         write_atomic(path, config_bytes(config))
     except OSError as error:
@@ -253,18 +255,12 @@ def take_config(folder: Path, connection: Connection) -> ProjectConfig:
 
 
 def _counts(path: Path, connection: Connection) -> bool:
-    """Whether the log has the event, and not another one with its number, of a transaction that came later."""
+    """Whether the table has the change, and not another one with its number, of a transaction that came later."""
     number = path.name.removeprefix(_PREPARED)
     if not number.isdecimal():
         return False
-    row = connection.execute(select(events).where(events.c.id == int(number))).first()
-    if row is None or row.kind != "classes_changed":
-        return False
-    payload, config = event_of(row).payload, parsed(ProjectConfig.model_validate_json, read_file(path).decode())
-    return isinstance(payload, ClassesChanged) and (payload.names, payload.attributes) == (
-        config.classes,
-        config.attributes,
-    )
+    query = select(class_changes.c.config).where(class_changes.c.id == int(number))
+    return connection.execute(query).scalar() == hashlib.sha256(read_file(path)).hexdigest()
 
 
 # --- the folder: in use, renamed, set aside ---------------------------------------------------------------------------

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, bindparam, func, select
 
-from annotator.project.classes.applying import frame_values, values_of
-from annotator.project.database.schema import AnyRow, frame_attributes, frames
-from annotator.project.log.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
-from annotator.project.log.writing import Receipt, WriteContext, Writer
+from annotator.project.audit.writing import Receipt, WriteContext
+from annotator.project.changes import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.database.schema import AnyRow, frames
+from annotator.project.log import Writer
 from annotator.project.recordings import KEPT
+from annotator.project.rows import values_of
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 
@@ -84,8 +85,9 @@ class Frames:
 
     def attributes(self) -> dict[int, dict[str, AttributeValue]]:
         """Values of the attributes of all frames that have any, by the frame's id."""
+        query = select(frames.c.id, frames.c.attributes).where(frames.c.attributes.is_not(None), KEPT)
         with self.writer.store.read() as connection:
-            return {row.frame_id: values_of(row.attributes) for row in connection.execute(select(frame_attributes))}
+            return {row.id: values_of(row.attributes) for row in connection.execute(query)}
 
     def attributes_of(self, frame_id: int) -> dict[str, AttributeValue]:
         """Values of the attributes of one frame."""
@@ -121,8 +123,9 @@ class Frames:
         return self.writer.to_frame(frame_id, (FrameReopened(),), context)
 
 
-# Built once, since building this frequent query takes longer than running it.
+# Built once, since building these frequent queries takes longer than running them.
 _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
+_VALUES = select(frames.c.attributes).where(frames.c.id == bindparam("frame"), KEPT)
 
 
 def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
@@ -131,6 +134,11 @@ def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     return frame_of(row)
+
+
+def frame_values(connection: Connection, frame_id: int) -> dict[str, AttributeValue]:
+    """The values of a frame."""
+    return values_of(connection.execute(_VALUES, {"frame": frame_id}).scalar())
 
 
 def frame_of(row: AnyRow) -> StoredFrame:

@@ -8,26 +8,25 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, Select, bindparam, func, select
 
-from annotator.project.classes.applying import values_of
-from annotator.project.classes.attributes import AttributeOf
-from annotator.project.classes.completing import kept_proposals, labels_of_tracks
-from annotator.project.config import read_config
-from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.log.event_types import (
+from annotator.project.audit.writing import Receipt, WriteContext
+from annotator.project.changes import (
     LabelAccepted,
     LabelAttributesSet,
     LabelCreated,
     LabelDeleted,
     LabelEdited,
+    LabelMoved,
     LabelRejected,
-    LabelRestored,
     Origin,
 )
-from annotator.project.log.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
-from annotator.project.log.undo_state import label_state
-from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.project.classes.attributes import AttributeOf
+from annotator.project.classes.values import is_kept, labels_of_tracks
+from annotator.project.config import read_config
+from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
+from annotator.project.log import FramePart, Writer
+from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
 from annotator.project.review import (
     By,
     Formula,
@@ -37,6 +36,7 @@ from annotator.project.review import (
     waiting_sources,
     worst_of_frames,
 )
+from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -147,9 +147,9 @@ class Labels:
         """One label."""
         with self.writer.store.read() as connection:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
-        if row is None:
-            raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
-        return stored_label(row)
+            if row is None:
+                raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
+            return stored_label(row, Terms(connection))
 
     def select(
         self,
@@ -163,7 +163,8 @@ class Labels:
         query = _filtered(select(labels), states, recordings, classes)
         ordered = _in_order(query if tracks is None else query.where(labels.c.track_id.in_(tracks)))
         with self.writer.store.read() as connection:
-            return tuple(map(stored_label, connection.execute(ordered)))
+            terms = Terms(connection)
+            return tuple(stored_label(row, terms) for row in connection.execute(ordered))
 
     def recent_boxes(
         self, most: int, *, label: str | None = None, recording: int | None = None
@@ -182,13 +183,11 @@ class Labels:
             ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]
             query = select(labels.c.box, labels.c.frame_id, frames.c.recording_id, labels.c.track_id)
             query = query.join_from(labels, frames, frames.c.id == labels.c.frame_id).where(labels.c.id.in_(ids))
-            rows = connection.execute(query.order_by(labels.c.id.desc())).all()
-        return tuple(
-            ReviewedBox(
-                parsed(BoxRecord.model_validate_json, row.box).box(), row.frame_id, row.recording_id, row.track_id
+            terms, rows = Terms(connection), connection.execute(query.order_by(labels.c.id.desc())).all()
+            return tuple(
+                ReviewedBox(terms.box(row.box, row.frame_id), row.frame_id, row.recording_id, row.track_id)
+                for row in rows
             )
-            for row in rows
-        )
 
     def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
         """Number of labels; None = no condition."""
@@ -263,7 +262,7 @@ class Labels:
     ) -> tuple[tuple[int, Receipt], ...]:
         """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
 
-        A proposal of which a person has set values is not replaced by automatic passes (`kept_proposals`).
+        A proposal of which a person has set values is not replaced by automatic passes (`kept`).
 
         Returns:
             The changed frames with their receipts, that of the label first.
@@ -291,17 +290,21 @@ class Labels:
             return tuple(zip(payloads, self.writer.to_frames_in(connection, parts), strict=True))
 
     def kept(self, frame_id: int) -> frozenset[str]:
-        """Uids of the frame's proposals that no automatic pass replaces, as `kept_proposals`."""
+        """Uids of the frame's proposals that no automatic pass replaces, as `classes.values.is_kept`."""
         with self.writer.store.read() as connection:
-            return kept_proposals(connection, read_config(self.writer.folder).attributes, frame_id)
+            rows = connection.execute(_VALUES_SET, {"frame": frame_id}).all()
+            if not rows:
+                return frozenset()
+            attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
+            return frozenset(
+                row.uid
+                for row in rows
+                if is_kept(dict(row._mapping), row.label, terms.said(row.said, frame_id), attributes)
+            )
 
-    def with_box(self, uid: str, box: OrientedBox) -> LabelRestored:
-        """The event that gives a label another box, and keeps all else that is known of it, its review state too."""
-        with self.writer.store.read() as connection:
-            former = label_state(connection, uid)
-        if former is None:
-            raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
-        return LabelRestored(uid=uid, former=former.model_copy(update={"box": BoxRecord.of(box)}))
+    def with_box(self, uid: str, box: OrientedBox) -> LabelMoved:
+        """The change that gives a label another box, and keeps all else that is known of it, its review state too."""
+        return LabelMoved(uid=uid, box=BoxRecord.of(box))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
@@ -329,22 +332,27 @@ def _created(entry: NewLabel) -> LabelCreated:
     )
 
 
+# Built once, since building this frequent query takes longer than running it.
+_VALUES_SET = select(labels).where(labels.c.frame_id == bindparam("frame"), labels.c.values_set.is_(True))
+
+
 def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     """The labels of one frame, within the caller's transaction."""
-    return tuple(map(_label, connection.execute(LABELS_OF_FRAME, {"frame": frame_id})))
+    terms = Terms(connection)
+    return tuple(stored_label(row, terms).label for row in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
 
 
-@lru_cache(maxsize=4096)
-def _box(content: str) -> OrientedBox:
-    """A stored box. A page reads all boxes of its frame again after each change of one."""
-    return parsed(BoxRecord.model_validate_json, content).box()
+def stored_label(row: AnyRow, terms: Terms) -> StoredLabel:
+    """The label of a table row; the same object for an equal row, as long as it is remembered."""
+    return _stored_label(row, terms.key, terms.correction(row.frame_id))
 
 
-def _label(row: AnyRow) -> Label:
-    return Label(
+@lru_cache(maxsize=2048)
+def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLabel:
+    label = Label(
         row.uid,
         row.label,
-        _box(row.box),
+        box_of(row.box, correction),
         row.score,
         Source(row.source),
         ReviewState(row.state),
@@ -356,19 +364,20 @@ def _label(row: AnyRow) -> Label:
         BoxKind(row.box_kind),
         values_of(row.attributes),
     )
-
-
-@lru_cache(maxsize=2048)
-def stored_label(row: AnyRow) -> StoredLabel:
-    """The label of a table row; the same object for an equal row, as long as it is remembered."""
-    origin = None if row.origin is None else Origin(row.origin)
-    image_box = box_2d_of(row.image_box)
-    linked, said = row.track_linked, said_of(row.said)
-    return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, image_box, linked, said)
+    return StoredLabel(
+        row.frame_id,
+        label,
+        _quality(row),
+        row.run_id,
+        None if row.origin is None else Origin(row.origin),
+        box_2d_of(row.image_box, names),
+        row.track_linked,
+        () if row.said is None else said_of(row.said, names, correction),
+    )
 
 
 def _quality(row: AnyRow) -> Quality | None:
-    if row.proposal_event_id is None:
+    if row.proposed_box is None:
         return None
     # SQLite stores NaN as NULL
     disagreement, kept_share, last_change = (

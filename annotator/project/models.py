@@ -12,7 +12,7 @@ from sqlalchemy import Connection, insert, select, update
 from annotator.files import sha256_of
 from annotator.project.database.schema import AnyRow, models
 from annotator.project.database.store import Store
-from annotator.project.log.records import parsed
+from annotator.project.records import parsed
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import NotFoundError, ProjectError
 

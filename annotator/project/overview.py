@@ -11,12 +11,13 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
-from annotator.project.classes.applying import ClassCounts, frame_values
 from annotator.project.classes.attributes import Attribute, ClassStyle
+from annotator.project.classes.counts import ClassCounts
 from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
+from annotator.project.rows import Terms, values_of
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
@@ -77,9 +78,10 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
-        stored = tuple(map(stored_label, connection.execute(LABELS_OF_FRAME, {"frame": frame_id})))
+        terms = Terms(connection)
+        stored = tuple(stored_label(each, terms) for each in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
-        values = frame_values(connection, frame_id)
+    values = values_of(row.attributes)
     return FramePage(frame, previous, following, name, stored, boxes, views, values)
 
 
@@ -131,8 +133,10 @@ def list_frames(
         ids = [frame.id for frame in shown]
         on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
         boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
-        rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id)).all()
-    return tuple(_frame_rows(shown, boxes, [stored_label(row) for row in rows])), total
+        rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
+        terms = Terms(connection)
+        stored = [stored_label(row, terms) for row in rows]
+    return tuple(_frame_rows(shown, boxes, stored)), total
 
 
 def _frame_rows(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,19 +14,15 @@ from sqlalchemy import Connection
 
 from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
+from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
-from annotator.project.classes.applying import (
-    ClassChanges,
-    ClassCounts,
-    class_counts,
-    made_changes,
-    require_fitting,
-    value_counts,
-)
 from annotator.project.classes.attributes import Relabelling
+from annotator.project.classes.changing import change_classes as change_rows
+from annotator.project.classes.changing import made_changes
+from annotator.project.classes.counts import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -43,14 +39,11 @@ from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Cloc
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
-from annotator.project.log.event_types import ClassesChanged
-from annotator.project.log.history import History
-from annotator.project.log.writing import Log, Writer
+from annotator.project.log import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
-from annotator.project.recordings import Recordings, with_removed
-from annotator.project.sources import without_classes
+from annotator.project.recordings import Recordings
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.types.errors import ProjectError
 
@@ -144,8 +137,8 @@ class Project:
                 old = take_config(self.path, connection)
                 made = edit(old)
                 new = made.config
-                if self._has_changed_classes(connection, old, made, author):
-                    ahead = prepare_config(self.path, new, connection)
+                if (number := self._change_classes(connection, old, made, author)) is not None:
+                    ahead = prepare_config(self.path, new, number)
                 elif new != old:
                     write_config(self.path, new)
         except BaseException:
@@ -156,30 +149,26 @@ class Project:
         with self.store.read() as connection:
             return take_config(self.path, connection) if ahead is not None else new
 
-    def _has_changed_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> bool:
+    def _change_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> int | None:
         new = made.config
         is_same = all(getattr(new, name) == getattr(old, name) for name in ("classes", "class_styles", "attributes"))
         if is_same and made.change == Relabelling():
-            return False
-        payload = ClassesChanged(
-            names=new.classes, styles=new.class_styles, attributes=new.attributes, change=made.change
-        )
-        with with_removed(connection) if _concerns_labels(old, made) else nullcontext():
-            shown = without_classes(connection, made.change.removed, old) if made.change.removed else ()
-            self._writer.to_classes_in(connection, payload, author, shown)
-            if removed := sorted(set(class_counts(connection)) & set(old.classes) - set(new.classes)):
-                raise ProjectError(
-                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; give "
-                    "them another class (--into on the command line), or remove them, too (--with-boxes); recordings "
-                    "that were removed may have some"
-                )
-            require_fitting(connection, old.attributes, new.attributes)
-        return True
+            return None
+        number = change_rows(self._writer, connection, old, new, made.change, author)
+        gone = set(old.classes) - set(new.classes)
+        if used := sorted(gone & class_counts(connection, removed=True).keys()) if gone else []:
+            raise ProjectError(
+                f"project {old.name}: {', '.join(map(repr, used))} cannot be removed while boxes use it; give them "
+                "another class (--into on the command line), or remove them, too (--with-boxes); recordings that "
+                "were removed may have some"
+            )
+        require_fitting(connection, old.attributes, new.attributes)
+        return number
 
     def class_changes(self, since_ns: int) -> tuple[Relabelling, ...]:
         """What changes of the classes after a time (UTC nanoseconds since the epoch) did to labels, in order."""
         with self.store.read() as connection:
-            return ClassChanges(connection).after_time(since_ns)
+            return tuple(made.change for made in made_changes(connection) if made.time_ns > since_ns)
 
     def class_changes_after(self, event_id: int) -> tuple[tuple[str, Relabelling], ...]:
         """The changes of the classes after an event, with their authors, in order."""
@@ -221,16 +210,6 @@ class Project:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _concerns_labels(old: ProjectConfig, made: ClassEdit) -> bool:
-    """Whether a change needs the stored labels: it changes them, or requires that they fit it."""
-    before = {each.name: each for each in old.attributes}
-    return (
-        made.change != Relabelling()
-        or not set(old.classes) <= set(made.config.classes)
-        or not all(each.has_same_values(before.get(each.name)) for each in made.config.attributes)
-    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,19 +9,26 @@ from dataclasses import dataclass, replace
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
-from annotator.project.adjusting import Moves
-from annotator.project.classes.completing import kept_proposals
-from annotator.project.config import read_config
-from annotator.project.database.schema import events, frames, labels
+from annotator.project.audit.making import make
+from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.changes import ProposalsReplaced, ProposedObject
+from annotator.project.database.schema import AnyRow, events, frames, labels, passes
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
-from annotator.project.log.event_types import ProposalsReplaced, ProposedObject
-from annotator.project.log.events import Event, event_of
-from annotator.project.log.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
-from annotator.project.log.writing import Receipt, WriteContext, Writer, require_writable
-from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, covered_by, source_tracks
+from annotator.project.log import Writer, require_writable
+from annotator.project.records import OWN, ProposalRecord, parsed, storable
+from annotator.project.rows import Terms
+from annotator.project.sources import (
+    KIND,
+    Brought,
+    OpenProposals,
+    SourceTracks,
+    bring,
+    covered_by,
+    replace_open,
+    source_tracks,
+)
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
-from annotator.types.errors import RESTORE, ProjectError
 
 
 @dataclass(frozen=True)
@@ -122,8 +128,9 @@ class Proposals:
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
-            config = read_config(self.writer.folder)
-            kept = kept_proposals(connection, config.attributes, frame_id)
+            write = Write(self.writer.store, self.writer.folder, connection, frame_id, where, context)
+            before = OpenProposals.of(write)
+            kept = before.kept
             staying = [
                 label
                 for label in read_labels(connection, frame_id)
@@ -150,15 +157,18 @@ class Proposals:
                     box_kind=box_kind,
                     kept=tuple(sorted(kept)),
                 )
-            own = [_own(entry, box_kind) for entry in objects if entry.covered_by is None]
-            beside = beside_new_pass(connection, frame_id, own, config.classes, kept)
-            payloads = (payload,) if beside is None else (payload, beside)
-            receipt = self.writer.to_frame_in(connection, frame_id, payloads, context)
+                make(write, payload)
+                if before.others:
+                    # one object stays one proposal; those of ours that were hidden are replaced, too
+                    replace_open(write, [each for each in before.others if each.source != OWN])
+                    write.event(KIND)
+            receipt = write.finish()
             if run is not None:
-                time_ns = self.writer.store.clock()
-                record_result(connection, run.run_id, frame_id, run.seconds, time_ns=time_ns, proposals=len(proposals))
-        hidden = frozenset[str]() if beside is None else frozenset(beside.hidden)
-        uids = tuple(entry.uid if entry.covered_by is None and entry.uid not in hidden else None for entry in objects)
+                record_result(
+                    connection, run.run_id, frame_id, run.seconds, time_ns=write.time_ns, proposals=len(proposals)
+                )
+            shown = {row["uid"] for row in write.labels()}
+        uids = tuple(entry.uid if entry.uid in shown else None for entry in objects)
         return Replaced(uids, uids.count(None), receipt)
 
     def bring(
@@ -178,62 +188,26 @@ class Proposals:
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
         is_open = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
-        event_ids = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(is_open)
-        query = select(events.c.id, events.c.frame_id, events.c.payload).where(events.c.id.in_(event_ids))
-        boxes: dict[str, OrientedBox] = {}
+        query = select(labels.c.uid, labels.c.frame_id, labels.c.proposed_box)
+        query = query.join(frames, frames.c.id == labels.c.frame_id).where(is_open, labels.c.proposed_box.is_not(None))
         with self.writer.store.read() as connection:
-            moves = Moves(connection)
-            for row in connection.execute(query):
-                T = moves.since(row.frame_id, row.id)
-                for uid, box in parsed(_proposed, row.payload).items():
-                    boxes[uid] = box if T is None else box.transformed(T)
-        return boxes
+            terms = Terms(connection)
+            return {row.uid: terms.box(row.proposed_box, row.frame_id) for row in connection.execute(query)}
 
     def latest(self, frame_id: int) -> Pass | None:
         """The latest automatic pass over a frame, or None; its boxes have moved with the cloud, its traces have not."""
-        query = (
-            select(events)
-            .where(events.c.frame_id == frame_id, events.c.kind == "proposals_replaced")
-            .order_by(events.c.revision.desc())
-            .limit(1)
-        )
+        query = select(passes, events.c.author, events.c.time_ns).join(events, events.c.id == passes.c.event_id)
         with self.writer.store.read() as connection:
-            row = connection.execute(query).first()
-            return None if row is None else _pass(event_of(row), Moves(connection).since(frame_id, row.id))
+            row = connection.execute(query.where(passes.c.frame_id == frame_id)).first()
+            return None if row is None else _pass(row, Terms(connection).T_camera_cloud(frame_id))
 
 
-def _own(entry: ProposedObject, box_kind: BoxKind) -> SaidRecord:
-    """What a new proposal says, to be compared with boxes of other software."""
-    return SaidRecord(
-        uid=entry.uid,
-        source=OWN,
-        label=entry.proposal.label,
-        score=entry.proposal.score,
-        box=entry.proposal.box,
-        track_id=entry.track_id,
-        box_kind=box_kind,
-    )
-
-
-def _payload(event: Event) -> ProposalsReplaced:
-    if not isinstance(event.payload, ProposalsReplaced):
-        raise ProjectError(f"event {event.id} should hold proposals, not {event.payload.kind}; {RESTORE}")
-    return event.payload
-
-
-def _pass(event: Event, T: RigidTransform | None) -> Pass:
-    payload = _payload(event)
-    proposals = [entry.proposal.proposal() for entry in payload.objects]
+def _pass(row: AnyRow, T: RigidTransform | None) -> Pass:
+    stored = parsed(ProposalsReplaced.model_validate_json, row.content)
+    proposals = [entry.proposal.proposal() for entry in stored.objects]
     if T is not None:
         proposals = [replace(each, box=each.box.transformed(T)) for each in proposals]
     objects = tuple(
-        PassObject(entry.uid, entry.covered_by, each) for entry, each in zip(payload.objects, proposals, strict=True)
+        PassObject(entry.uid, entry.covered_by, each) for entry, each in zip(stored.objects, proposals, strict=True)
     )
-    return Pass(event.id, event.author, event.time_ns, payload.run, objects, payload.lost)
-
-
-def _proposed(content: str) -> dict[str, OrientedBox]:
-    """The proposed boxes in an event's payload, by label uid."""
-    payload = json.loads(content)
-    entries = payload.get("objects", [payload])
-    return {entry["uid"]: BoxRecord.model_validate(entry["proposal"]["box"]).box() for entry in entries}
+    return Pass(row.event_id, row.author, row.time_ns, row.run_id, objects, stored.lost)

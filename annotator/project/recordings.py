@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Table, bindparam, delete, func, insert, select, update
+from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.project.adjusting import adjustment_in, unit_up
-from annotator.project.database.schema import (
-    DERIVED,
-    AnyRow,
-    adjustments,
-    events,
-    frames,
-    labels,
-    moves,
-    recordings,
-    removed_rows,
-)
+from annotator.project.audit.events import hide_removed
+from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, moves, recordings
 from annotator.project.database.store import Store
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
@@ -32,11 +22,8 @@ from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 from annotator.types.messages import alternatives, amount, first_few
 
 # --- removed recordings -----------------------------------------------------------------------------------------------
-# Their events stay in the log, and the present state has nothing of them. A removed recording keeps its row, its frames
-# (without an index) and their events. What the events give lies in the table `removed_rows` and no longer in the
-# derived tables, so nothing that reads these needs to know of it. When the recording comes back, the rows return. Ids
-# of its labels are not given to others meanwhile, so that the state is always the one that a rebuild gives: undo refers
-# to them.
+# A removed recording keeps its row, its frames (without an index), their events, and all labels and boxes, which are
+# hidden: nothing that reads the views of the tables needs to know of it.
 
 REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
 """Ids of the removed recordings."""
@@ -44,84 +31,10 @@ REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
 KEPT = frames.c.recording_id.not_in(REMOVED)
 """Of frames: their recording is in the project."""
 
-# Built once, since building a statement takes longer than running it.
-_LAST_HIDDEN = select(func.max(removed_rows.c.label_id))
-
-# Rows in one step, which bounds memory.
-_BATCH = 1000
-
 
 def removed_recordings(connection: Connection) -> frozenset[int]:
     """Ids of the removed recordings."""
     return frozenset(connection.execute(REMOVED).scalars())
-
-
-def hide_removed(connection: Connection) -> None:
-    """Moves what the events give for removed recordings out of the tables of the present state."""
-    for recording_id in sorted(removed_recordings(connection)):
-        for table, of_recording in _rows_of(recording_id):
-            for row in connection.execute(select(table).where(of_recording)).mappings().partitions(_BATCH):
-                connection.execute(insert(removed_rows), [_hidden(recording_id, table, dict(each)) for each in row])
-            connection.execute(delete(table).where(of_recording))
-        gone = frames.c.recording_id == recording_id
-        connection.execute(update(frames).where(gone).values(position=None))
-
-
-def show_again(connection: Connection, recording_id: int) -> None:
-    """Moves the rows of a recording that comes back into the tables of the present state."""
-    of_recording = removed_rows.c.recording_id == recording_id
-    for table, _ in _rows_of(recording_id):
-        query = select(removed_rows.c.content).where(of_recording, removed_rows.c.name == table.name)
-        for contents in connection.execute(query.order_by(removed_rows.c.id)).scalars().partitions(_BATCH):
-            connection.execute(insert(table), [_shown(table, content) for content in contents])
-    connection.execute(delete(removed_rows).where(of_recording))
-
-
-@contextmanager
-def with_removed(connection: Connection) -> Iterator[None]:
-    """In the block, the tables of the present state also have what was removed: for changes of the whole project.
-
-    In a rebuild nothing is hidden yet, so it changes nothing there.
-    """
-    hidden = connection.execute(select(removed_rows.c.recording_id).distinct()).scalars().all()
-    for recording_id in hidden:
-        show_again(connection, recording_id)
-    yield
-    if hidden:
-        hide_removed(connection)
-
-
-def next_label_id(connection: Connection) -> int | None:
-    """The id of the next label; None if the database may choose it, as nothing is hidden."""
-    hidden = connection.execute(_LAST_HIDDEN).scalar()
-    return None if hidden is None else max(hidden, connection.execute(select(func.max(labels.c.id))).scalar() or 0) + 1
-
-
-def is_hidden(connection: Connection, label_id: int) -> bool:
-    """Whether a label of a removed recording has this id."""
-    return connection.execute(select(removed_rows.c.id).where(removed_rows.c.label_id == label_id)).first() is not None
-
-
-def _rows_of(recording_id: int) -> Iterator[tuple[Table, ColumnElement[bool]]]:
-    """Yields each other derived table, and the condition for the rows of a recording."""
-    ids = select(frames.c.id).where(frames.c.recording_id == recording_id)
-    for table in (each for each in DERIVED if each is not removed_rows):
-        if "frame_id" in table.c:
-            yield table, table.c.frame_id.in_(ids)
-        elif "recording_id" in table.c:
-            yield table, table.c.recording_id == recording_id
-        else:
-            yield table, table.c.event_id.in_(select(events.c.id).where(events.c.frame_id.in_(ids)))
-
-
-def _hidden(recording_id: int, table: Table, row: dict[str, object]) -> dict[str, object]:
-    label_id = row["id"] if table is labels else None
-    return {"recording_id": recording_id, "name": table.name, "label_id": label_id, "content": json.dumps(row)}
-
-
-def _shown(table: Table, content: str) -> dict[str, object]:
-    # the ids of views have no meaning, and may be taken
-    return {name: value for name, value in json.loads(content).items() if name != "id" or table is labels}
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
@@ -314,6 +227,7 @@ class Recordings:
             _recording(connection, recording_id)
             values = {"removed_ns": self.store.clock(), "removed_by": author}
             connection.execute(update(recordings).where(recordings.c.id == recording_id).values(values))
+            connection.execute(update(frames).where(frames.c.recording_id == recording_id).values(position=None))
             hide_removed(connection)
 
     def removed(self) -> tuple[StoredRecording, ...]:
@@ -331,14 +245,9 @@ class Recordings:
 
     def label_counts(self) -> dict[int, int]:
         """Numbers of labels by recording id, also of removed recordings."""
-        stored = select(frames.c.recording_id, func.count()).join(labels, labels.c.frame_id == frames.c.id)
-        hidden = select(removed_rows.c.recording_id, func.count()).where(removed_rows.c.label_id.is_not(None))
+        stored = select(frames.c.recording_id, func.count()).join(ALL_LABELS, ALL_LABELS.c.frame_id == frames.c.id)
         with self.store.read() as connection:
-            return {
-                recording: number
-                for query, by in ((stored, frames.c.recording_id), (hidden, removed_rows.c.recording_id))
-                for recording, number in connection.execute(query.group_by(by))
-            }
+            return {row[0]: row[1] for row in connection.execute(stored.group_by(frames.c.recording_id))}
 
     def used_keys(self, recording_id: int) -> frozenset[str]:
         """Keys of the frames, also of a removed recording, that the latest scan has found or that have events."""
@@ -399,12 +308,25 @@ def _query() -> Any:
     return select(recordings, count.label("frames"), *adjusted).outerjoin(adjustments)
 
 
+# The adjustment of a recording, for `adjustment_in`; built once, since building a query takes longer than running it.
+ADJUSTED = (
+    select(
+        recordings.c.up,
+        adjustments.c.up.label("adjusted_up"),
+        adjustments.c.correction,
+        adjustments.c.event_id.label("adjusted"),
+    )
+    .outerjoin(adjustments)
+    .where(recordings.c.id == bindparam("recording"))
+)
+
+
 def _bring_back(connection: Connection, before: StoredRecording) -> None:
     """Puts a removed recording back into the project, with its labels and boxes."""
     if before.removed_by is not None:
         back = {"removed_ns": None, "removed_by": None}
         connection.execute(update(recordings).where(recordings.c.id == before.id).values(back))
-        show_again(connection, before.id)
+        hide_removed(connection)
 
 
 def _recording(connection: Connection, recording_id: int, *, removed: bool = False) -> StoredRecording:

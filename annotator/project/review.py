@@ -11,10 +11,10 @@ from typing import Any
 from sqlalchemy import ColumnElement, Float, Integer, Select, Text, and_, case, cast, func, literal, null, select, true
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import AnyRow, frame_attributes, frames, labels
+from annotator.project.database.schema import AnyRow, frames, labels
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.log.records import OWN, sources_of
+from annotator.project.records import OWN, sources_of
 from annotator.types import ReviewState, Source
 
 
@@ -62,13 +62,10 @@ class ValueFilter:
 
     def _value(self) -> ColumnElement[str]:
         """The value as text; NULL without one."""
-        column = frame_attributes.c.attributes if self.of_frame else labels.c.attributes
+        column = frames.c.attributes if self.of_frame else labels.c.attributes
         values = func.json_each(column).table_valued("key", "value", "type")
         known = case((values.c.type.in_(("true", "false")), values.c.type), else_=cast(values.c.value, Text))
-        if not self.of_frame:
-            return select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
-        own = select(known).select_from(frame_attributes).join(values, true())
-        found = own.where(frame_attributes.c.frame_id == frames.c.id, values.c.key == self.name).scalar_subquery()
+        found = select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
         return found if self.usual is None else func.coalesce(found, literal(value_text(self.usual)))
 
 
@@ -206,7 +203,7 @@ def _doubt(formula: Formula) -> ColumnElement[float]:
     for signal in formula.signals:
         way = (labels.c[signal.name] - signal.good) / (signal.bad - signal.good)
         trust *= func.coalesce(1.0 - formula.most * func.min(func.max(way, 0.0), 1.0), 1.0)
-    unknown = and_(labels.c.proposal_event_id.is_(None), labels.c.score.is_(None))
+    unknown = and_(labels.c.proposed_box.is_(None), labels.c.score.is_(None))
     return case((unknown, null()), else_=cast(1.0 - trust, Float))
 
 

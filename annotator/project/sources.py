@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import uuid
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, func, select, true
+from sqlalchemy import func, select, true
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
-from annotator.project.classes.applying import values_of
-from annotator.project.classes.completing import borrowed, conflicts, given_back, kept_proposals, lent_names, without
-from annotator.project.config import ProjectConfig, read_config
-from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.labels import NewLabel, stored_label
-from annotator.project.log.event_types import CoveredBox, OwnProposal, ProposalsImported
-from annotator.project.log.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
-from annotator.project.log.writing import Receipt, WriteContext, Writer
-from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source
+from annotator.project.audit.making import new_label, said_json
+from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.classes.values import (
+    Values,
+    borrowed,
+    conflicts,
+    given_back,
+    is_kept,
+    lend,
+    lent_names,
+    new_values,
+    of_tracks,
+    without,
+)
+from annotator.project.config import read_config
+from annotator.project.database.schema import columns_of, frames, labels
+from annotator.project.labels import NewLabel
+from annotator.project.log import Writer, import_action
+from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
+from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
+from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
@@ -39,7 +51,15 @@ class Boxed(Protocol):
         """Camera frame."""
 
 
-def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[str | None]:
+class Known(Boxed, Protocol):
+    """A box with a uid, such as a `Label`."""
+
+    @property
+    def uid(self) -> str:
+        """Of the label."""
+
+
+def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Known]) -> list[str | None]:
     """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
     covering: list[str | None] = [None] * len(proposals)
     labels = list(reviewed)
@@ -105,8 +125,7 @@ def _certainty(said: SaidRecord) -> float:
 
 # --- storing what a source says ---------------------------------------------------------------------------------------
 
-# Built once, since building a statement takes longer than running it.
-_OF_FRAMES = select(labels).where(labels.c.frame_id.in_(bindparam("frames", expanding=True))).order_by(labels.c.id)
+KIND = "proposals_imported"
 
 
 @dataclass(frozen=True)
@@ -149,137 +168,70 @@ def bring(
     Returns:
         The results by frame id; finalised frames are left out, and stay as they are.
     """
+    columns, author = columns_of("labels"), author or source
     with writer.store.write() as connection:
-        config = read_config(writer.folder)
-        columns = select(frames.c.id, frames.c.revision, frames.c.finalised)
-        rows = connection.execute(columns.where(frames.c.id.in_(frames_boxes))).all()
-        present = defaultdict[int, list[AnyRow]](list)
-        for row in connection.execute(_OF_FRAMES, {"frames": [*frames_boxes]}):
-            present[row.frame_id].append(row)
-        return {
-            row.id: _bring(
-                connection,
-                writer,
-                source,
-                frames_boxes[row.id],
-                _Place(row.id, row.revision, present[row.id], config),
-                author or source,
-                action,
-            )
-            for row in rows
-            if not row.finalised
-        }
+        config, terms, places = (
+            read_config(writer.folder),
+            Terms(connection),
+            ", ".join(map(str, map(int, frames_boxes))),
+        )
+        driver, present = driver_of(connection), defaultdict[int, list[Row]](list)
+        for values in driver.execute(
+            f"SELECT {', '.join(columns)} FROM labels WHERE frame_id IN ({places}) ORDER BY id"
+        ):
+            row = dict(zip(columns, values, strict=True))
+            present[row["frame_id"]].append(row)
+        found = driver.execute(
+            f"SELECT id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
+        ).fetchall()
+        done = dict[int, Brought]()
+        for frame_id, revision, finalised in found:
+            if not finalised:
+                context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
+                where = f"frame with id {frame_id}"
+                made_in = import_action(context, action)
+                write = Write(writer.store, writer.folder, connection, frame_id, where, context, made_in, config, terms)
+                write.know_all(present[frame_id])
+                with storable(f"a box of {source}"):
+                    done[frame_id] = _bring(write, source, frames_boxes[frame_id])
+        return done
 
 
-@dataclass(frozen=True)
-class _Place:
-    frame_id: int
-    revision: int
-    rows: Sequence[AnyRow]
-    config: ProjectConfig
+class _Staying(NamedTuple):
+    uid: str
+    label: str
+    box: OrientedBox
 
 
-def _bring(
-    connection: Connection,
-    writer: Writer,
-    source: str,
-    boxes: Sequence[NewLabel],
-    place: _Place,
-    author: str,
-    action: str | None,
-) -> Brought:
-    rows, attributes = place.rows, place.config.attributes
-    kept = kept_proposals(connection, attributes, place.frame_id) if rows else frozenset[str]()
-    staying = [stored_label(row).label for row in rows if not _is_open(row, kept)]
-    with storable(f"a box of {source}"):
-        new = [_said(source, box) for box in boxes]
-        covering = covered_by(boxes, staying)
-        free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
-        covered = [CoveredBox(said=each, by=uid) for each, uid in zip(new, covering, strict=True) if uid]
-        proposed = _Open.of(rows, place.config.classes, kept)
-        payload = proposed.after(source, free, covered)
-    context = WriteContext(place.revision, author, Source.IMPORTED)
-    receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action, place.config)
-    together = sum(len(group) > 1 and any(each.source == source for each in group) for group in payload.objects)
-    together += sum(any(each.source == source for each in own.said) for own in payload.ours)
-    groups = [*payload.objects]
-    groups += [(each, *own.said) for own in payload.ours for each in proposed.ours if each.uid == own.uid]
+def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
+    proposed, terms = OpenProposals.of(write), write.terms
+    staying = [
+        _Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
+        for row in write.labels()
+        if not _is_open(row, proposed.kept)
+    ]
+    new, covering = [_said(source, box) for box in boxes], covered_by(boxes, staying)
+    free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
+    groups = replace_open(write, [*(each for each in proposed.others if each.source != source), *free])
+    write.event(KIND)
+    attributes = write.config.attributes
+    together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
     differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
-    return Brought(tuple(uid is None for uid in covering), together, differing, receipt)
+    return Brought(tuple(uid is None for uid in covering), together, differing, write.finish())
 
 
-def said_again(
-    connection: Connection, frame_id: int, source: str, said: Sequence[SaidRecord], config: ProjectConfig
-) -> ProposalsImported:
-    """Returns the event after which `source` says this of a frame, as it did at another time.
-
-    Args:
-        config: of the project.
-    """
-    kept = kept_proposals(connection, config.attributes, frame_id)
-    staying = connection.execute(select(labels.c.said).where(labels.c.uid.in_(kept))).scalars()
-    present = {each.uid for content in staying for each in said_of(content)}
-    known = [each for each in said if each.label in config.classes and each.uid not in present]
-    return _Open.of(_labels(connection, frame_id), config.classes, kept).after(source, known, [])
+def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -> None:
+    """Shows other sources' boxes in the place of the proposals `uids`, whose classes are about to be removed."""
+    proposed = OpenProposals.of(write, uids)
+    gone = {each.uid for each in proposed.ours if each.label in removed}
+    others = [each for each in proposed.others if each.label not in removed]
+    replace_open(write, others, leaving_out=gone, never_kept=uids)
+    write.event(KIND)
 
 
-def without_classes(
-    connection: Connection, removed: Collection[str], config: ProjectConfig
-) -> Iterator[tuple[int, ProposalsImported]]:
-    """Yields the event that shows other sources' boxes where one of a class that is about to be removed is shown.
-
-    Args:
-        config: of the project, before the change.
-
-    Yields:
-        Frame id and event.
-    """
-    staying = [name for name in config.classes if name not in removed]
-    gone = (labels.c.state == ReviewState.PROPOSED.value) & labels.c.label.in_(removed)
-    query = select(labels.c.frame_id, labels.c.uid, labels.c.said).where(gone, labels.c.said.is_not(None))
-    shown: dict[int, set[str]] = defaultdict(set)
-    for frame_id, uid, content in connection.execute(query.order_by(labels.c.frame_id)):
-        if any(each.label in staying for each in said_of(content)):
-            shown[frame_id].add(uid)
-    for frame_id, uids in shown.items():
-        kept = kept_proposals(connection, config.attributes, frame_id) - uids
-        proposed = _Open.of(_labels(connection, frame_id), staying, kept)
-        ours = [each for each in proposed.ours if each.label not in removed]
-        hidden = [each for each in proposed.others if each.source == OWN]
-        yield frame_id, _Open(proposed.others, ours, kept, proposed.taken, proposed.borrows).after(OWN, hidden, [])
-
-
-def _labels(connection: Connection, frame_id: int) -> Sequence[AnyRow]:
-    """The rows of a frame's labels, in order."""
-    return connection.execute(LABELS_OF_FRAME, {"frame": frame_id}).all()
-
-
-def _is_open(row: AnyRow, kept: Collection[str]) -> bool:
+def _is_open(row: Row, kept: Collection[str]) -> bool:
     """Whether an import may replace a label: an open proposal that is not `kept`."""
-    return row.state == ReviewState.PROPOSED.value and row.uid not in kept
-
-
-def beside_new_pass(
-    connection: Connection,
-    frame_id: int,
-    new: Sequence[SaidRecord],
-    classes: Collection[str],
-    kept: frozenset[str] = frozenset(),
-) -> ProposalsImported | None:
-    """Returns the event that follows an automatic pass, so that one object stays one proposal.
-
-    Args:
-        new: the pass's proposals.
-        classes: of the project.
-        kept: uids of proposals that the pass does not replace.
-
-    Returns:
-        The event; None if the frame has no boxes of other software.
-    """
-    proposed = _Open.of(_labels(connection, frame_id), classes, kept)
-    if not proposed.others:
-        return None
-    return _Open(proposed.others, list(new), kept, proposed.taken).after(OWN, [], [])
+    return row["state"] == ReviewState.PROPOSED.value and row["uid"] not in kept
 
 
 @dataclass(frozen=True)
@@ -343,11 +295,11 @@ def _without_track(said: SaidRecord) -> SaidRecord:
 
 
 @dataclass(frozen=True)
-class _Open:
+class OpenProposals:
     """What the open proposals of a frame say.
 
     Attributes:
-        others: boxes of other software; boxes of ours that one of them hides, as well.
+        others: boxes of other software, in their own words; boxes of ours that one of them hides, as well.
         ours: our own open proposals.
         kept: uids of proposals that stay as they are; neither list has them.
         taken: track ids of the labels that stay, except rejected ones.
@@ -361,55 +313,131 @@ class _Open:
     borrows: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, rows: Iterable[AnyRow], classes: Collection[str], kept: frozenset[str]) -> _Open:
-        """Reads them from the rows of a frame's labels, without boxes of classes that the project no longer has."""
-        others, ours, borrows, taken = list[SaidRecord](), list[SaidRecord](), set[str](), set[int]()
-        for row in rows:
+    def of(cls, write: Write, never_kept: Collection[str] = ()) -> OpenProposals:
+        """Reads them from the rows of a frame, without boxes of classes that the project no longer has.
+
+        Args:
+            never_kept: uids of proposals that may be replaced, though a person has set values.
+        """
+        others, ours, borrows, taken, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[int](), set[str]()
+        for row in write.labels():
+            uid, label = row["uid"], write.terms.names[row["class_id"]]
+            said = write.terms.said(row["said"], write.frame_id)
+            if row["values_set"] and uid not in never_kept and is_kept(row, label, said, write.config.attributes):
+                kept.add(uid)
             if not _is_open(row, kept):
-                if row.state != ReviewState.REJECTED.value and row.track_id is not None:
-                    taken.add(row.track_id)
+                if row["state"] != ReviewState.REJECTED.value and row["track_id"] is not None:
+                    taken.add(row["track_id"])
                 continue
-            said = said_of(row.said)
-            present = values_of(row.attributes)
+            present = values_of(row["attributes"])
             values = without(present, borrowed(present, said))
             others += [
-                each.model_copy(update={"attributes": values}) if each.uid == row.uid else each
-                for each in given_back(row.uid, said)
+                each.model_copy(update={"attributes": values}) if each.uid == uid else each
+                for each in given_back(uid, said)
             ]
-            borrows |= {row.uid} if lent_names(said) else set()
-            if row.source != Source.IMPORTED.value:
-                box = parsed(BoxRecord.model_validate_json, row.box)
-                score, track_id, kind = row.score, row.track_id, BoxKind(row.box_kind)
+            borrows |= {uid} if lent_names(said) else set()
+            if row["source"] != Source.IMPORTED.value:
                 ours.append(
                     SaidRecord(
-                        uid=row.uid,
+                        uid=uid,
                         source=OWN,
-                        label=row.label,
-                        score=score,
-                        box=box,
-                        track_id=track_id,
-                        box_kind=kind,
+                        label=label,
+                        score=row["score"],
+                        box=write.terms.record(row["box"], write.frame_id),
+                        track_id=row["track_id"],
+                        box_kind=BoxKind(row["box_kind"]),
                         attributes=values,
                     )
                 )
-        shown = [each for each in others if each.label in classes]
-        return cls(shown, ours, kept, frozenset(taken), frozenset(borrows))
+        shown = [each for each in others if each.label in write.config.classes]
+        return cls(shown, ours, frozenset(kept), frozenset(taken), frozenset(borrows))
 
-    def after(self, source: str, new: Sequence[SaidRecord], covered: Sequence[CoveredBox]) -> ProposalsImported:
-        """Returns the event that replaces what `source` says by `new`."""
-        uids = {each.uid for each in self.ours}
-        groups = merged([*(each for each in self.others if each.source != source), *new, *self.ours])
-        taken = self.taken.union(group[0].track_id for group in groups if group[0].uid in uids)
-        return ProposalsImported(
-            source=source,
-            objects=_with_free_tracks([group for group in groups if group[0].uid not in uids], taken),
-            ours=tuple(self._own(*group) for group in groups if group[0].uid in uids),
-            hidden=tuple(each.uid for group in groups for each in group[1:] if each.uid in uids),
-            covered=tuple(covered),
-            kept=tuple(sorted(self.kept)),
-        )
 
-    def _own(self, shown: SaidRecord, *others: SaidRecord) -> OwnProposal:
-        """Our proposal of an object; its values change only where other sources lend some, or did so before."""
-        changes = shown.uid in self.borrows or any(each.attributes for each in others)
-        return OwnProposal(uid=shown.uid, said=others, attributes=shown.attributes if changes else None)
+def replace_open(
+    write: Write,
+    others: Sequence[SaidRecord],
+    *,
+    leaving_out: Collection[str] = (),
+    never_kept: Collection[str] = (),
+) -> list[Group]:
+    """Replaces the open proposals of a frame by one for each object that our own proposals and the others see.
+
+    A proposal that stays the same keeps its row.
+
+    Args:
+        others: what other software says; boxes of ours that one of them hid, as well.
+        leaving_out: uids of our own proposals that are removed.
+        never_kept: as for `OpenProposals.of`.
+
+    Returns:
+        The objects, each source in its own words.
+    """
+    proposed = OpenProposals.of(write, never_kept)
+    rows = {row["uid"]: row for row in write.labels() if _is_open(row, proposed.kept)}
+    ours = [each for each in proposed.ours if each.uid not in leaving_out]
+    uids = {each.uid for each in ours}
+    groups = merged([*others, *ours])
+    of_ours = [group for group in groups if group[0].uid in uids]
+    of_others = [group for group in groups if group[0].uid not in uids]
+    of_others = list(
+        _with_free_tracks(of_others, proposed.taken.union(rows[group[0].uid]["track_id"] for group in of_ours))
+    )
+    attributes = write.config.attributes
+    known = [*(track_of(group) for group in of_others), *(rows[group[0].uid]["track_id"] for group in of_ours)]
+    tracks: Mapping[int | None, Values] = {}
+    if attributes:
+        tracks = of_tracks(write.connection, write.terms, attributes, write.frame_id, known)
+
+    def with_values(group: Group, track_id: int | None) -> Group:
+        """The group with the values of its object: of its sources, else of its track, else the defaults."""
+        if not attributes:
+            return group
+        of_label = [each for each in attributes if each.is_of(group[0].label)]
+        lent = lend(of_label, group[0].attributes, group[1:])
+        values = new_values(of_label, tracks.get(track_id, {}), lent.values)
+        return group[0].model_copy(update={"attributes": values, "lent": ()}), *lent.others
+
+    after = dict[str, Row]()
+    for group in of_ours:
+        row = rows[group[0].uid]
+        if group[0].uid in proposed.borrows or any(each.attributes for each in group[1:]):
+            group = with_values(group, row["track_id"])
+            row = row | {"attributes": values_json(group[0].attributes)}
+        after[row["uid"]] = row | {"said": said_json(write, group[1:])}
+    for group in of_others:
+        whole = with_values(tuple(_with_columns(each, rows.get(each.uid)) for each in group), track_of(group))
+        after[group[0].uid] = _row(write, whole, rows.get(group[0].uid))
+    for uid in rows:
+        if uid not in after:
+            write.put("labels", uid, None)
+    for uid, row in after.items():
+        write.put("labels", uid, row)
+    return groups
+
+
+def _with_columns(said: SaidRecord, row: Row | None) -> SaidRecord:
+    """What we say, with what only the row of our proposal knows, for when it is shown again."""
+    if said.source != OWN or row is None or said.own is not None:
+        return said
+    return said.model_copy(update={"own": OwnColumns(**{name: row[name] for name in OwnColumns.model_fields})})
+
+
+def _row(write: Write, group: Group, present: Row | None) -> Row:
+    """The row of an object whose shown box is none of our open proposals."""
+    shown = group[0]
+    is_ours = shown.source == OWN
+    own = shown.own or OwnColumns(author=shown.source)
+    columns = own.model_dump() | {
+        "class_id": write.class_id(shown.label),
+        "box": write.terms.box_json(shown.box, write.frame_id),
+        "score": shown.score,
+        "state": ReviewState.PROPOSED.value,
+        "track_id": track_of(group),
+        "box_kind": shown.box_kind.value,
+        "said": said_json(write, group[1:] if is_ours else group),
+        "attributes": values_json(shown.attributes),
+        "source": (Source.AUTO if is_ours else Source.IMPORTED).value,
+    }
+    if present is None:
+        return new_label(write, shown.uid, shown.label, **columns)
+    return present | columns

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
-from annotator.project.classes.applying import counts_with_defaults
 from annotator.project.classes.attributes import Attribute
+from annotator.project.classes.counts import counts_with_defaults
 from annotator.project.database.schema import (
     events,
     frame_results,

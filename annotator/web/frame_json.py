@@ -15,8 +15,8 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, Receipt, ViewBoxes
-from annotator.project.log.records import ViewGeometry
 from annotator.project.overview import FrameRow
+from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context, Ctx, InProject, Operator

@@ -34,7 +34,7 @@ from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
-from annotator.project.log.event_types import (
+from annotator.project.changes import (
     ImageBoxesSet,
     LabelAccepted,
     LabelDeleted,
@@ -44,8 +44,8 @@ from annotator.project.log.event_types import (
     ViewBoxesRemoved,
     ViewBoxesSet,
 )
-from annotator.project.log.records import Rotation3
 from annotator.project.overview import FramePage
+from annotator.project.records import Rotation3
 from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import first_views, next_views

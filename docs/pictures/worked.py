@@ -15,8 +15,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from annotator.project import Effort, Origin, Project, WriteContext, create_project
-from annotator.project.jobs import record_result
-from annotator.project.log.event_types import (
+from annotator.project.changes import (
     LabelAccepted,
     LabelCreated,
     LabelEdited,
@@ -25,8 +24,9 @@ from annotator.project.log.event_types import (
     ProposalsReplaced,
     ProposedObject,
 )
-from annotator.project.log.records import BoxRecord, ProposalRecord
-from annotator.project.log.writing import Writer
+from annotator.project.jobs import record_result
+from annotator.project.log import Writer
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 
 # class -> its share, and the size of its boxes in metres

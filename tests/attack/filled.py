@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.project import FramePart, Project, WriteContext
-from annotator.project.log.event_types import LabelCreated
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelCreated
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, OrientedBox, Source
 
 

@@ -237,7 +237,7 @@ def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys
         frames = project.frames.of()
         with project.store.write() as connection:
             connection.exec_driver_sql("UPDATE labels SET attributes = '{}'")
-            connection.exec_driver_sql("DELETE FROM frame_attributes")
+            connection.exec_driver_sql("UPDATE frames SET attributes = NULL")
         content = json.loads((project.path / "project.json").read_text())
         del content["attributes"]
         (project.path / "project.json").write_text(json.dumps(content))

@@ -29,8 +29,8 @@ from annotator.detection import pretrained
 from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, BoxRotation, NewLabel, Project, WriteContext, open_project
-from annotator.project.log.event_types import LabelDeleted, LabelProposed
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelDeleted, LabelProposed
+from annotator.project.records import BoxRecord
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError

@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext, open_project
+from annotator.project.changes import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
-from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
-from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.overview import read_page
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -41,7 +41,7 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "frame_attributes")
+TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "classes")
 ATTRIBUTES = (
     Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
     Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),
@@ -104,10 +104,10 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
 
 
 def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
-    """All rows of the derived tables, ordered by row id, without the ids."""
+    """All rows of the audited tables, hidden ones included, ordered by their keys, without the ids."""
     state: dict[str, list[tuple[object, ...]]] = {}
     with project.store.read() as connection:
-        for table in DERIVED_TABLES:
+        for table in TABLES:
             rows = connection.execute(text(f"SELECT * FROM {table} ORDER BY 1")).mappings().all()
             named = table != "frames" and "id" in (rows[0] if rows else {})
             state[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]
@@ -200,12 +200,12 @@ def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[l
     return st.lists(step, min_size=1, max_size=longest)
 
 
-def actions(project: Project, views: list[str], step: Step) -> dict[str, Callable[[], object]]:
+def actions(project: Project, views: list[str], step: Step, who: str = "ann") -> dict[str, Callable[[], object]]:
     """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it."""
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
-    change, view = by_hand(frame.revision), views[b % len(views)]
+    change, view = by_hand(frame.revision, who), views[b % len(views)]
     uid = labels[a % len(labels)].uid if labels else "nobody"
     return {
         "propose": lambda: project.proposals.replace(
@@ -233,27 +233,29 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
         "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
-        "span": lambda: project.log.append_to_frames([_carried_over(other, a) for other in project.frames.of()[:2]]),
+        "span": lambda: project.log.append_to_frames(
+            [_carried_over(other, a, who) for other in project.frames.of()[:2]]
+        ),
         "adjust": lambda: project.adjustments.correct(
-            frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), "ann"
+            frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who
         ),
         "values": lambda: project.labels.set_attributes(
             frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change
         ),
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
-        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), "ann"),
+        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), who),
         "bulk": lambda: project.log.append(
             frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
         ),
     }
 
 
-def _carried_over(frame: StoredFrame, track_id: int) -> FramePart:
+def _carried_over(frame: StoredFrame, track_id: int, who: str) -> FramePart:
     """One frame's part of an action that spans several frames."""
     proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
     uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
     carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)
-    return FramePart(frame.id, [carried], by_hand(frame.revision))
+    return FramePart(frame.id, [carried], by_hand(frame.revision, who))
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

@@ -9,7 +9,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, 
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Basis, NewLabel, Project, StoredRecording, ViewGeometry
-from annotator.project.log.derived import rebuild
+from annotator.project.audit.events import rebuild
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, OrientedBox
 from annotator.types.errors import HistoryError, StaleRevisionError
 

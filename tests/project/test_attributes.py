@@ -11,10 +11,10 @@ from store_samples import box_at, by_hand, by_machine, give_attributes, proposal
 
 from annotator.project import NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
+from annotator.project.changes import LabelEdited, LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
-from annotator.project.log.event_types import LabelEdited, LabelProposed, LabelTracked
-from annotator.project.log.records import BoxRecord
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
 
@@ -222,7 +222,7 @@ def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) 
     # earlier actions can still be undone, under the new name
     assert project.history.undo("ann").words.startswith("draw on the image")
     assert "hand" not in str(project.boxes.on_image(frame))
-    assert project.history.undo("ann").words == "draw hand (frame 2)"
+    assert project.history.undo("ann").words == "draw palm (frame 2)"
     project.history.redo("ann")
     assert labels(project)[uid].label == "palm"
     assert verify(project.path, deep=True).problems == ()

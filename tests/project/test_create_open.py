@@ -302,7 +302,7 @@ def test_a_kill_after_the_transaction_has_ended_leaves_the_new_classes(cars: Pat
     taken = config.take_config
 
     def killed(folder: Path, connection: object) -> object:
-        if any(folder.glob("project.json.event-*")):
+        if any(folder.glob("project.json.change-*")):
             raise KeyboardInterrupt
         return taken(folder, connection)
 

@@ -31,17 +31,16 @@ from store_samples import (
 
 from annotator.project import FramePart, NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.project.backup.verify import verify
+from annotator.project.changes import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
-from annotator.project.log.event_types import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
-from annotator.project.log.records import BoxRecord
-from annotator.project.log.writing import new_action
+from annotator.project.log import new_action
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
 
 KINDS = ("undo", "redo", "adjust", "values", "frame values")
 STEPS = lists_of_steps(*KINDS, frames=2, longest=14)
-WITH_CLASSES = lists_of_steps(*KINDS, "classes", frames=2, longest=14)
 
 
 def _take(project: Project, view: str, step: Step) -> None:
@@ -78,7 +77,7 @@ def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: li
                 _take(project, view, step)
         _all(lambda: project.history.redo("ann"))
         after = content(project)
-        events = [event.payload.model_dump_json() for event in project.log.since()]
+        events = list(project.log.since())
         if restart:
             project.close()
             project = open_project(project.path)
@@ -87,34 +86,13 @@ def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: li
             assert content(project) == before
             assert _all(lambda: project.history.redo("ann")) == undone
             assert content(project) == after
-            now = [event.payload.model_dump_json() for event in project.log.since()]
-            assert now[: len(events)] == events, "the log only grows"
+            assert list(project.log.since())[: len(events)] == events, "the log only grows"
             maintained = state_of(project)
             project.log.rebuild()
             assert state_of(project) == maintained
             # the rebuild restores the undo states, too
             assert _all(lambda: project.history.undo("ann")) == undone
             assert content(project) == before
-
-
-@settings(max_examples=6)
-@given(WITH_CLASSES)
-def test_rebuilt_and_maintained_state_agree_after_proposals_and_undo(
-    steps: list[Step],
-) -> None:
-    with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
-        project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
-        view = project.views.store(np.full((2, 2, 3), 7, np.uint8))
-        give_attributes(project)
-        for step in steps:
-            _take(project, view, step)
-        before, order = state_of(project), content(project)
-        undo = project.history.next("ann")
-        project.log.rebuild()
-        assert state_of(project) == before
-        assert content(project) == order
-        with open_project(project.path) as again:
-            assert again.history.next("ann") == undo
 
 
 def test_only_labels_that_an_action_is_named_after_are_counted(project: Project, frame: int) -> None:
@@ -132,9 +110,9 @@ def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> N
     project.log.append(frame, [LabelDeleted(uid=uid) for uid in uids], by_hand(2))
     assert project.history.next("ann") == ("delete 2 labels (frame 2)", None)
     done = project.history.undo("ann")
-    assert (done.words, done.frame_id, done.receipt.revision) == ("delete 2 labels (frame 2)", frame, 6)
+    assert (done.words, done.frame_id, done.receipt.revision) == ("delete 2 labels (frame 2)", frame, 5)
     assert project.history.next("ann") == ("accept hand (frame 2)", "delete 2 labels (frame 2)")
-    project.frames.finalise(frame, by_hand(6))
+    project.frames.finalise(frame, by_hand(5))
     assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
 
 

@@ -10,11 +10,11 @@ from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Origin, Project, RunShare, StoredRecording, WriteContext
+from annotator.project.changes import LabelAccepted, LabelCreated
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.log.event_types import LabelAccepted, LabelCreated
-from annotator.project.log.records import BoxRecord
 from annotator.project.progress.action_log import ORIGINS, draft_id
+from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Source
 
 # --- the effort per box by origin, and the results of reviewing proposals ---------------------------------------------

@@ -10,8 +10,8 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, lost_object, proposal_at, same_box
 
 from annotator.project import NewLabel, Project, RunShare
-from annotator.project.log.event_types import LabelProposed
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelProposed
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Proposal, ReviewState
 from annotator.types.errors import ProjectError
 

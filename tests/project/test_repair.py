@@ -16,7 +16,11 @@ from annotator.project.backup.make import Reason, automatic_backups, back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
+from annotator.project.database.schema import columns_of
 from annotator.types.errors import ProjectError
+
+# The place of the box in a row of a label without its id.
+BOX = columns_of("labels").index("box")
 
 # --- A verification finds damaged databases, and with `deep` what differs from the events; neither is copied ----------
 
@@ -58,8 +62,8 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
     (
         "an added label",
         damage(
-            "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, "
-            "box_kind, attributes) VALUES ('x', 1, 'hand', '{}', 'manual', 'accepted', 'a', 1, 1, 0, 'box', '{}')"
+            "INSERT INTO labels (uid, frame_id, class_id, box, source, state, author, time_ns, track_linked, box_kind, "
+            "attributes, values_set) VALUES ('x', 1, 1, '{}', 'manual', 'accepted', 'a', 1, 0, 'box', '{}', 0)"
         ),
         "labels has rows that the events do not give: x",
     ),
@@ -153,7 +157,7 @@ def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, r
     assert database.read_bytes() == damaged
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
-    boxes = [sorted(str(row[3]) for row in state["labels"]) for state in (saved, whole)]
+    boxes = [sorted(str(row[BOX]) for row in state["labels"]) for state in (saved, whole)]
     assert boxes[0] == boxes[1]
 
 
@@ -169,9 +173,6 @@ DELETED = {"all events": "1", "every third": "id % 3 = 0", "the last ones": "id 
 
 @pytest.mark.parametrize("which", DELETED)
 def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, which: str) -> None:
-    def columns(state: dict[str, list[tuple[object, ...]]], table: str, first: int) -> list[str]:
-        return sorted(str(row[first]) for row in state[table])
-
     whole = stored_state(full)
     assert whole["labels"]
     with closing(sqlite3.connect(full / "project.db")) as connection:
@@ -188,7 +189,7 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
     assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
-    assert columns(saved, "labels", 3) == columns(whole, "labels", 3)
+    assert sorted(str(row[BOX]) for row in saved["labels"]) == sorted(str(row[BOX]) for row in whole["labels"])
     assert {table: len(rows) for table, rows in saved.items()} == {table: len(rows) for table, rows in whole.items()}
 
 

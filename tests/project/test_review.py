@@ -10,8 +10,8 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
-from annotator.project.log.event_types import LabelEdited
-from annotator.project.log.records import BoxRecord
+from annotator.project.changes import LabelEdited
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
 

@@ -10,7 +10,7 @@ from sqlalchemy import Engine, event
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
 from annotator.project import NewLabel, Project, RunShare, WriteContext, create_project
-from annotator.project.log.event_types import FrameFinalised, LabelAccepted, LabelRejected
+from annotator.project.changes import FrameFinalised, LabelAccepted, LabelRejected
 from annotator.types import Box2D, BoxKind, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 

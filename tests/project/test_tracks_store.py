@@ -8,8 +8,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
 from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
-from annotator.project.log import writing
-from annotator.project.log.event_types import (
+from annotator.project.changes import (
     LabelAccepted,
     LabelCreated,
     LabelDeleted,
@@ -20,7 +19,7 @@ from annotator.project.log.event_types import (
     Payload,
     TracksLinked,
 )
-from annotator.project.log.records import BoxRecord, ProposalRecord
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import ReviewState, Source
 from annotator.types.errors import (
     FinalisedFrameError,
@@ -176,21 +175,6 @@ def test_boxes_can_change_their_tracks_with_each_other(
     swap = [LabelTracked(uid=three[0], track_id=2), LabelTracked(uid=three[1], track_id=1)]
     project.log.append(frame, swap, by_hand(7))
     assert [_track(project, uid)[0] for uid in three] == [2, 1, 1]
-
-
-def test_two_boxes_of_a_track_in_a_repaired_project_can_be_worked_on(
-    project: Project, frame: int, three: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as repaired:
-        repaired.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
-        project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(6))
-    project.labels.edit(frame, three[1], by_hand(7), label="hand", box=box_at(4.0), track_id=1)
-    assert project.log.rebuild() > 0
-    with pytest.raises(TrackTakenError):
-        project.labels.accept(frame, three[2], by_hand(8))
-    project.log.append(frame, [LabelTracked(uid=three[1], track_id=None)], by_hand(8))
-    with pytest.raises(TrackTakenError):
-        project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(9))
 
 
 def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skipped(

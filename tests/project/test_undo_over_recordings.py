@@ -9,9 +9,9 @@ from store_samples import box_at, by_hand
 
 from annotator.project import FramePart, NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.verify import verify
-from annotator.project.log.event_types import LabelCreated
-from annotator.project.log.records import BoxRecord
-from annotator.project.log.writing import new_action
+from annotator.project.changes import LabelCreated
+from annotator.project.log import new_action
+from annotator.project.records import BoxRecord
 from annotator.types.errors import HistoryError
 
 KEYS = ["0", "1"]

@@ -19,8 +19,8 @@ from viser import _messages
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from annotator.project.audit.writing import WriteContext
 from annotator.project.labels import NewLabel
-from annotator.project.log.writing import WriteContext
 from annotator.types import OrientedBox, ReviewState
 from annotator.web.viewport.viewports import MOST_PER_OPERATOR, MOST_SILENT, Viewports, start_viser
 

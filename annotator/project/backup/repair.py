@@ -13,10 +13,23 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
-from sqlalchemy import Connection, func, insert, select
+from sqlalchemy import Connection, func, insert, select, update
 from sqlalchemy.exc import DBAPIError
 
 from annotator.files import open_file
+from annotator.project.audit.events import (
+    CLASSES,
+    Event,
+    RowChange,
+    apply_events,
+    changed_row,
+    event_of,
+    hide_removed,
+    insert_event,
+    read_row,
+    rebuild,
+    without_track_index,
+)
 from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
@@ -24,27 +37,14 @@ from annotator.project.backup.take_in import copy_regular, new_project
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.database.generation import has_foreign_wal, wal_of
 from annotator.project.database.migrations import UNRELEASED, application_problem
-from annotator.project.database.schema import (
-    PackedText,
-    events,
-    frame_attributes,
-    frames,
-    image_labels,
-    labels,
-    view_labels,
-)
+from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.log.derived import apply_event, rebuild
-from annotator.project.log.event_types import LabelRestored
-from annotator.project.log.events import Event, event_of, insert_event
-from annotator.project.log.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
-from annotator.project.recordings import hide_removed
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
-AUTHOR = "annotator project repair"
+AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
-_PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models")
+_PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models", "class_changes")
 _BATCH = 200
 # Largest end of a truncated database that is replaced by empty pages.
 MOST_FILLED = 1 << 30
@@ -176,7 +176,7 @@ def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) ->
                     _count_lost(repaired, table)
                     continue
                 if table == "frames":
-                    kept |= {"revision": 0, "finalised": 0}
+                    kept |= {"revision": 0, "finalised": 0, "attributes": None}
                 columns = ", ".join(f'"{key}"' for key in kept)
                 marks = ", ".join("?" * len(kept))
                 try:
@@ -190,24 +190,49 @@ def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) ->
 
 def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
     """Appends all events that can be read and applied; the others are left out."""
-    unpack = PackedText()
     with store.write() as connection:
-        for row in _rows(source, "events", repaired):
-            values: Row = {column.name: None for column in events.c} | row
-            try:
-                values["payload"] = unpack.process_result_value(values["payload"], connection.dialect)
-                values["revision"] = max(values["revision"], _revision(connection, values) + 1)
-                with connection.begin_nested():
-                    connection.execute(insert(events), values)
-                    apply_event(connection, event_of(_Attributes(values)))
-            except (AnnotatorError, DBAPIError, TypeError, ValueError):
-                _count_lost(repaired, "events")
-            else:
-                repaired.events += 1
+        with without_track_index(connection):
+            for row in _rows(source, "events", repaired):
+                values: Row = {column.name: None for column in events.c} | row
+                try:
+                    values["rows"] = unpacked(values["rows"])
+                    values["revision"] = max(values["revision"], _revision(connection, values) + 1)
+                    with connection.begin_nested():
+                        connection.execute(insert(events), values)
+                        event = event_of(_Attributes(values))
+                        _require_applicable(connection, event)
+                        apply_events(connection, [event])
+                        newer = update(frames).where(frames.c.id == event.frame_id)
+                        connection.execute(newer.values(revision=event.revision))
+                except (AnnotatorError, DBAPIError, sqlite3.Error, TypeError, ValueError, KeyError):
+                    _count_lost(repaired, "events")
+                else:
+                    repaired.events += 1
+            if any(repaired.lost.values()):
+                _free_tracks(connection, store)
         hide_removed(connection)
     missing = max(0, given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
     if missing:
         repaired.lost["events"] = repaired.lost.get("events", 0) + missing
+
+
+def _require_applicable(connection: Connection, event: Event) -> None:
+    """Refuses an event that changes rows that are not there, because earlier events are lost."""
+    for row in event.rows:
+        if (read_row(connection, row.table, row.key) is None) != (row.before is None):
+            raise ProjectError(f"event {event.id} does not follow from those before it")
+
+
+def _free_tracks(connection: Connection, store: Store) -> None:
+    """Takes second boxes off their tracks, where the events that did so are lost."""
+    query = (
+        "SELECT uid, frame_id, track_id FROM labels AS own WHERE track_id IS NOT NULL AND state <> 'rejected' "
+        "AND EXISTS (SELECT 1 FROM labels AS other WHERE other.frame_id = own.frame_id "
+        "AND other.track_id = own.track_id AND other.state <> 'rejected' AND other.id < own.id)"
+    )
+    for uid, frame_id, track_id in connection.exec_driver_sql(query).all():
+        change = RowChange("labels", uid, {"track_id": track_id}, {"track_id": None})
+        _append(connection, store, frame_id, change)
 
 
 def _advice(project: Path) -> str:
@@ -234,45 +259,45 @@ def _revision(connection: Connection, values: Row) -> int:
 
 
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
-    """Where events are lost, brings labels and 2D boxes to the state that the damaged database shows, if it does."""
-    try:
-        damaged = open_store(copy)
-    except (ProjectError, sqlite3.Error):
-        _count_lost(repaired, "states")
-        return
-    with closing(damaged), reading(copy) as source, store.write() as connection:
-        for frame_id, target in _targets(source):
-            try:
-                with damaged.read() as old:
-                    state = read_state(old, frame_id, target)
-                if state != read_state(connection, frame_id, target):
-                    _append(connection, store, frame_id, target, state)
-                    repaired.restored += 1
-            except (AnnotatorError, DBAPIError, ValueError):
-                _count_lost(repaired, "states")
+    """Where events are lost, brings the rows to the state that the damaged database shows, if it does."""
+    with reading(copy) as source, store.write() as connection:
+        for table in AUDITED:
+            for row in _rows(source, table, Repaired(Path(), True)):
+                try:
+                    with connection.begin_nested():
+                        repaired.restored += _restore(connection, store, table, row)
+                except (AnnotatorError, DBAPIError, sqlite3.Error, ValueError, KeyError):
+                    _count_lost(repaired, "states")
+        hide_removed(connection)
 
 
-def _targets(source: sqlite3.Connection) -> Iterator[tuple[int | None, str]]:
-    """The frame and the target (as in `undo_state`) of each row of the present state that can be read."""
-    nobody = Repaired(Path(), True)
-    yield from ((row["frame_id"], f"{LABEL}:{row['uid']}") for row in _rows(source, labels.name, nobody))
-    yield from ((row["frame_id"], IMAGE) for row in _rows(source, image_labels.name, nobody, "frame_id"))
-    yield from ((row["frame_id"], f"{VIEW}:{row['view_id']}") for row in _rows(source, view_labels.name, nobody))
-    of_frames = _rows(source, frame_attributes.name, nobody, "frame_id")
-    yield from ((row["frame_id"], VALUES) for row in of_frames)
-    yield from ((row["id"], FRAME) for row in _rows(source, frames.name, nobody))
+def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool:
+    """Puts one row of the damaged database in the place of the present one; False if they are equal."""
+    after = {name: row[name] for name in columns_of(table)}
+    key, present = after[AUDITED[table]], read_row(connection, table, after[AUDITED[table]])
+    if table == "labels":  # the run that it refers to may be lost, and its id may have been given
+        after |= {"run_id": None if present is None else present["run_id"]}
+        after |= {"id": after["id"] if present is None else present["id"]}
+    change = changed_row(table, key, present, after)
+    if change is None or (table == "frames" and present is None):
+        return False
+    frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
+    if table == "adjustments":
+        query = select(func.min(frames.c.id)).where(frames.c.recording_id == key)
+        frame_id = connection.execute(query).scalar_one()
+    _append(connection, store, frame_id, change)
+    return True
 
 
-def _append(connection: Connection, store: Store, frame_id: int | None, target: str, state: str | None) -> None:
-    """Appends the event that brings a target to a state."""
-    payload = restoring(target, state)
-    if isinstance(payload, LabelRestored):  # the events and runs that it refers to may be lost
-        former = payload.former.model_copy(update={"proposal_event_id": None, "run_id": None})
-        payload = payload.model_copy(update={"former": former})
-    revision = _revision(connection, {"frame_id": frame_id, "view_id": target.partition(":")[2]}) + 1
-    event = Event(0, frame_id, None, revision, AUTHOR, store.clock(), Source.IMPORTED, payload)
-    with connection.begin_nested():
-        apply_event(connection, insert_event(connection, event, payload.model_dump_json()))
+def _append(connection: Connection, store: Store, frame_id: int | None, change: RowChange) -> None:
+    """Changes a row, with an event of its own."""
+    view = CLASSES if frame_id is None else None
+    if change.table == "view_labels":
+        view = str(change.key).partition(":")[0]
+    revision = _revision(connection, {"frame_id": frame_id, "view_id": view}) + 1
+    event = Event(0, frame_id, view, revision, KIND, AUTHOR, store.clock(), Source.IMPORTED, (change,))
+    apply_events(connection, [insert_event(connection, event)])
+    connection.execute(update(frames).where(frames.c.id == frame_id).values(revision=revision))
 
 
 def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:
@@ -280,8 +305,8 @@ def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConf
     try:
         return read_config(project)
     except ProjectError:
-        rows = _rows(source, labels.name, Repaired(Path(), True))
-        classes = tuple(sorted({str(row["label"]) for row in rows})) or ("object",)
+        rows = _rows(source, "classes", Repaired(Path(), True))
+        classes = tuple(sorted({str(row["name"]) for row in rows})) or ("object",)
         return new_config(name, classes, ProjectSettings(), time.time_ns())
 
 
@@ -297,37 +322,36 @@ def _copy_files(project: Path, place: Path) -> tuple[str, ...]:
     return stored.not_in(set(names))
 
 
-def _rows(source: sqlite3.Connection, table: str, repaired: Repaired, key: str = "id") -> Iterator[Row]:
-    """Yields the readable rows of a table by their ids; pages that cannot be read are passed over row by row."""
+def _rows(source: sqlite3.Connection, table: str, repaired: Repaired) -> Iterator[Row]:
+    """Yields the readable rows of a table in order; pages that cannot be read are passed over row by row."""
     try:
         if not source.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (table,)).fetchone():
             return
-        last = _last_id(source, table, key)
+        last = _last_id(source, table)
     except sqlite3.Error:
         _count_lost(repaired, table)
         return
     after = -1
     while after < last:
         try:
-            cursor = source.execute(f"SELECT * FROM {table} WHERE {key} > ? ORDER BY {key} LIMIT {_BATCH}", (after,))
-            found = [_row(cursor, values) for values in cursor.fetchall()]
+            cursor = source.execute(
+                f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}", (after,)
+            )
+            found = cursor.fetchall()
             if not found:
                 return
         except (sqlite3.Error, UnicodeDecodeError):
-            found = list(_one_by_one(source, table, key, after + 1, min(after + _BATCH, last), repaired))
-            yield from found
+            yield from _one_by_one(source, table, after + 1, min(after + _BATCH, last), repaired)
             after = min(after + _BATCH, last)
             continue
-        yield from found
-        after = found[-1][key]
+        yield from (_row(cursor, values) for values in found)
+        after = found[-1][0]
 
 
-def _one_by_one(
-    source: sqlite3.Connection, table: str, key: str, first: int, last: int, repaired: Repaired
-) -> Iterator[Row]:
+def _one_by_one(source: sqlite3.Connection, table: str, first: int, last: int, repaired: Repaired) -> Iterator[Row]:
     for number in range(first, last + 1):
         try:
-            cursor = source.execute(f"SELECT * FROM {table} WHERE {key} = ?", (number,))
+            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid = ?", (number,))
             if (values := cursor.fetchone()) is not None:
                 yield _row(cursor, values)
         except (sqlite3.Error, UnicodeDecodeError):
@@ -335,13 +359,13 @@ def _one_by_one(
 
 
 def _row(cursor: sqlite3.Cursor, values: tuple[Any, ...]) -> Row:
-    return dict(zip((column[0] for column in cursor.description), values, strict=True))
+    return dict(zip((column[0] for column in cursor.description[1:]), values[1:], strict=True))
 
 
-def _last_id(source: sqlite3.Connection, table: str, key: str) -> int:
+def _last_id(source: sqlite3.Connection, table: str) -> int:
     """The greatest id of a table; where its end cannot be read, the last one that it has given."""
     try:
-        return int(source.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()[0])
+        return int(source.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()[0])
     except sqlite3.Error:
         if given := given_id(source, table):
             return given

@@ -29,12 +29,11 @@ from annotator.project.backup.archive import (
 )
 from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
 from annotator.project.backup.verify import verify
-from annotator.project.classes.applying import CHANGED
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.database.generation import wal_of
-from annotator.project.database.schema import events, frames, models, recordings
+from annotator.project.database.schema import class_changes, frames, models, recordings
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.log.writing import Writer
+from annotator.project.log import Writer
 from annotator.project.recordings import KEPT, Recordings
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
@@ -67,9 +66,9 @@ def _copy_rows(old: Store, new: Store) -> None:
             (frames, KEPT & frames.c.position.is_not(None)),
             (models, true()),
             # detectors that were trained before a class was renamed need them
-            (events, events.c.kind == CHANGED),
+            (class_changes, true()),
         ):
-            unlabelled = {"revision": 0, "finalised": False} if table is frames else {}
+            unlabelled = {"revision": 0, "finalised": False, "attributes": None} if table is frames else {}
             rows = [{**row, **unlabelled} for row in source.execute(select(table).where(there)).mappings()]
             if rows:
                 target.execute(insert(table), rows)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
 
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import Connection, Table, select
+from sqlalchemy import Connection
 
 from annotator.files import sha256_of
+from annotator.project.audit.events import rebuild
 from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
 from annotator.project.backup.snapshot import (
     database_problems,
@@ -24,35 +24,13 @@ from annotator.project.backup.snapshot import (
 )
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.generation import has_foreign_wal
-from annotator.project.database.schema import (
-    AnyRow,
-    adjustments,
-    frame_attributes,
-    frames,
-    image_labels,
-    labels,
-    revertible,
-    view_labels,
-)
+from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
-from annotator.project.log.derived import rebuild
 from annotator.types.errors import ProjectError
 from annotator.types.messages import amount, first_few
 
 MOST_NAMED = 3
-# The columns that identify a row of a derived table, and those that a rebuild may number anew.
-_KEYS: dict[Table, tuple[str, ...]] = {
-    frames: ("id",),
-    labels: ("uid",),
-    image_labels: ("frame_id",),
-    view_labels: ("view_id", "frame_id"),
-    revertible: ("event_id",),
-    adjustments: ("recording_id",),
-    frame_attributes: ("frame_id",),
-}
-_NUMBERED = (labels, view_labels)
-
-Rows = dict[tuple[object, ...], tuple[object, ...]]
+Rows = dict[object, tuple[object, ...]]
 
 
 class Verification(BaseModel):
@@ -63,14 +41,6 @@ class Verification(BaseModel):
     project: str
     deep: bool
     problems: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Stored:
-    """The tables of the present state; `order` has the labels' uids by row id."""
-
-    tables: dict[str, Rows]
-    order: tuple[str, ...]
 
 
 def verify(project: Path, *, deep: bool = False) -> Verification:
@@ -131,13 +101,13 @@ def _state_problems(copy: Path) -> Iterator[str]:
             before = _state(connection)
             rebuild(connection)
             after = _state(connection)
-    except ProjectError as error:
+    except (ProjectError, sqlite3.Error, KeyError) as error:
         yield f"the events contradict each other: {error}"
         return
     finally:
         store.close()
-    for name, rows in after.tables.items():
-        stored = before.tables[name]
+    for name, rows in after.items():
+        stored = before[name]
         for what, keys in (
             ("lacks rows that the events give", [key for key in rows if key not in stored]),
             ("has rows that the events do not give", [key for key in stored if key not in rows]),
@@ -148,27 +118,15 @@ def _state_problems(copy: Path) -> Iterator[str]:
         ):
             if keys:
                 yield f"the table {name} {what}: {_named(keys)}"
-    if before.order != after.order and set(before.order) == set(after.order):
-        yield "the labels have another order than the events give"
 
 
-def _state(connection: Connection) -> _Stored:
-    tables = {}
-    for table, keys in _KEYS.items():
-        rows = connection.execute(select(table))
-        tables[table.name] = {_key(row, keys): _values(table, row) for row in rows}
-    order = tuple(connection.execute(select(labels.c.uid).order_by(labels.c.id)).scalars())
-    return _Stored(tables, order)
-
-
-def _key(row: AnyRow, keys: Sequence[str]) -> tuple[object, ...]:
-    return tuple(getattr(row, key) for key in keys)
-
-
-def _values(table: Table, row: AnyRow) -> tuple[object, ...]:
-    return tuple(
-        value for column, value in zip(table.c, row, strict=True) if table not in _NUMBERED or column.name != "id"
-    )
+def _state(connection: Connection) -> dict[str, Rows]:
+    state = dict[str, Rows]()
+    for table, key in AUDITED.items():
+        columns = columns_of(table)
+        found = connection.exec_driver_sql(f"SELECT {', '.join(columns)} FROM {table}".replace(" key,", ' "key",'))
+        state[table] = {row[columns.index(key)]: tuple(row) for row in found}
+    return state
 
 
 def _file_problems(project: Path, copy: Path) -> Iterator[str]:

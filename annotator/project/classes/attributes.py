@@ -6,13 +6,11 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from enum import StrEnum
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer, model_validator
 
-from annotator.types import Box2D
 from annotator.types.label import MOST_TRACK, AttributeValue
 
 MOST_TEXT = 1000
@@ -203,11 +201,6 @@ def fitting(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue
     return {name: value for name, value in values.items() if name in known and known[name].fits(value)}
 
 
-def values_json(values: Mapping[str, AttributeValue]) -> str:
-    """Values as JSON for a database column; equal values give equal texts."""
-    return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
-
-
 def value_text(value: AttributeValue) -> str:
     """A value for people."""
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -250,9 +243,9 @@ class Relabelling(BaseModel):
     fitted: tuple[Attribute, ...] = ()
 
     @property
-    def changes_boxes(self) -> bool:
-        """Whether class names of boxes change."""
-        return bool(self.classes or self.removed)
+    def changes_rows(self) -> bool:
+        """Whether rows of labels or frames change, and not only the names of classes."""
+        return self != Relabelling(classes=self.classes)
 
     def label(self, name: str) -> str | None:
         """A class name after the change; None for a removed class."""
@@ -273,15 +266,6 @@ class Relabelling(BaseModel):
             if not each.classes or label in each.classes:
                 new.setdefault(each.name, each.value)
         return new
-
-    def boxes(self, boxes: Iterable[Box2D]) -> tuple[Box2D, ...]:
-        """2D boxes after the change."""
-        return tuple(new for new in map(self.box, boxes) if new is not None)
-
-    def box(self, box: Box2D | None) -> Box2D | None:
-        """A 2D box after the change; None for a removed class."""
-        name = None if box is None else self.label(box.label)
-        return None if box is None or name is None else replace(box, label=name)
 
     def _choice(self, name: str, value: AttributeValue) -> AttributeValue:
         return self.choices.get(name, {}).get(value, value) if isinstance(value, str) else value

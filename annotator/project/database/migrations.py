@@ -17,9 +17,9 @@ from sqlalchemy import Connection
 
 from annotator.types.errors import RESTORE, ProjectError
 
-APPLICATION_ID = 0x416E6E74  # "Annt": distinguishes project databases from other SQLite files
-# "Anno": databases from before the first release.
-_UNRELEASED_ID = 0x416E6E6F
+APPLICATION_ID = 0x416E6E50  # "AnnP": distinguishes project databases from other SQLite files
+# "Anno" and "Annt": databases from before the first release.
+_UNRELEASED_IDS = (0x416E6E6F, 0x416E6E74)
 
 UNRELEASED = (
     "belongs to a project from before the first release of annotator, which this version cannot read; export its "
@@ -44,7 +44,7 @@ def application_problem(application_id: int) -> str | None:
     """Why a database with this SQLite `application_id` is not that of a project; None if it is one."""
     if application_id == APPLICATION_ID:
         return None
-    if application_id == _UNRELEASED_ID:
+    if application_id in _UNRELEASED_IDS:
         return UNRELEASED
     return f"is an SQLite database, but not a project database; {RESTORE}"
 
@@ -173,7 +173,7 @@ CREATE TABLE moves (
     time_ns INTEGER NOT NULL
 )
 """
-# position: index in the latest scan; NULL if that scan did not find the frame
+# position: index in the latest scan; NULL if that scan did not find the frame. attributes: values, as JSON.
 _FRAMES = """
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
@@ -182,13 +182,27 @@ CREATE TABLE frames (
     position INTEGER,
     revision INTEGER NOT NULL,
     finalised BOOLEAN NOT NULL CHECK (finalised IN (0, 1)),
+    attributes TEXT,
     UNIQUE (recording_id, "key")
 )
 """
-# An event belongs to a frame, to a pseudo-view without a frame, or to the classes (`view_id` is `classes`); `revision`
-# counts within that. payload: JSON; long ones are packed (`PackedText` in schema.py). action: id of the operator's step
-# that it is a part of. undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or
-# draft that the effort was for: actions (drags, clicks, keys) and seconds.
+# Merged classes have the same name.
+_CLASSES = "CREATE TABLE classes (id INTEGER PRIMARY KEY, name TEXT NOT NULL)"
+# What changes of the classes do to values, as JSON. event_id: the newest event before. config: SHA-256 of the
+# `project.json` that goes with it.
+_CLASS_CHANGES = """
+CREATE TABLE class_changes (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    event_id INTEGER NOT NULL,
+    author TEXT NOT NULL CHECK (author <> ''),
+    time_ns INTEGER NOT NULL,
+    content TEXT NOT NULL,
+    config TEXT NOT NULL
+)
+"""
+# rows: JSON; long ones are packed (`PackedText` in schema.py). action: id of the operator's step that it is a part of.
+# undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or draft that the effort
+# (actions: drags, clicks, keys; seconds) was for, or the source of imported boxes.
 _EVENTS = """
 CREATE TABLE events (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -196,7 +210,7 @@ CREATE TABLE events (
     view_id TEXT,
     revision INTEGER NOT NULL CHECK (revision > 0),
     kind TEXT NOT NULL,
-    payload PACKED_TEXT NOT NULL,
+    rows PACKED_TEXT NOT NULL,
     author TEXT NOT NULL CHECK (author <> ''),
     time_ns INTEGER NOT NULL,
     source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
@@ -208,44 +222,39 @@ CREATE TABLE events (
     CHECK (frame_id IS NOT NULL OR view_id IS NOT NULL)
 )
 """
-# track_linked: whether linking assigned the track id. run_id: of the batch run that proposed the label. suggestion: the
-# detector that suggested its boxes. said: what each source of boxes says of the object. The last three columns with
-# text, the box and the image box are JSON.
+# track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what
+# each source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box:
+# as the recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
+# Short columns come first: a query of many rows reads no further.
 _LABELS = """
 CREATE TABLE labels (
-    id INTEGER PRIMARY KEY,
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
     uid TEXT NOT NULL UNIQUE,
     frame_id INTEGER NOT NULL REFERENCES frames (id),
-    label TEXT NOT NULL,
-    box TEXT NOT NULL,
-    score REAL,
-    source TEXT NOT NULL,
+    class_id INTEGER NOT NULL REFERENCES classes (id),
+    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1)),
     state TEXT NOT NULL CHECK (state IN ('proposed', 'accepted', 'edited', 'rejected')),
-    author TEXT NOT NULL,
-    time_ns INTEGER NOT NULL,
+    source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
+    score REAL,
     track_id INTEGER,
+    track_linked BOOLEAN NOT NULL CHECK (track_linked IN (0, 1)),
     view_disagreement REAL,
     kept_share REAL,
     last_change REAL,
-    proposal_event_id INTEGER REFERENCES events (id),
-    event_id INTEGER NOT NULL REFERENCES events (id),
-    run_id INTEGER REFERENCES runs (id),
-    origin TEXT,
-    image_box TEXT,
     image_agreement REAL,
-    track_linked BOOLEAN NOT NULL CHECK (track_linked IN (0, 1)),
     expected_iou_loss REAL,
     box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
+    run_id INTEGER REFERENCES runs (id),
+    origin TEXT,
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    box TEXT NOT NULL,
+    proposed_box TEXT,
+    attributes TEXT NOT NULL,
+    image_box TEXT,
     suggestion TEXT,
-    attributes TEXT NOT NULL,
     said TEXT
-)
-"""
-_FRAME_ATTRIBUTES = """
-CREATE TABLE frame_attributes (
-    frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
-    attributes TEXT NOT NULL,
-    event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
 _IMAGE_LABELS = """
@@ -257,12 +266,14 @@ CREATE TABLE image_labels (
     author TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     source TEXT NOT NULL,
-    event_id INTEGER NOT NULL REFERENCES events (id)
+    event_id INTEGER NOT NULL REFERENCES events (id),
+    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1))
 )
 """
+# key: the view's id, a colon, and its frame's id, if it has a frame
 _VIEW_LABELS = """
 CREATE TABLE view_labels (
-    id INTEGER PRIMARY KEY,
+    "key" TEXT PRIMARY KEY,
     view_id TEXT NOT NULL,
     frame_id INTEGER REFERENCES frames (id),
     revision INTEGER NOT NULL,
@@ -274,20 +285,11 @@ CREATE TABLE view_labels (
     author TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     source TEXT NOT NULL,
-    event_id INTEGER NOT NULL REFERENCES events (id)
+    event_id INTEGER NOT NULL REFERENCES events (id),
+    hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1))
 )
 """
-# For each event of an action, the state of its subject (the label, boxes or frame that it changes) before and after it,
-# so that undo needs no replay. NULL = absent.
-_REVERTIBLE = """
-CREATE TABLE revertible (
-    event_id INTEGER PRIMARY KEY REFERENCES events (id),
-    subject TEXT NOT NULL,
-    "before" TEXT,
-    "after" TEXT
-)
-"""
-# The up direction and the correction of the calibration that events set for a recording.
+# The up direction (in the frame of the cloud) and the correction of the calibration, as they were set.
 _ADJUSTMENTS = """
 CREATE TABLE adjustments (
     recording_id INTEGER PRIMARY KEY REFERENCES recordings (id),
@@ -296,16 +298,28 @@ CREATE TABLE adjustments (
     event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
-# Rows of the derived tables (`name`) of removed recordings, as JSON, with the ids of labels.
-_REMOVED_ROWS = """
-CREATE TABLE removed_rows (
-    id INTEGER PRIMARY KEY,
-    recording_id INTEGER NOT NULL REFERENCES recordings (id),
-    name TEXT NOT NULL,
-    label_id INTEGER,
-    content TEXT NOT NULL
+# The latest automatic pass over a frame: all proposals with their traces, and the objects that were lost, as JSON.
+_PASSES = """
+CREATE TABLE passes (
+    frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
+    event_id INTEGER NOT NULL REFERENCES events (id),
+    run_id INTEGER REFERENCES runs (id),
+    content PACKED_TEXT NOT NULL
 )
 """
+# What people see: without the labels and boxes of removed recordings. A join with the classes would be made for every
+# query, and keep SQLite from choosing the order of others.
+_SHOWN_LABELS = """
+CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id,
+    (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label, labels.state, labels.source,
+    labels.score, labels.track_id, labels.track_linked, labels.view_disagreement, labels.kept_share,
+    labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind, labels.values_set,
+    labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box, labels.attributes,
+    labels.image_box, labels.suggestion, labels.said
+FROM labels WHERE labels.hidden = 0
+"""
+_SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"
+_SHOWN_VIEW_LABELS = "CREATE VIEW shown_view_labels AS SELECT * FROM view_labels WHERE hidden = 0"
 _RUNS = """
 CREATE TABLE runs (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -361,15 +375,13 @@ _INDEXES = (
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
-    "CREATE INDEX class_events ON events (id) WHERE kind = 'classes_changed'",
-    "CREATE INDEX labels_of_frame ON labels (frame_id, state)",
-    "CREATE INDEX labels_by_class ON labels (label, state)",
+    "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden)",
+    "CREATE INDEX labels_by_class ON labels (class_id, state, hidden)",
     "CREATE INDEX labels_of_track ON labels (track_id) WHERE track_id IS NOT NULL",
-    "CREATE UNIQUE INDEX one_label_a_view ON view_labels (view_id, ifnull(frame_id, 0))",
+    # an object has one box in a frame
+    "CREATE UNIQUE INDEX one_box_a_track ON labels (frame_id, track_id) "
+    "WHERE track_id IS NOT NULL AND state <> 'rejected'",
     "CREATE INDEX view_labels_of_frame ON view_labels (frame_id)",
-    "CREATE INDEX revertible_by_subject ON revertible (subject, event_id)",
-    "CREATE INDEX removed_rows_of_recording ON removed_rows (recording_id, name)",
-    "CREATE INDEX removed_labels ON removed_rows (label_id) WHERE label_id IS NOT NULL",
     "CREATE INDEX frame_results_of_run ON frame_results (run_id)",
     "CREATE UNIQUE INDEX one_active_model_a_role ON models (role) WHERE active = 1",
 )
@@ -386,14 +398,17 @@ MIGRATIONS: tuple[Migration, ...] = (
             _RECORDINGS,
             _MOVES,
             _FRAMES,
+            _CLASSES,
+            _CLASS_CHANGES,
             _EVENTS,
             _LABELS,
-            _FRAME_ATTRIBUTES,
             _IMAGE_LABELS,
             _VIEW_LABELS,
-            _REVERTIBLE,
             _ADJUSTMENTS,
-            _REMOVED_ROWS,
+            _PASSES,
+            _SHOWN_LABELS,
+            _SHOWN_IMAGE_LABELS,
+            _SHOWN_VIEW_LABELS,
             _RUNS,
             _FRAME_RESULTS,
             _MODELS,
@@ -401,6 +416,7 @@ MIGRATIONS: tuple[Migration, ...] = (
             _FIRST_TOKEN,
             *_append_only("events", _SAME_EVENT),
             *_append_only("moves", "id = NEW.id"),
+            *_append_only("class_changes", "id = NEW.id"),
             *_INDEXES,
         ),
     ),

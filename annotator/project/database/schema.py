@@ -1,4 +1,23 @@
-"""The tables of the newest database version for SQLAlchemy, read from what the migrations make."""
+"""The tables of a project, read from what the migrations make; they are the truth.
+
+What people change lies in six tables. One door (`audit/`) writes a changed row, and with it a row of `events`, the
+audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
+`[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
+
+- `labels` (key: `uid`): 3D boxes. A label names its class by id. Its box lies in the frame of its cloud, as it was
+  recorded, so a correction of the calibration moves none. A track has one box in a frame: an index says so.
+- `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
+  too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
+- `frames` (`id`): only `finalised` and `attributes` are audited; `revision` counts the changes, and the scans of a
+  recording change the rest.
+- `classes` (`id`): their names. To rename a class or to merge two is a change here.
+- `adjustments` (`recording_id`): up direction and calibration of a recording.
+
+So undo is generic: where the present columns equal `after`, put `before`. And the audit, replayed from its beginning,
+gives these tables. Labels and boxes of a removed recording have `hidden` set; queries read the views `shown_...`, which
+leave them out and give classes by name. The other tables (recordings, runs, results, models, the traces of the latest
+pass over a frame, changes of the classes) have no undo.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +45,26 @@ class PackedText(TypeDecorator[str]):
 
     def process_bind_param(self, value: str | None, dialect: Dialect) -> str | bytes | None:
         """Converts a value from Python to the database."""
-        return value if value is None or len(value) < PACKED_FROM else zlib.compress(value.encode())
+        return None if value is None else packed(value)
 
     def process_result_value(self, value: str | bytes | None, dialect: Dialect) -> str | None:
         """Converts a value from the database to Python."""
-        if not isinstance(value, bytes):
-            return value
-        try:
-            return zlib.decompress(value).decode()
-        except (zlib.error, UnicodeDecodeError) as error:
-            raise ProjectError(f"an event of the project is damaged ({error}); {RESTORE}") from error
+        return None if value is None else unpacked(value)
+
+
+def packed(text: str) -> str | bytes:
+    """A text as it is stored."""
+    return text if len(text) < PACKED_FROM else zlib.compress(text.encode())
+
+
+def unpacked(stored: str | bytes) -> str:
+    """The text that `packed` has stored."""
+    if isinstance(stored, str):
+        return stored
+    try:
+        return zlib.decompress(stored).decode()
+    except (zlib.error, UnicodeDecodeError) as error:
+        raise ProjectError(f"an event of the project is damaged ({error}); {RESTORE}") from error
 
 
 # Types of columns in the SQL of the migrations.
@@ -43,15 +72,16 @@ _TYPES = {"INTEGER": Integer, "BOOLEAN": Boolean, "REAL": Float, "TEXT": Text, "
 
 
 def _tables() -> MetaData:
-    """The tables that the migrations make."""
+    """The tables and views that the migrations make."""
     found = MetaData()
     with in_memory(MIGRATIONS) as made:
-        for (name,) in made.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"):
+        names = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%'"
+        for (name,) in made.execute(names).fetchall():
             to = {row[3]: f"{row[2]}.{row[4]}" for row in made.execute(f"PRAGMA foreign_key_list({name})")}
             columns = [
                 Column(
                     column,
-                    _TYPES[kind](),
+                    _TYPES[kind or "TEXT"](),  # the name of a class in a view has none
                     *([ForeignKey(to[column])] if column in to else []),
                     primary_key=bool(is_key),
                     nullable=not (is_required or is_key),
@@ -66,20 +96,45 @@ _FOUND = _tables().tables
 recordings = _FOUND["recordings"]
 moves = _FOUND["moves"]
 frames = _FOUND["frames"]
+classes = _FOUND["classes"]
+class_changes = _FOUND["class_changes"]
 events = _FOUND["events"]
-labels = _FOUND["labels"]
-frame_attributes = _FOUND["frame_attributes"]
-image_labels = _FOUND["image_labels"]
-view_labels = _FOUND["view_labels"]
-revertible = _FOUND["revertible"]
 adjustments = _FOUND["adjustments"]
-removed_rows = _FOUND["removed_rows"]
+passes = _FOUND["passes"]
 runs = _FOUND["runs"]
 frame_results = _FOUND["frame_results"]
 models = _FOUND["models"]
+# What queries read; `ALL_LABELS` has those of removed recordings, too.
+labels = _FOUND["shown_labels"]
+image_labels = _FOUND["shown_image_labels"]
+view_labels = _FOUND["shown_view_labels"]
+ALL_LABELS = _FOUND["labels"]
+
+AUDITED = {
+    "classes": "id",
+    "labels": "uid",
+    "image_labels": "frame_id",
+    "view_labels": "key",
+    "adjustments": "recording_id",
+    "frames": "id",
+}
+"""The audited tables with their keys, in the order of their references."""
+
+# Columns that are not audited: they follow from the event, from scans, or from removed recordings.
+NOT_AUDITED = {
+    "image_labels": ("event_id", "hidden"),
+    "view_labels": ("revision", "event_id", "hidden"),
+    "adjustments": ("event_id",),
+    "labels": ("hidden",),
+    "frames": ("recording_id", "key", "position", "revision"),
+}
+
+
+def columns_of(table: str) -> tuple[str, ...]:
+    """The audited columns of a table."""
+    left_out = NOT_AUDITED.get(table, ())
+    return tuple(column.name for column in _FOUND[table].c if column.name not in left_out)
+
 
 # Queries of many modules, built once, since building a statement takes longer than running it.
-LABEL_OF_UID = select(labels).where(labels.c.uid == bindparam("uid"))
 LABELS_OF_FRAME = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
-
-DERIVED = (labels, image_labels, view_labels, revertible, adjustments, frame_attributes, removed_rows)

@@ -12,11 +12,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, select
 
-from annotator.project.database.schema import events, revertible
-from annotator.project.log.event_types import ImageBoxesState
-from annotator.project.log.events import Effort
-from annotator.project.log.records import parsed
-from annotator.project.log.undo_state import IMAGE, LABEL, Since, present_state
+from annotator.project.audit.events import Effort, Event, RowChange, event_of
+from annotator.project.database.schema import events
+from annotator.project.records import BOXES_2D, parsed
 from annotator.types import Box2D, ReviewState
 
 DRAFT = "draft-"
@@ -72,10 +70,6 @@ def box_effort(entries: Sequence[tuple[float, float]]) -> BoxEffort:
     )
 
 
-# A state is the JSON of a model with one key "state"; quotes in names are escaped, so these texts occur nowhere else.
-_STATES = {f'"state":"{state.value}"': state for state in ReviewState}
-_PROPOSED, _ACCEPTED, _EDITED, _REJECTED = _STATES
-
 KEPT, REJECTED = "kept", "rejected"
 
 
@@ -104,38 +98,55 @@ class ActionLog:
     """All actions, and what they did to labels.
 
     Attributes:
-        since: what has changed all states.
         actions: by id, in order.
-        proposed: label uid -> the JSON of its state as a proposal, for labels that an operator has touched.
+        proposed: uids of the labels that an operator has reviewed as proposals.
+        first: (label uid, "box" or "class_id") -> what an action has changed first.
         decided: (label uid, KEPT or REJECTED) -> author and time (ns) of the decision.
     """
 
-    since: Since
     actions: dict[str, Action] = field(default_factory=dict)
-    proposed: dict[str, str] = field(default_factory=dict)
+    proposed: set[str] = field(default_factory=set)
+    first: dict[tuple[str, str], Any] = field(default_factory=dict)
     decided: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
     _became: dict[str, str] = field(default_factory=dict)
     _moved: dict[str, str] = field(default_factory=dict)
 
-    def add(self, row: Sequence[Any]) -> None:
-        """Adds one event of an action: a row of `_LOG`."""
-        event_id, frame_id, kind, author, time_ns, action_id, undoes, subject, actions, seconds = row[:10]
-        target, before, after = row[10:]
-        action = self.actions.get(action_id)
+    def add(self, event: Event) -> None:
+        """Adds one event of an action."""
+        assert event.action is not None and event.frame_id is not None  # as every action
+        action = self.actions.get(event.action)
         if action is None:
-            effort = None if actions is None else Effort(actions, seconds)
-            action = self.actions[action_id] = Action(author, time_ns, effort, subject)
-        action.frames[frame_id] = None
-        if target == IMAGE:
-            self._add_image_boxes(frame_id, before, after)
-        elif target.startswith(LABEL):
-            uid = target.partition(":")[2]
-            action.labels[uid] = None
-            if kind == "label_created" and subject is not None and subject.startswith(DRAFT):
-                self._became[subject] = uid
-            if before is not None and _PROPOSED in before and uid not in self.proposed:
-                self.proposed[uid] = present_state(self.since, frame_id, target, before, event_id) or before
-            self._add_decision(uid, before, after, undoes is not None, (author, time_ns))
+            action = Action(event.author, event.time_ns, event.effort, event.effort_target)
+            self.actions[event.action] = action
+        action.frames[event.frame_id] = None
+        for row in event.rows:
+            if row.table == "image_labels":
+                self._add_image_boxes(event.frame_id, row)
+            elif row.table == "labels":
+                uid = str(row.key)
+                action.labels[uid] = None
+                subject = event.effort_target
+                if event.kind == "label_created" and subject is not None and subject.startswith(DRAFT):
+                    self._became[subject] = uid
+                self._add_label(uid, row, event)
+
+    def _add_label(self, uid: str, row: RowChange, event: Event) -> None:
+        before, after = row.before or {}, row.after or {}
+        for column in ("box", "class_id"):
+            if column in before:
+                self.first.setdefault((uid, column), before[column])
+        then, now = before.get("state"), after.get("state")
+        if then == ReviewState.PROPOSED.value:
+            self.proposed.add(uid)
+        if now in (None, ReviewState.PROPOSED.value):
+            return
+        decision = REJECTED if now == ReviewState.REJECTED.value else KEPT
+        made, is_other = (event.author, event.time_ns), _decision(then) != decision
+        if is_other and event.undoes is None:
+            self.decided[uid, decision] = made
+        elif is_other or (now == ReviewState.EDITED.value and then != now):
+            # undo and redo restore somebody's decision; an edited import has had none before
+            self.decided.setdefault((uid, decision), made)
 
     def effort_by_label(self) -> dict[str, tuple[float, float]]:
         """Label uid -> actions and seconds; the effort of an action for several labels is divided equally."""
@@ -159,55 +170,27 @@ class ActionLog:
             target = self._moved[target]
         return self._became.get(target, target)
 
-    def _add_image_boxes(self, frame_id: int, before: str | None, after: str | None) -> None:
+    def _add_image_boxes(self, frame_id: int, row: RowChange) -> None:
         """Records a changed box on the image: the draft's id changes with it."""
-        if before is None or after is None:
+        if not row.is_update or row.before is None or row.after is None or "boxes" not in row.after:
             return
-        old, new = (parsed(ImageBoxesState.model_validate_json, state).boxes for state in (before, after))
+        # the id of a draft does not depend on its class
+        old, new = (parsed(BOXES_2D.validate_json, state["boxes"]) for state in (row.before, row.after))
         removed, added = [box for box in old if box not in new], [box for box in new if box not in old]
         if len(removed) == len(added) == 1:
             self._moved[draft_id(frame_id, removed[0])] = draft_id(frame_id, added[0])
 
-    def _add_decision(
-        self, uid: str, before: str | None, after: str | None, restores: bool, made: tuple[str, int]
-    ) -> None:
-        then, now = _decision(before), _decision(after)
-        if now is None:
-            return
-        if then != now and not restores:
-            self.decided[uid, now] = made
-        elif then != now or (_is_edited(after) and not _is_edited(before)):
-            # undo and redo restore somebody's decision; an edited import has had none before
-            self.decided.setdefault((uid, now), made)
-
 
 def _decision(state: str | None) -> str | None:
-    if state is None or _PROPOSED in state:
+    if state in (None, ReviewState.PROPOSED.value):
         return None
-    return REJECTED if _REJECTED in state else KEPT
-
-
-def _is_edited(state: str | None) -> bool:
-    return state is not None and _EDITED in state
-
-
-_LOG = (
-    select(
-        *(events.c[name] for name in ("id", "frame_id", "kind", "author", "time_ns", "action", "undoes", "subject")),
-        events.c.actions,
-        events.c.seconds,
-        revertible.c.subject,
-        revertible.c.before,
-        revertible.c.after,
-    )
-    .join(revertible, revertible.c.event_id == events.c.id)
-    .order_by(events.c.id)
-)
+    return REJECTED if state == ReviewState.REJECTED.value else KEPT
 
 
 def read_log(connection: Connection) -> ActionLog:
     """Reads all actions."""
-    log = ActionLog(Since(connection))
-    for row in connection.execute(_LOG):
-        log.add(row)
+    log = ActionLog()
+    query = select(events).where(events.c.action.is_not(None), events.c.frame_id.is_not(None)).order_by(events.c.id)
+    for row in connection.execute(query):
+        log.add(event_of(row))
     return log

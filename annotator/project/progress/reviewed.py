@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic_core import to_json
 from sqlalchemy import Connection, func, select
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import SAME_BOX
+from annotator.project.changes import Origin
 from annotator.project.database.schema import AnyRow, labels
-from annotator.project.log.event_types import Origin
-from annotator.project.log.records import parsed
 from annotator.project.progress.action_log import (
     COPIED,
     CORRECTED,
@@ -31,6 +29,8 @@ from annotator.project.progress.action_log import (
     UNTOUCHED,
     ActionLog,
 )
+from annotator.project.records import parsed
+from annotator.project.rows import Terms
 from annotator.types import ReviewState, Source
 
 _MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
@@ -63,18 +63,23 @@ class ReviewedBox(NamedTuple):
 
 def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
     """All reviewed labels, in the order of their creation."""
-    columns = ("uid", "frame_id", "label", "box", "source", "state", "origin", "proposal_event_id")
+    columns = ("uid", "frame_id", "label", "class_id", "box", "source", "state", "origin", "proposed_box")
     centers = [func.json_extract(labels.c.box, f"$.center_m[{axis}]") for axis in range(3)]
     query = select(*(labels.c[name] for name in columns), *centers)
     query = query.where(labels.c.state != ReviewState.PROPOSED.value).order_by(labels.c.id)
-    rows = connection.execute(query).all()
-    ranges = [math.hypot(*row[-3:]) for row in rows]
-    comparisons = _compared(rows, log.proposed)
+    rows, terms = connection.execute(query).all(), Terms(connection)
+    ranges = [_range_m(row, terms) for row in rows]
+    comparisons = _compared(rows, log, terms)
     spent = log.effort_by_label()
     return [
         _reviewed(row, range_m, comparisons.get(row.uid), spent.get(row.uid), log)
         for row, range_m in zip(rows, ranges, strict=True)
     ]
+
+
+def _range_m(row: AnyRow, terms: Terms) -> float:
+    T = terms.T_camera_cloud(row.frame_id)
+    return math.hypot(*(row[-3:] if T is None else T.apply(row[-3:])))
 
 
 def _reviewed(
@@ -90,7 +95,7 @@ def _reviewed(
         label=row.label,
         range_m=range_m,
         is_rejected=is_rejected,
-        was_proposed=compared is not None or row.proposal_event_id is not None,
+        was_proposed=compared is not None or row.proposed_box is not None,
         origin=None if is_rejected else _origin(row, compared),
         iou=None if is_rejected or compared is None else compared.iou,
         effort=effort,
@@ -101,7 +106,7 @@ def _reviewed(
 def _origin(row: AnyRow, compared: _Compared | None) -> str | None:
     if compared is not None:
         return UNTOUCHED if compared.is_same else CORRECTED
-    if row.proposal_event_id is not None:  # reviewed with a version of annotator that did not record actions
+    if row.proposed_box is not None:  # reviewed with a version of annotator that did not record actions
         return UNTOUCHED if row.state == ReviewState.ACCEPTED.value else CORRECTED
     if row.source == Source.IMPORTED.value:
         return IMPORT_EDITED if row.state == ReviewState.EDITED.value else None
@@ -123,54 +128,44 @@ class _Compared(NamedTuple):
     is_same: bool
 
 
-def _listed(texts: Sequence[str]) -> str:
-    """One JSON list of JSON texts."""
-    return f"[{','.join(texts)}]"
-
-
-def _boxes(records: str) -> _Boxes:
+def _boxes(content: str) -> _Boxes:
     """The boxes of a JSON list of `BoxRecord`s."""
-    return _stacked(json.loads(records))
+    records = json.loads(content)
 
-
-def _stacked(records: Sequence[Mapping[str, Any]]) -> _Boxes:
     def stack(key: str, *shape: int) -> np.ndarray:
         return np.array([record[key] for record in records], np.float64).reshape(-1, *shape)
 
     return _Boxes(stack("center_m", 3), stack("rotation", 3, 3), stack("size_m", 3))
 
 
-def _classes_and_boxes(states: str) -> tuple[list[str], _Boxes]:
-    """Of a JSON list of `LabelState`s."""
-    records = json.loads(states)
-    return [record["label"] for record in records], _stacked([record["box"] for record in records])
-
-
-def _compared(rows: Sequence[AnyRow], proposed: Mapping[str, str]) -> dict[str, _Compared]:
+def _compared(rows: Sequence[AnyRow], log: ActionLog, terms: Terms) -> dict[str, _Compared]:
     """Label uid -> how it differs from its proposal, for the labels that have one.
 
     Compares class and box, since an edited label that was accepted afterwards has the state "accepted".
     """
     results: dict[str, _Compared] = {}
-    changed = []
-    for n, row in enumerate(rows):
-        state = proposed.get(row.uid)
+    changed, then = list[AnyRow](), list[str]()
+    for row in rows:
         # a copy was open, too, but nobody else proposed it
-        if state is None or row.origin is not None:
+        if row.uid not in log.proposed or row.origin is not None:
             continue
-        # as `LabelState` begins; whatever is written otherwise is compared by its numbers
-        if state.startswith(f'{{"label":{to_json(row.label).decode()},"box":{row.box},'):
+        box = log.first.get((row.uid, "box"), row.box)
+        if box == row.box and _first_class(row, log, terms) == row.label:
             results[row.uid] = _Compared(1.0, True)
         else:
-            changed.append(n)
+            changed.append(row)
+            then.append(box)
     if not changed:
         return results
-    classes, then = parsed(_classes_and_boxes, _listed([proposed[rows[n].uid] for n in changed]))
-    now = parsed(_boxes, _listed([rows[n].box for n in changed]))
-    apart = [np.abs(a - b).reshape(len(changed), -1).max(axis=1) for a, b in zip(now, then, strict=True)]
+    before, now = (parsed(_boxes, f"[{','.join(texts)}]") for texts in (then, [row.box for row in changed]))
+    apart = [np.abs(a - b).reshape(len(changed), -1).max(axis=1) for a, b in zip(now, before, strict=True)]
     is_same = np.max(apart, axis=0) <= SAME_BOX
-    shared = intersection_volume_pairs(*now, *then)
-    ious = np.minimum(shared / (now.sizes.prod(axis=1) + then.sizes.prod(axis=1) - shared), 1.0)
-    for n, name, same, iou in zip(changed, classes, is_same.tolist(), ious.tolist(), strict=True):
-        results[rows[n].uid] = _Compared(iou, same and name == rows[n].label)
+    shared = intersection_volume_pairs(*now, *before)
+    ious = np.minimum(shared / (now.sizes.prod(axis=1) + before.sizes.prod(axis=1) - shared), 1.0)
+    for row, same, iou in zip(changed, is_same.tolist(), ious.tolist(), strict=True):
+        results[row.uid] = _Compared(iou, same and _first_class(row, log, terms) == row.label)
     return results
+
+
+def _first_class(row: AnyRow, log: ActionLog, terms: Terms) -> str:
+    return terms.names[log.first.get((row.uid, "class_id"), row.class_id)]

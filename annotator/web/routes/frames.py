@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
 from annotator.project import History, Origin, Reverted
-from annotator.project.log.event_types import (
+from annotator.project.changes import (
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,
@@ -23,8 +23,8 @@ from annotator.project.log.event_types import (
     LabelTracked,
     Payload,
 )
-from annotator.project.log.records import BoxRecord
 from annotator.project.overview import list_frames
+from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
 from annotator.types.errors import HistoryError
 from annotator.types.label import MOST_TRACK

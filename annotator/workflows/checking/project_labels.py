@@ -291,13 +291,9 @@ class _Tracks:
 
     def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:
         """Yields labels of a frame that contradict their tracks."""
-        seen: set[int] = set()
         for label in labels:
             if label.track_id is None:
                 continue
-            if label.track_id in seen:
-                yield Kind.TRACK, label.uid, f"track {label.track_id} has two boxes in this frame"
-            seen.add(label.track_id)
             most = self._classes[self.key(label, frame)].most_common(1)[0][0]
             if most != label.label:
                 yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most}, but {label.label} here"

@@ -17,9 +17,9 @@ import numpy as np
 from annotator.files import read_file
 from annotator.formats.table import FlatFormat
 from annotator.project import FramePart, Project, WriteContext
-from annotator.project.log.event_types import ImageBoxesSet
-from annotator.project.log.records import storable
+from annotator.project.changes import ImageBoxesSet
 from annotator.project.overview import read_page
+from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, StaleRevisionError
 from annotator.workflows.importing.pictures import (

@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import replace
 
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
-from annotator.project.classes.completing import ValueReader
-from annotator.project.log.records import OWN
+from annotator.project.classes.values import ValueReader
+from annotator.project.records import OWN
 from annotator.project.sources import SourceTracks
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError

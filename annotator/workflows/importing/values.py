@@ -16,10 +16,10 @@ from annotator.formats.attributes import Values as Given
 from annotator.formats.attributes import typed_value
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
+from annotator.project.changes import FrameAttributesSet, LabelAttributesSet, Payload
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.classes.completing import ValueReader, Values
-from annotator.project.log.event_types import FrameAttributesSet, LabelAttributesSet, Payload
+from annotator.project.classes.values import ValueReader, Values
 from annotator.project.sources import covered_by
 from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import StaleRevisionError

@@ -23,8 +23,8 @@ from shutil import rmtree
 from typing import IO
 
 from annotator.project import Project
+from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
-from annotator.project.log.writing import WriteContext
 from annotator.project.proposals import RunShare
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals

@@ -15,10 +15,10 @@ from functools import cached_property
 from itertools import islice
 
 from annotator.project import StoredRecording
+from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
-from annotator.project.log.writing import WriteContext
 from annotator.project.project import Project
 from annotator.project.proposals import RunShare
 from annotator.rcv.config import REVISION, RcvConfig

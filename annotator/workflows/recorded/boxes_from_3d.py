@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.project.log.event_types import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
+from annotator.project.changes import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
 from annotator.project.overview import FramePage, read_page
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source

@@ -9,7 +9,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, StoredLabel
-from annotator.project.log.event_types import LabelProposed, LabelTracked, Payload
+from annotator.project.changes import LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
 from annotator.project.sources import covered_by
 from annotator.rcv.axes import with_axes_like

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
-from annotator.project.log.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
+from annotator.project.changes import LabelDeleted, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState
@@ -344,11 +344,13 @@ class FollowRun:
         """Whether an earlier run has proposed a box; automatic passes and operators propose others."""
         events = self._timeline.project.log.of_frame(stored.frame_id)
         return any(
-            isinstance(event.payload, LabelProposed)
-            and event.payload.uid == stored.label.uid
-            and event.payload.proposal is not None
+            event.kind == LabelProposed.kind
+            and row.key == stored.label.uid
+            and row.after is not None
+            and row.after["proposed_box"] is not None
             and event.id <= self._last_event
             for event in events
+            for row in event.rows
         )
 
     def _present(self, item: FollowedObject) -> Label | None:

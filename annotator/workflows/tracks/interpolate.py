@@ -11,7 +11,7 @@ from itertools import pairwise
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import REVIEWED, Effort, Project, StoredFrame
-from annotator.project.log.event_types import Payload
+from annotator.project.changes import Payload
 from annotator.tracking.smooth import between
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.log.event_types import LinkedLabel, TracksLinked
-from annotator.project.log.records import BoxRecord
+from annotator.project.records import BoxRecord
 from annotator.recordings.kitti import KittiFolder
 from annotator.tracking.link import Seen, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed

@@ -20,9 +20,9 @@ from annotator.project import (
     StoredLabel,
     WriteContext,
 )
-from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
-from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
+from annotator.project.changes import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
+from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, link, overlap_at_place

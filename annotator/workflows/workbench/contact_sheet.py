@@ -21,7 +21,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import thin
 from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
 from annotator.project.boxes import png
-from annotator.project.log.event_types import LabelAccepted
+from annotator.project.changes import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError, FrameError

@@ -11,7 +11,7 @@ from review_desk import Desk
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
-from annotator.project.log.event_types import LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Label, Proposal, Quality, ReviewState, Source, Truth

@@ -15,7 +15,7 @@ from annotator.formats.coco import read_coco
 from annotator.formats.losses import Lost
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, RunShare, WriteContext
-from annotator.project.log.records import ViewGeometry
+from annotator.project.records import ViewGeometry
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError

@@ -184,7 +184,6 @@ def rows(folder: Path, sequence: str) -> list[list[str]]:
     return [line.split() for line in file.read_text().splitlines()]
 
 
-@pytest.mark.usefixtures("older_tracks")
 def test_a_tracking_export_gives_every_box_a_track_id_and_opens_as_a_recording(
     make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:

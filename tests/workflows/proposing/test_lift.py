@@ -18,7 +18,7 @@ from annotator.detection.pretrained import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.project import BoxRotation, NewLabel, Project, WriteContext
-from annotator.project.log.event_types import FrameFinalised, ImageBoxesSet
+from annotator.project.changes import FrameFinalised, ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording

@@ -11,7 +11,7 @@ from moving import ANN, Walking, accept, box_of, labels_of, proposal_of, tracks_
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.log.event_types import LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
 from annotator.workflows.workbench.save_object import copy_boxes

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
-from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
+from annotator.project.changes import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError

@@ -14,7 +14,7 @@ import pytest
 
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.project import Project, WriteContext
-from annotator.project.log.event_types import FrameFinalised
+from annotator.project.changes import FrameFinalised
 from annotator.project.overview import FramePage
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view

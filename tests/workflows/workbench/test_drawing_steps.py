@@ -14,7 +14,7 @@ import pytest
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
-from annotator.project.log.events import Effort
+from annotator.project.audit.events import Effort
 from annotator.project.progress.action_log import draft_id
 from annotator.rcv.known_objects import Span, draw_object
 from annotator.rcv.teach import TaughtObject

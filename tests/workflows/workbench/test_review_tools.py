@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains, same_box
 from annotator.project import Effort, NewLabel, Project, StoredFrame, WriteContext
-from annotator.project.log.event_types import LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording

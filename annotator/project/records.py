@@ -1,4 +1,4 @@
-"""Lossless JSON records of the shared value types, for the payloads of events.
+"""Lossless JSON records of the shared value types, for the columns of the tables.
 
 pydantic serialises dataclasses of plain numbers (`Box2D`, `StepTrace`, `LostObject` ...) directly. An `OrientedBox` is
 stored as centre, rotation matrix and size, bit for bit.
@@ -130,9 +130,9 @@ class OwnColumns(BaseModel):
     last_change: float | None = None
     image_agreement: float | None = None
     expected_iou_loss: float | None = None
-    proposal_event_id: int | None = None
+    proposed_box: str | None = None
     run_id: int | None = None
-    track_linked: bool = False
+    track_linked: int = 0
     origin: str | None = None
 
 
@@ -220,20 +220,10 @@ class ViewGeometry(BaseModel):
         return PseudoView(rgb, np.array(self.axes), self.metres_per_px, np.array(self.origin_m), points, self.look_px)
 
 
-_BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
 _SUGGESTION: TypeAdapter[Suggestion] = TypeAdapter(Suggestion)
-_SAID: TypeAdapter[tuple[SaidRecord, ...]] = TypeAdapter(tuple[SaidRecord, ...])
+SAID: TypeAdapter[tuple[SaidRecord, ...]] = TypeAdapter(tuple[SaidRecord, ...])
+BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
 BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
-
-
-def box_2d_json(box: Box2D | None) -> str | None:
-    """A 2D box as JSON for a database column, or None."""
-    return None if box is None else _BOX_2D.dump_json(box).decode()
-
-
-def box_2d_of(content: str | None) -> Box2D | None:
-    """The 2D box of a database column, or None."""
-    return None if content is None else _BOX_2D.validate_json(content)
 
 
 def suggestion_json(suggestion: Suggestion | None) -> str | None:
@@ -246,18 +236,8 @@ def suggestion_of(content: str | None) -> Suggestion | None:
     return None if content is None else parsed(_SUGGESTION.validate_json, content)
 
 
-def said_json(said: tuple[SaidRecord, ...]) -> str | None:
-    """What the sources say of an object as JSON for a database column; None if they say nothing."""
-    return _SAID.dump_json(said).decode() if said else None
-
-
-def said_of(content: str | None) -> tuple[SaidRecord, ...]:
-    """What the sources say of an object, from a database column."""
-    return () if content is None else parsed(_SAID.validate_json, content)
-
-
 def sources_of(content: str | None) -> tuple[str, ...]:
-    """The names of the sources in a database column that `said_of` reads; their boxes are not parsed."""
+    """The names of the sources in the column `said`; their boxes are not parsed."""
     return () if content is None else parsed(lambda text: tuple(each["source"] for each in json.loads(text)), content)
 
 

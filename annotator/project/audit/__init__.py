@@ -1,0 +1,1 @@
+"""The one door for changes, the audit that it writes, and undo."""

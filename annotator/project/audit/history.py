@@ -1,0 +1,511 @@
+"""Undo and redo of each operator's own actions, over all frames.
+
+An undo puts back the columns that an action has changed, where they are still as it left them, and is an action itself.
+So a redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the
+redo stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
+
+An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
+the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
+parts of such an action are undone, and redone, one after the other from then on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+from sqlalchemy import Connection, bindparam, func, select
+
+from annotator.project.adjusting import Adjustment, adjustment_row
+from annotator.project.adjustments import KIND as ADJUSTED
+from annotator.project.adjustments import make_stale
+from annotator.project.audit.events import CLASSES, Effort, Event, Key, RowChange, as_one, event_of, read_row, rows_of
+from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, fitting
+from annotator.project.classes.changing import made_changes, values_after
+from annotator.project.config import ProjectConfig, read_config
+from annotator.project.database.schema import events, frames, recordings
+from annotator.project.log import Writer, new_action, require_writable
+from annotator.project.recordings import removed_recordings
+from annotator.project.rows import Row, Terms, values_json, values_of
+from annotator.project.sources import KIND as IMPORTED
+from annotator.types import Source
+from annotator.types.errors import HistoryError, TrackTakenError
+from annotator.types.label import AttributeValue
+
+KIND = "restored"
+
+# Event kind -> verb for the page; the first kind that occurs in an action names the action.
+VERBS = (
+    ("label_proposed", "propose"),
+    ("label_created", "draw"),
+    ("label_deleted", "delete"),
+    ("label_rejected", "reject"),
+    ("label_edited", "edit"),
+    ("label_accepted", "accept"),
+    ("label_tracked", "track"),
+    ("label_attributes_set", "set attributes of"),
+    ("frame_attributes_set", "set attributes of the frame"),
+    ("frame_finalised", "finalise"),
+    ("frame_reopened", "reopen"),
+    ("view_boxes_set", "draw on a view"),
+    ("image_boxes_set", "draw on the image"),
+)
+
+
+# Built once: a save runs both, and building them takes longer than running them.
+_ACTIONS = (
+    select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
+    .join(frames, frames.c.id == events.c.frame_id)
+    .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
+    .order_by(events.c.id)
+)
+_NEWEST = select(func.coalesce(func.max(events.c.id), 0))
+_CHANGES = (
+    select(events, frames.c.recording_id, frames.c.key)
+    .join(frames, frames.c.id == events.c.frame_id)
+    .where(events.c.action == bindparam("action"))
+    .order_by(events.c.id)
+)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """One event of an action, with its frame's recording and key."""
+
+    event: Event
+    recording_id: int
+    key: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """One entry of a stack.
+
+    Attributes:
+        action: the action to revert: the original one, or its latest undo or redo.
+        original: the operator's original action.
+        recordings: ids of the recordings in which it is to be reverted.
+    """
+
+    action: str
+    original: str
+    recordings: frozenset[int]
+
+
+@dataclass(frozen=True)
+class Reverted:
+    """The result of an undo or redo.
+
+    Attributes:
+        frame_id: the frame; for several frames, the first one of the action.
+        receipt: of that frame.
+        words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
+            could not be restored, because the project no longer allows these.
+        original: the operator's original action.
+        others: the other changed frames, each with its receipt.
+    """
+
+    frame_id: int
+    receipt: Receipt
+    words: str
+    original: str
+    others: tuple[tuple[int, Receipt], ...] = ()
+
+
+@dataclass
+class _Stacks:
+    """An operator's stacks after the event `last`.
+
+    Attributes:
+        known: the recordings of all actions so far.
+        words: descriptions, by original action and then by the recordings in which it would be reverted.
+        lock: held by the thread that uses them.
+    """
+
+    last: int = 0
+    known: dict[str, set[int]] = field(default_factory=dict)
+    undo: list[Step] = field(default_factory=list)
+    redo: list[Step] = field(default_factory=list)
+    words: dict[str, dict[frozenset[int], str]] = field(default_factory=dict)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def follow(self, connection: Connection, author: str) -> None:
+        """Reads the operator's events since `last`."""
+        for row in connection.execute(_ACTIONS, {"author": author, "last": self.last}):
+            self.last = row.id
+            # an action that is written in several calls has its place since the first
+            self.words.pop(row.action, None)
+            if row.recording_id not in self.known.get(row.action, ()):
+                self.add(row.action, row.undoes, row.recording_id)
+
+    def description(self, connection: Connection, step: Step) -> str:
+        """What a step has done, in words."""
+        known = self.words.setdefault(step.original, {})
+        if step.recordings not in known:
+            known[step.recordings] = _description(connection, step)
+        return known[step.recordings]
+
+    def add(self, action: str, undoes: str | None, recording: int) -> None:
+        """Updates both stacks with what the operator's latest action has changed in one more recording."""
+        is_new = action not in self.known
+        self.known.setdefault(action, set()).add(recording)
+        if undoes is None:
+            if is_new:
+                self.redo.clear()
+            _put(self.undo, Step(action, action, frozenset({recording})), is_new)
+            return
+        for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
+            index = _place(source, undoes)
+            if index is not None:
+                _put(target, Step(action, source[index].original, frozenset({recording})), is_new)
+                # the entries above were skipped: in this recording because others have changed their targets, in
+                # others perhaps because these are removed
+                above = (replace(step, recordings=step.recordings - {recording}) for step in source[index:])
+                source[index:] = [step for step in above if step.recordings]
+                return
+
+
+def _place(steps: Sequence[Step], action: str) -> int | None:
+    """The index of an action in a stack."""
+    return next((n for n in reversed(range(len(steps))) if steps[n].action == action), None)
+
+
+def _put(steps: list[Step], step: Step, is_new: bool) -> None:
+    """Adds a step on top, or, unless it is new, its recordings to the step of the same action."""
+    index = None if is_new else _place(steps, step.action)
+    if index is None:
+        steps.append(step)
+    else:
+        steps[index] = replace(step, recordings=steps[index].recordings | step.recordings)
+
+
+class History:
+    """Undoes and redoes actions. Thread-safe."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._stacks_by_author: dict[str, _Stacks] = {}
+
+    def next(self, author: str) -> tuple[str | None, str | None]:
+        """Descriptions of the operator's next undo and redo; None where the stack is empty."""
+        with self._writer.store.read() as connection, self._stacks(connection, author) as stacks:
+            removed = removed_recordings(connection)
+            undo, redo = (next(_without(steps, removed), None) for steps in (stacks.undo, stacks.redo))
+            return (
+                None if undo is None else stacks.description(connection, undo),
+                None if redo is None else stacks.description(connection, redo),
+            )
+
+    def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
+        """Reverts the operator's last action.
+
+        Args:
+            skip: skip actions whose targets another author has changed since, or whose classes were removed.
+
+        Raises:
+            HistoryError: the stack is empty, another author has changed the target since, or its class is gone.
+        """
+        return self._revert(author, is_undo=True, skip=skip, effort=effort)
+
+    def redo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
+        """Repeats the action that was undone last; arguments and errors as in `undo`."""
+        return self._revert(author, is_undo=False, skip=skip, effort=effort)
+
+    def _revert(self, author: str, *, is_undo: bool, skip: bool, effort: Effort | None) -> Reverted:
+        name = "undo" if is_undo else "redo"
+        with self._writer.store.write() as connection:
+            with self._stacks(connection, author) as stacks:
+                kept = stacks.undo if is_undo else stacks.redo
+                steps = list(_without(kept, removed_recordings(connection)))
+            if not steps:
+                raise HistoryError(f"{author} has nothing to {name}")
+            config, some_left = read_config(self._writer.folder), False
+            for step in steps:
+                restoring = _Restoring(connection, config, _changes_of(connection, step.action, step.recordings))
+                if not restoring.by_frame:
+                    continue
+                conflict = restoring.conflict()
+                if conflict is None:
+                    try:
+                        with connection.begin_nested():
+                            receipts = self._restore(restoring, author, step, effort)
+                        break
+                    except TrackTakenError as error:
+                        conflict = f"{error}"
+                some_left = True
+                if not skip:
+                    raise HistoryError(
+                        f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
+                        f"{conflict}; nothing was changed; both versions are in the log",
+                        frame_id=next(iter(restoring.by_frame)),
+                    )
+            else:
+                why = ": others have changed the same data, or its class was removed" if some_left else ""
+                raise HistoryError(f"{author} has nothing {'left ' if some_left else ''}to {name}{why}")
+            (first, receipt), *others = receipts.items()
+            words = _description(connection, step)
+            if restoring.left_out:
+                left_out = ", ".join(sorted(restoring.left_out))
+                words += f"; without values that the project no longer allows: {left_out}"
+            return Reverted(first, receipt, words, step.original, tuple(others))
+
+    def _restore(self, restoring: _Restoring, author: str, step: Step, effort: Effort | None) -> dict[int, Receipt]:
+        """Puts the rows of each frame back."""
+        connection, action, receipts = restoring.connection, new_action(), dict[int, Receipt]()
+        for frame_id, rows in restoring.by_frame.items():
+            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+            # counted once, on the first frame
+            context = WriteContext(revision, author, effort=None if receipts else effort, undoes=step.action)
+            where = require_writable(connection, frame_id, context)
+            write = Write(
+                self._writer.store, self._writer.folder, connection, frame_id, where, context, action, restoring.config
+            )
+            for row in rows:
+                write.put(row.table, row.key, restoring.target(row))
+            write.event(KIND)
+            receipts[frame_id] = write.finish()
+            for row in rows:
+                if row.table == "adjustments":
+                    make_stale(connection, int(row.key), frame_id)
+        return receipts
+
+    @contextmanager
+    def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:
+        """The operator's stacks as of the transaction, which no other thread uses within the block.
+
+        Only events since the last call are read: the history of an operator can be long, and every save names its
+        newest steps. A snapshot can be older than the kept stacks, as another page of the operator has saved since it
+        began. It then gets stacks of its own: the kept ones have steps whose events it does not see.
+        """
+        kept = self._stacks_by_author.setdefault(author, _Stacks())
+        with kept.lock:
+            stacks = kept if kept.last <= connection.execute(_NEWEST).scalar_one() else _Stacks()
+            stacks.follow(connection, author)
+            yield stacks
+
+
+def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
+    """Yields the steps of a stack without some recordings, newest first."""
+    for step in reversed(steps):
+        if left := step.recordings.difference(removed):
+            yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
+
+
+def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[_Change]:
+    """What an action has changed in some recordings."""
+    changed = connection.execute(_CHANGES, {"action": action}).all()
+    return [_Change(event_of(row), row.recording_id, row.key) for row in changed if row.recording_id in recordings]
+
+
+class _Restoring:
+    """How an action is reverted.
+
+    States from before a change of the attributes are compared and put back as they would be today, without values that
+    the project no longer allows.
+
+    Attributes:
+        by_frame: the changed rows by frame, as one change each.
+        left_out: names of the attributes of which values were left out.
+    """
+
+    def __init__(self, connection: Connection, config: ProjectConfig, changes: Sequence[_Change]) -> None:
+        self.connection, self.config, self.left_out = connection, config, set[str]()
+        self.by_frame: dict[int, list[RowChange]] = {}
+        self._terms = Terms(connection)
+        self._made: dict[int, list[Relabelling]] = {}
+        self._last: dict[tuple[str, Key], Event] = {}
+        of_frames: dict[int, list[RowChange]] = defaultdict(list)
+        for change in changes:
+            assert change.event.frame_id is not None  # as every action
+            # classes get their ids once
+            rows = [row for row in change.event.rows if row.table != "classes"]
+            of_frames[change.event.frame_id] += [self._present(row, change.event.id) for row in rows]
+            self._last |= {(row.table, row.key): change.event for row in rows}
+        for frame_id, rows in of_frames.items():
+            if whole := as_one(rows):
+                self.by_frame[frame_id] = whole
+
+    def target(self, change: RowChange) -> Row | None:
+        """The row to put back."""
+        present = read_row(self.connection, change.table, change.key)
+        if change.table == "adjustments" and change.before is None:
+            # a recording stays one that was adjusted, with what it was added with
+            up = select(recordings.c.up).where(recordings.c.id == change.key)
+            return adjustment_row(int(change.key), Adjustment(None)) | {"up": self.connection.execute(up).scalar_one()}
+        if change.before is None:
+            return None
+        before = self._allowed(change, change.before, present)
+        return before if present is None else present | before
+
+    def conflict(self) -> str | None:
+        """Describes what prevents it: a row that somebody has changed since, or a removed class."""
+        gone = sorted(self._classes() - set(self.config.classes))
+        if gone:
+            return f"the class {gone[0]!r} was removed"
+        for rows in self.by_frame.values():
+            for row in rows:
+                present = read_row(self.connection, row.table, row.key)
+                if not self._is_as_left(row, present):
+                    author, when = self._last_change(row)
+                    return f"{self._name(row)} was changed by {author} since{when}"
+        return None
+
+    def _is_as_left(self, row: RowChange, present: Row | None) -> bool:
+        if row.after is None or present is None:
+            return row.after is present
+        allowed = self._allowed(row, row.after, present, note=False)
+        seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
+        return all(seen[name] == allowed[name] for name in row.after if name != "id")
+
+    def _classes(self) -> set[str]:
+        """The classes that the rows to put back need."""
+        used = set[str]()
+        for before in (row.before for rows in self.by_frame.values() for row in rows):
+            if before is not None and "class_id" in before:
+                used.add(self._terms.names[before["class_id"]])
+            elif before is not None and "boxes" in before:
+                used |= {box.label for box in self._terms.boxes_2d(before["boxes"])}
+        return used
+
+    def _present(self, row: RowChange, event_id: int) -> RowChange:
+        """A change with its values as changes of the attributes since would have left them."""
+        if row.table not in ("labels", "frames") or not (changes := self._changes_since(event_id)):
+            return row
+        both = []
+        for state in (row.before, row.after):
+            if state is not None and row.table == "labels":
+                state = state | values_after(self._terms, changes, self._label_of(row, state), state)
+            elif state is not None and "attributes" in state:
+                values = values_of(state["attributes"])
+                for change in changes:
+                    values = change.values(values)
+                state = state | {"attributes": values_json(values) if values else None}
+            both.append(state)
+        return RowChange(row.table, row.key, *both)
+
+    def _changes_since(self, event_id: int) -> list[Relabelling]:
+        if event_id not in self._made:
+            made = made_changes(self.connection, event_id)
+            self._made[event_id] = [each.change for each in made if each.change.changes_rows]
+        return self._made[event_id]
+
+    def _label_of(self, row: RowChange, state: Row) -> str:
+        """The class of a label in a state of it."""
+        known = state if "class_id" in state else read_row(self.connection, "labels", row.key)
+        return "" if known is None else self._terms.names[known["class_id"]]
+
+    def _allowed(self, row: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
+        """A state with such values only as the project allows now."""
+        attributes, allowed = self.config.attributes, dict(state)
+        if row.table == "frames" and "attributes" in state:
+            of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
+            values = self._fitting(of_frames, values_of(state["attributes"]), note)
+            allowed["attributes"] = values_json(values) if values else None
+        if row.table == "labels" and "attributes" in state:
+            of_label = self.config.attributes_of(self._label_of(row, state))
+            allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
+        if row.table == "labels" and state.get("said") is not None:
+            said = self._terms.said(state["said"], None)
+            kept = [
+                each.model_copy(
+                    update={"attributes": self._fitting(self.config.attributes_of(each.label), each.attributes, note)}
+                )
+                for each in said
+            ]
+            allowed["said"] = self._terms.said_json(kept, None)
+        return allowed
+
+    def _fitting(
+        self, attributes: Sequence[Attribute], values: Mapping[str, AttributeValue], note: bool
+    ) -> dict[str, AttributeValue]:
+        kept = fitting(attributes, values)
+        if note:
+            self.left_out |= values.keys() - kept.keys()
+        return kept
+
+    def _last_change(self, row: RowChange) -> tuple[str, str]:
+        """Author and time of the last change of a row after the action."""
+        event = self._last[row.table, row.key]
+        query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
+        if row.table != "adjustments":
+            query = query.where((events.c.frame_id == event.frame_id) | events.c.frame_id.is_(None))
+        for found in self.connection.execute(query.order_by(events.c.id.desc())):
+            if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
+                moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
+                return found.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
+        return "another author", ""
+
+    def _name(self, row: RowChange) -> str:
+        if row.table == "labels":
+            return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
+        return _TABLE_NAMES[row.table]
+
+
+_TABLE_NAMES = {
+    "image_labels": "the boxes on the image",
+    "view_labels": "the box on the view",
+    "frames": "the frame",
+    "adjustments": "the recording",
+}
+
+
+def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
+    """The class of a changed label after an event."""
+    states = [row.after, row.before]
+    if not any(state is not None and "class_id" in state for state in states):
+        of_frame = (events.c.frame_id == event.frame_id) | (events.c.view_id == CLASSES)
+        query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
+        later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
+        states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
+        states.append(read_row(connection, "labels", row.key))
+    number = next(state["class_id"] for state in states if state is not None and "class_id" in state)
+    return Terms(connection).names[number]
+
+
+# --- descriptions for the page ----------------------------------------------------------------------------------------
+
+
+def _description(connection: Connection, step: Step) -> str:
+    return _action_words(connection, _changes_of(connection, step.original, step.recordings))
+
+
+def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
+    """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
+    first, last = changes[0], changes[-1]
+    is_one = first.event.frame_id == last.event.frame_id
+    where = f"frame {first.key}" if is_one else f"frames {first.key} to {last.key}"
+    kinds = {change.event.kind for change in changes}
+    if first.event.source is Source.IMPORTED:
+        what = f"boxes of {first.event.effort_target}" if first.event.kind == IMPORTED else ""
+        what = what or ("3D boxes" if any(kind.startswith("label") for kind in kinds) else "2D boxes")
+        return f"import {what} ({where})"
+    if first.event.kind == ADJUSTED:
+        return _adjustment_words(connection, first)
+    kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
+    # not those that are replaced by new proposals, or given the track of a deleted box
+    counted = {
+        row.key: row
+        for change in changes
+        for row in change.event.rows
+        if row.table == "labels" and kind in ("", change.event.kind)
+    }
+    if len(counted) > 1:
+        return f"{verb} {len(counted)} labels ({where})"
+    for row in counted.values():
+        return f"{verb} {_class_of(connection, row, last.event)} ({where})"
+    return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
+
+
+def _adjustment_words(connection: Connection, change: _Change) -> str:
+    """Such as "set up of room-3"."""
+    named = select(recordings.c.name).where(recordings.c.id == change.recording_id)
+    (row,) = change.event.rows
+    before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
+    is_turned = row.before is None and before["correction"] != after["correction"]
+    is_turned |= row.before is not None and "correction" in row.before
+    return f"{'correct the calibration of' if is_turned else 'set up of'} {connection.execute(named).scalar_one()}"

@@ -1,0 +1,260 @@
+"""The one door through which audited rows change: the rows and events of one write."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Connection
+
+from annotator.project.audit.events import (
+    Effort,
+    Event,
+    Key,
+    RowChange,
+    apply_events,
+    as_one,
+    changed_row,
+    insert_event,
+    read_row,
+)
+from annotator.project.config import ProjectConfig, read_config
+from annotator.project.database.schema import columns_of, packed
+from annotator.project.database.store import Store
+from annotator.project.rows import Row, Terms, driver_of
+from annotator.types import ReviewState, Source
+from annotator.types.errors import ProjectError, TrackTakenError
+from annotator.types.messages import alternatives
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """Result of a write.
+
+    Attributes:
+        event_ids: of the appended events, in order.
+        revision: of the frame (or view) after the write; the next change must be based on it.
+    """
+
+    event_ids: tuple[int, ...]
+    revision: int
+
+
+@dataclass(frozen=True)
+class WriteContext:
+    """Author of a change, and the revision that it is based on.
+
+    Attributes:
+        revision: of the frame (or view) that the change is based on.
+        author: name of the operator or program; not empty.
+        source: manual, automatic or imported.
+        effort: of the operator, if counted.
+        effort_target: uid of the label, or id of the draft, that the effort was for; default: the changed labels.
+        undoes: the action that this change reverts.
+    """
+
+    revision: int
+    author: str
+    source: Source = Source.MANUAL
+    effort: Effort | None = None
+    effort_target: str | None = None
+    undoes: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.author.strip():
+            raise ProjectError("a change needs an author; pass a name that is not empty")
+
+
+class Write:
+    """Changes of one frame, or of what belongs to none, within one transaction; `finish` stores them.
+
+    Attributes:
+        frame_id: None for a view without a frame, and for the classes.
+        where: names it in messages.
+        terms: of the transaction.
+        config: of the project.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        folder: Path,
+        connection: Connection,
+        frame_id: int | None,
+        where: str,
+        context: WriteContext,
+        action: str | None = None,
+        config: ProjectConfig | None = None,
+        terms: Terms | None = None,
+    ) -> None:
+        self.connection, self.frame_id, self.where, self.context = connection, frame_id, where, context
+        self.terms = Terms(connection) if terms is None else terms
+        self.time_ns = store.clock()
+        self._folder, self._config, self._action = folder, config, action
+        # the known rows, with what was put in their places
+        self._now: dict[tuple[str, Key], Row | None] = {}
+        self._knows_all = False
+        self._rows: list[RowChange] = []
+        self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
+        self._pass: tuple[int | None, str] | None = None
+        self._next_id: int | None = None
+
+    @property
+    def config(self) -> ProjectConfig:
+        """The project's configuration, read from the file: another process may have added a class."""
+        if self._config is None:
+            self._config = read_config(self._folder)
+        return self._config
+
+    @property
+    def author(self) -> Row:
+        """The columns of who changes a row, and when."""
+        return {"author": self.context.author, "time_ns": self.time_ns}
+
+    # --- rows ---------------------------------------------------------------------------------------------------------
+
+    def row(self, table: str, key: Key) -> Row | None:
+        """A row as it is now."""
+        place = table, key
+        if place not in self._now:
+            self._now[place] = read_row(self.connection, table, key)
+        return self._now[place]
+
+    def put(self, table: str, key: Key, after: Row | None) -> None:
+        """Puts a row in the place of the present one; None removes it."""
+        before = self.row(table, key)
+        if (change := changed_row(table, key, before, after)) is not None:
+            self._now[table, key] = after
+            self._rows.append(change)
+
+    def label(self, uid: str) -> Row:
+        """The row of a label of the frame.
+
+        Raises:
+            ProjectError: there is none.
+        """
+        row = self.row("labels", uid)
+        if row is None or row["frame_id"] != self.frame_id:
+            raise ProjectError(
+                f"{self.where}: label {uid} is not in this frame; it may have been deleted; reload the frame"
+            )
+        return row
+
+    def know(self, table: str, key: Key, row: Row) -> None:
+        """Takes a row that was read within the transaction."""
+        self._now.setdefault((table, key), row)
+
+    def know_all(self, rows: Iterable[Row]) -> None:
+        """Takes the rows of all labels of the frame, read within the transaction."""
+        for row in rows:
+            self.know("labels", row["uid"], row)
+        self._knows_all = True
+
+    def labels(self) -> list[Row]:
+        """The rows of all labels of the frame, in the order of their creation."""
+        if not self._knows_all:
+            columns = columns_of("labels")
+            query = f"SELECT {', '.join(columns)} FROM labels WHERE frame_id = ?"
+            found = driver_of(self.connection).execute(query, (self.frame_id,)).fetchall()
+            self.know_all(dict(zip(columns, values, strict=True)) for values in found)
+        now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
+        return sorted((row for row in now if row["frame_id"] == self.frame_id), key=lambda row: int(row["id"]))
+
+    def next_label_id(self) -> int:
+        """An id that no label has ever had."""
+        if self._next_id is None:
+            given = (
+                driver_of(self.connection).execute("SELECT seq FROM sqlite_sequence WHERE name = 'labels'").fetchone()
+            )
+            self._next_id = 0 if given is None else int(given[0])
+        self._next_id += 1
+        return self._next_id
+
+    def class_id(self, name: str) -> int:
+        """The id of a class of the project; one that no row has had yet gets one.
+
+        Raises:
+            ProjectError: an unknown class.
+        """
+        if name not in self.config.classes:
+            raise ProjectError(
+                f"{self.where}: {name!r} is not a class of the project; {alternatives(name, self.config.classes)}; "
+                "use one of the project's classes, or add the missing ones to the project first"
+            )
+        known = self.terms.known_id(name)
+        if known is None:
+            known = self.terms.add(name)
+            self._now["classes", known] = None
+            self.put("classes", known, {"id": known, "name": name})
+        return known
+
+    # --- events -------------------------------------------------------------------------------------------------------
+
+    def event(self, kind: str, view: str | None = None) -> None:
+        """Ends one change: the rows that were put since the one before."""
+        self._events.append((kind, view, tuple(as_one(self._rows))))
+        self._rows = []
+
+    def keep_pass(self, run: int | None, content: str) -> None:
+        """Keeps the traces of an automatic pass in the place of those of the one before."""
+        self._pass = run, content
+
+    def finish(self) -> Receipt:
+        """Stores the rows and the events.
+
+        Raises:
+            TrackTakenError: a track would get a second box in the frame.
+        """
+        context, stored = self.context, list[Event]()
+        for revision, (kind, view, rows) in enumerate(self._events, context.revision + 1):
+            event = Event(
+                id=0,
+                frame_id=self.frame_id,
+                view_id=view,
+                revision=revision,
+                kind=kind,
+                author=context.author,
+                time_ns=self.time_ns,
+                source=context.source,
+                rows=rows,
+                action=self._action,
+                undoes=context.undoes,
+                effort_target=context.effort_target,
+                effort=None if stored else context.effort,
+            )
+            stored.append(insert_event(self.connection, event))
+        if stored:
+            self._apply(stored)
+        if self._pass is not None:
+            run, content = self._pass
+            values = (self.frame_id, stored[0].id, run, packed(content))
+            self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?, ?)", values)
+        return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
+
+    def _apply(self, stored: list[Event]) -> None:
+        try:
+            apply_events(self.connection, stored)
+        except sqlite3.IntegrityError as error:
+            if "track_id" not in str(error) and "one_box_a_track" not in str(error):
+                raise
+            track_id = self._track_with_two()
+            raise TrackTakenError(
+                f"{self.where}: track {track_id} has a box in this frame already, and an object has one box in a "
+                "frame; give one of them another track, or delete the other box",
+                track_id,
+            ) from error
+        if self.frame_id is not None:
+            newer = "UPDATE frames SET revision = ? WHERE id = ?"
+            driver_of(self.connection).execute(newer, (stored[-1].revision, self.frame_id))
+
+    def _track_with_two(self) -> int:
+        """The track with two boxes in the frame, after an attempt to store both."""
+        seen = set[int]()
+        for row in self.labels():
+            if row["track_id"] is not None and row["state"] != ReviewState.REJECTED.value:
+                if row["track_id"] in seen:
+                    return int(row["track_id"])
+                seen.add(row["track_id"])
+        raise ProjectError(f"{self.where}: a track has two boxes in this frame")

@@ -1,0 +1,282 @@
+"""What callers ask the store to change, one model for each kind; `audit/making.py` makes changed rows of them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, ClassVar
+
+from pydantic import BaseModel, Field, model_validator
+
+from annotator.project.classes.attributes import AttributeName, Value
+from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
+from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Suggestion
+from annotator.types.label import MOST_TRACK
+
+ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Uid = Annotated[str, Field(min_length=1, max_length=64)]
+ClassName = Annotated[str, Field(min_length=1)]
+Values = dict[str, Value]
+ChangedValues = dict[AttributeName, Value | None]
+TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
+
+
+class Origin(StrEnum):
+    """How an operator made a label that no detector proposed.
+
+    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame; copies are
+    open until they are reviewed.
+    """
+
+    DRAWN = "drawn"
+    PLACED = "placed"
+    COPIED = "copied"
+
+
+class Payload(BaseModel):
+    """One change of a frame.
+
+    Attributes:
+        kind: the name of the change in the audit.
+    """
+
+    model_config = EXACT
+
+    kind: ClassVar[str]
+
+
+class ImageBoxesSet(Payload):
+    """Replaces all 2D boxes on the camera image; empty = the image shows no object."""
+
+    kind = "image_boxes_set"
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+
+
+class ViewBoxesSet(Payload):
+    """Replaces all 2D boxes on one pseudo-view.
+
+    Attributes:
+        view: SHA-256 of the view's PNG, as returned by `Views.store`.
+        step: the step of the recursion that rendered the view, from 0, if known.
+        geometry: pose and scale of the view, if known.
+    """
+
+    kind = "view_boxes_set"
+    view: ViewId
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None = None
+    geometry: ViewGeometry | None = None
+
+
+class ViewBoxesRemoved(Payload):
+    """The pseudo-view is unlabelled again: its object is being redrawn, or was removed."""
+
+    kind = "view_boxes_removed"
+    view: ViewId
+
+
+class ProposedObject(BaseModel):
+    """One proposal of an automatic pass.
+
+    Attributes:
+        uid: of the label created from it.
+        covered_by: uid of the reviewed label of the same object; if set, no label is created.
+        track_id: the object's id over the recording, if the pass followed it from another frame.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    proposal: ProposalRecord
+    covered_by: Uid | None = None
+    track_id: TrackId | None = None
+
+
+class ProposalsReplaced(Payload):
+    """An automatic pass: its proposals replace all unreviewed labels but `kept`, and those of other software.
+
+    Attributes:
+        run: id of the batch run, if it was part of one.
+        objects: every proposal with its trace, also those covered by a reviewed label.
+        lost: frustums without a resulting box.
+        box_kind: what the proposed boxes enclose.
+        kept: uids of open proposals that stay, because a person has set values of their attributes.
+    """
+
+    kind = "proposals_replaced"
+    run: int | None = None
+    objects: tuple[ProposedObject, ...]
+    lost: tuple[LostObject, ...] = ()
+    box_kind: BoxKind = BoxKind.BOX
+    kept: tuple[Uid, ...] = ()
+
+
+class LabelCreated(Payload):
+    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+
+    Attributes:
+        origin: how an operator made it, if one did.
+        image_box: box on the camera image that the label was made from, if any.
+        suggestion: the detector that suggested its boxes, if the operator accepted any.
+        box_kind: what the 3D box encloses.
+        attributes: values by name; the store adds those of its track, and defaults.
+        said: what sources said of the object in the dataset that it was imported from.
+    """
+
+    kind = "label_created"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    score: Finite | None = None
+    track_id: TrackId | None = None
+    state: ReviewState = ReviewState.ACCEPTED
+    origin: Origin | None = None
+    image_box: Box2D | None = None
+    suggestion: Suggestion | None = None
+    box_kind: BoxKind = BoxKind.BOX
+    attributes: Values = Field(default_factory=dict)
+    said: tuple[SaidRecord, ...] = ()
+
+    @model_validator(mode="after")
+    def _reviewed(self) -> LabelCreated:
+        # the next automatic pass would remove it
+        if self.state is ReviewState.PROPOSED:
+            raise ValueError("a created label cannot be in state 'proposed'; only an automatic pass proposes")
+        return self
+
+
+class LabelProposed(Payload):
+    """A proposal that an operator requested: copied or interpolated from other frames of its track, or detected.
+
+    Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it.
+
+    Attributes:
+        proposal: with its trace, if the recursion found the box.
+        box_kind: what the box encloses.
+        attributes: as in `LabelCreated`; those that do not fit are left out.
+        origin: of a copy, which an operator has made.
+        said: what other software says of the object, if this takes the place of its proposal.
+    """
+
+    kind = "label_proposed"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: TrackId | None = None
+    proposal: ProposalRecord | None = None
+    box_kind: BoxKind = BoxKind.BOX
+    attributes: Values = Field(default_factory=dict)
+    origin: Origin | None = None
+    said: tuple[SaidRecord, ...] = ()
+
+
+class LabelTracked(Payload):
+    """Changes the label's track, or removes it from its track; its box and review state stay."""
+
+    kind = "label_tracked"
+    uid: Uid
+    track_id: TrackId | None
+
+
+class LinkedLabel(BaseModel):
+    """Result of linking for one label.
+
+    Attributes:
+        track_id: the new track id; None keeps the label's own, given by a person or a file.
+        box: smoothed over its track; None keeps the label's box, as required for a reviewed label.
+        attributes: values of its track that it lacks.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    track_id: TrackId | None = None
+    box: BoxRecord | None = None
+    attributes: Values = Field(default_factory=dict)
+
+
+class TracksLinked(Payload):
+    """Result of linking over the recording: track ids of labels of one frame, and smoothed boxes of open proposals."""
+
+    kind = "tracks_linked"
+    labels: tuple[LinkedLabel, ...]
+
+
+class LabelAccepted(Payload):
+    """Accepts the label unchanged."""
+
+    kind = "label_accepted"
+    uid: Uid
+
+
+class LabelEdited(Payload):
+    """Changes the label's class, box and track.
+
+    Attributes:
+        image_box: the new box on the camera image that the label is made from; None = unchanged.
+        suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
+            operator made the 3D box, and an earlier suggestion counts as corrected if the box is another one.
+        box_kind: what the new 3D box encloses; None = as before.
+    """
+
+    kind = "label_edited"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: TrackId | None = None
+    image_box: Box2D | None = None
+    suggestion: Suggestion | None = None
+    box_kind: BoxKind | None = None
+
+
+class LabelMoved(Payload):
+    """Gives the label another box, and keeps all else that is known of it, its review state too."""
+
+    kind = "label_moved"
+    uid: Uid
+    box: BoxRecord
+
+
+class LabelAttributesSet(Payload):
+    """Sets values of the label's attributes; None removes one. Its box and review state stay."""
+
+    kind = "label_attributes_set"
+    uid: Uid
+    attributes: ChangedValues
+
+
+class LabelRejected(Payload):
+    """Rejects the label: the object does not exist. The label stays, so that later passes do not propose it again."""
+
+    kind = "label_rejected"
+    uid: Uid
+
+
+class LabelDeleted(Payload):
+    """Removes the label; a later pass may propose the object again."""
+
+    kind = "label_deleted"
+    uid: Uid
+
+
+class FrameFinalised(Payload):
+    """Finalises the frame: automatic passes may not change it."""
+
+    kind = "frame_finalised"
+
+
+class FrameReopened(Payload):
+    """Reopens a finalised frame."""
+
+    kind = "frame_reopened"
+
+
+class FrameAttributesSet(Payload):
+    """Replaces all values of the frame's attributes."""
+
+    kind = "frame_attributes_set"
+    attributes: Values
+
+
+LabelChange = LabelAccepted | LabelEdited | LabelRejected | LabelDeleted

@@ -1,0 +1,211 @@
+"""Changes of the classes and attributes: what they do to the rows, and to states from before them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, insert, select
+
+from annotator.project.audit.events import CLASSES
+from annotator.project.audit.writing import Write, WriteContext
+from annotator.project.classes.attributes import Relabelling
+from annotator.project.config import ProjectConfig, config_hash
+from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
+from annotator.project.log import Writer
+from annotator.project.records import SaidRecord, parsed
+from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
+from annotator.project.sources import show_others
+from annotator.types import ReviewState, Source
+
+KIND = "classes_changed"
+# Rows that are read, and changed by one event, at once: a project may have 100,000.
+_BATCH = 2000
+
+
+def change_classes(
+    writer: Writer, connection: Connection, old: ProjectConfig, new: ProjectConfig, change: Relabelling, author: str
+) -> int:
+    """Changes the rows, within the caller's write transaction; returns the number of the change.
+
+    Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
+    refused.
+
+    Args:
+        old, new: the configuration before and after.
+    """
+    newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
+    if change.removed:
+        _show_others(writer, connection, old, change.removed, author)
+    stale = set[int]()
+    query = select(func.max(events.c.revision)).where(events.c.view_id == CLASSES)
+    revision = connection.execute(query).scalar() or 0
+    write = _write(writer, connection, revision, author, old)
+    for number, name in list(write.terms.names.items()):
+        if name in change.classes:
+            write.put("classes", number, {"id": number, "name": change.classes[name]})
+            stale |= _frames_of(connection, number)
+    write.event(KIND, CLASSES)
+    revision = write.finish().revision
+    for batch in _changed_rows(connection, change) if change.changes_rows else ():
+        write = _write(writer, connection, revision, author, old)
+        for table, before, after in batch:
+            key = before[AUDITED[table]]
+            write.know(table, key, before)
+            write.put(table, key, after)
+            if (frame_id := before["id"] if table == "frames" else before["frame_id"]) is not None:
+                stale.add(frame_id)
+        write.event(KIND, CLASSES)
+        revision = write.finish().revision
+    newer = "UPDATE frames SET revision = revision + 1 WHERE id = ?"
+    driver_of(connection).executemany(newer, [(frame_id,) for frame_id in sorted(stale)])
+    row = {"event_id": newest, "author": author, "time_ns": writer.store.clock()}
+    row |= {"content": change.model_dump_json(), "config": config_hash(new)}
+    key = connection.execute(insert(class_changes), row).inserted_primary_key
+    assert key is not None  # one row was inserted
+    return int(key[0])
+
+
+def _write(writer: Writer, connection: Connection, revision: int, author: str, config: ProjectConfig) -> Write:
+    return Write(
+        writer.store, writer.folder, connection, None, "the classes", WriteContext(revision, author), None, config
+    )
+
+
+def _frames_of(connection: Connection, class_id: int) -> set[int]:
+    """Frames with boxes of a class, hidden ones included."""
+    named = f'"label":"{class_id}"'
+    queries = (
+        "SELECT frame_id FROM labels WHERE class_id = :id OR instr(ifnull(said, '') || ifnull(image_box, ''), :named)",
+        "SELECT frame_id FROM image_labels WHERE instr(boxes, :named)",
+        "SELECT frame_id FROM view_labels WHERE frame_id IS NOT NULL AND instr(boxes || ifnull(geometry, ''), :named)",
+    )
+    found = driver_of(connection).execute(" UNION ".join(queries), {"id": class_id, "named": named})
+    return {frame_id for (frame_id,) in found}
+
+
+def _show_others(
+    writer: Writer, connection: Connection, config: ProjectConfig, removed: Collection[str], author: str
+) -> None:
+    """Shows other sources' boxes where one of a class that is about to be removed is shown."""
+    staying, shown, terms = set(config.classes) - set(removed), defaultdict[int, set[str]](set), Terms(connection)
+    query = "SELECT frame_id, uid, class_id, said FROM labels WHERE state = ? AND said IS NOT NULL ORDER BY frame_id"
+    for frame_id, uid, class_id, said in driver_of(connection).execute(query, (ReviewState.PROPOSED.value,)).fetchall():
+        if terms.names[class_id] in removed and any(each.label in staying for each in terms.said(said, frame_id)):
+            shown[frame_id].add(uid)
+    for frame_id, uids in shown.items():
+        # the frame may be finalised, or of a removed recording
+        (revision,) = driver_of(connection).execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
+        context = WriteContext(revision, author, Source.IMPORTED)
+        write = Write(
+            writer.store, writer.folder, connection, frame_id, f"frame with id {frame_id}", context, None, config
+        )
+        show_others(write, removed, uids)
+        write.finish()
+
+
+def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[tuple[str, Row, Row | None]]]:
+    """Yields the rows that a change of attributes, or a removed class, changes: table, before, after."""
+    terms = Terms(connection)
+    for table in ("labels", "frames", "image_labels", "view_labels"):
+        if table in ("image_labels", "view_labels") and not change.removed:
+            continue
+        for rows in _batches(connection, table):
+            batch = list[tuple[str, Row, Row | None]]()
+            for row in rows:
+                after = _changed(terms, change, table, row)
+                if after != row:
+                    batch.append((table, row, after))
+            if batch:
+                yield batch
+
+
+def _batches(connection: Connection, table: str) -> Iterator[list[Row]]:
+    columns, after = columns_of(table), -1
+    listed = ", ".join(f'"{column}"' for column in columns)
+    query = f"SELECT rowid, {listed} FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}"
+    while found := driver_of(connection).execute(query, (after,)).fetchall():
+        yield [dict(zip(columns, values[1:], strict=True)) for values in found]
+        after = found[-1][0]
+
+
+def _changed(terms: Terms, change: Relabelling, table: str, row: Row) -> Row | None:
+    """A row after the change; None if it goes."""
+    if table == "frames":
+        values = change.values(values_of(row["attributes"]))
+        return row | {"attributes": values_json(values) if values else None}
+    if table == "labels":
+        name = terms.names[row["class_id"]]
+        if name in change.removed:
+            return None
+        image_box = row["image_box"]
+        if image_box is not None and change.removed:
+            (box,) = terms.boxes_2d(f"[{image_box}]")
+            image_box = None if box.label in change.removed else image_box
+        return row | {"image_box": image_box} | values_after(terms, [change], name, row)
+    boxes = terms.boxes_2d(row["boxes"])
+    left = [box for box in boxes if box.label not in change.removed]
+    if table == "view_labels":
+        # a view without boxes would say that it shows no object
+        if boxes and not left:
+            return None
+        geometry = terms.geometry(row["geometry"], row["frame_id"])
+        if geometry is not None and geometry.image_box is not None and geometry.image_box.label in change.removed:
+            geometry = geometry.model_copy(update={"image_box": None})
+            row = row | {"geometry": terms.geometry_json(geometry, row["frame_id"])}
+    return row if len(left) == len(boxes) else row | {"boxes": terms.boxes_2d_json(left), "count": len(left)}
+
+
+# --- states from before a change --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MadeChange:
+    """A change of the classes, with its time (UTC nanoseconds since the epoch) and author."""
+
+    time_ns: int
+    author: str
+    change: Relabelling
+
+
+def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
+    """The changes of the classes after an event, in order."""
+    query = select(class_changes).where(class_changes.c.event_id >= event_id).order_by(class_changes.c.id)
+    return [
+        MadeChange(row.time_ns, row.author, parsed(Relabelling.model_validate_json, row.content))
+        for row in connection.execute(query)
+    ]
+
+
+def values_after(terms: Terms, changes: Iterable[Relabelling], label: str, row: Row) -> Row:
+    """The columns with values of a label after changes of the classes, as far as the row has them.
+
+    Args:
+        label: its class, by its present name.
+    """
+    after: Row = {}
+    if "attributes" in row:
+        values = values_of(row["attributes"])
+        for change in changes:
+            values = change.values_of(label, values)
+        after["attributes"] = values_json(values)
+    if row.get("said") is not None:
+        said = terms.said(row["said"], None)
+        for change in changes:
+            said = _said(change, said)
+        after["said"] = terms.said_json(said, None)
+    return after
+
+
+def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
+    """What sources say of an object; nothing of removed classes."""
+    new = list[SaidRecord]()
+    for each in said:
+        if each.label in change.removed:
+            continue
+        values = change.values_of(each.label, each.attributes)
+        # values that are filled in are not lent
+        lent = change.values({of: each.attributes[of] for of in each.lent}).keys() & values.keys()
+        new.append(each.model_copy(update={"attributes": values, "lent": tuple(sorted(lent))}))
+    return tuple(new)

@@ -1,0 +1,170 @@
+"""How many boxes have a class, and how often values of attributes occur."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, select
+
+from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
+from annotator.project.database.schema import ALL_LABELS, frames, labels
+from annotator.project.recordings import KEPT
+from annotator.project.rows import Terms, driver_of, values_of
+from annotator.types.errors import ProjectError
+from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
+
+_Stored = tuple[str | None, Mapping[str, AttributeValue], int]
+"""Class (None: of frames), values and how often they occur together."""
+
+
+@dataclass(frozen=True)
+class ClassCounts:
+    """Numbers of boxes of a class.
+
+    Attributes:
+        labels: 3D labels.
+        boxes_2d: 2D boxes on images and views.
+        said: what sources say of objects, apart from the boxes that are shown.
+    """
+
+    labels: int = 0
+    boxes_2d: int = 0
+    said: int = 0
+
+
+def class_counts(connection: Connection, *, removed: bool = False) -> dict[str, ClassCounts]:
+    """Numbers of boxes by class name; with `removed`, also of recordings that were removed."""
+    driver, names, shown = driver_of(connection), Terms(connection).names, "" if removed else "shown_"
+    in_3d, in_2d, said = Counter[str](), Counter[str](), Counter[str]()
+    for number, count in driver.execute(f"SELECT class_id, count(*) FROM {shown}labels GROUP BY class_id"):
+        in_3d[names[number]] += count
+    for table in ("image_labels", "view_labels"):
+        of_boxes = f"{shown}{table} AS of, json_each(of.boxes) AS box"
+        for number, count in driver.execute(f"SELECT box.value ->> '$.label', count(*) FROM {of_boxes} GROUP BY 1"):
+            in_2d[names[int(number)]] += count
+    columns = "said.value ->> '$.label', said.value ->> '$.uid' = of.uid, of.class_id"
+    query = f"SELECT {columns}, count(*) FROM {shown}labels AS of, json_each(of.said) AS said GROUP BY 1, 2, 3"
+    for number, is_itself, class_id, count in driver.execute(query):
+        # the shown box is a source's, too
+        if not is_itself or names[int(number)] != names[class_id]:
+            said[names[int(number)]] += count
+    return {name: ClassCounts(in_3d[name], in_2d[name], said[name]) for name in sorted({*in_3d, *in_2d, *said})}
+
+
+@dataclass(frozen=True)
+class ValueCounts:
+    """How often values of attributes occur, by attribute.
+
+    Attributes:
+        values: by value.
+        without: labels and frames that have no value, but could have one.
+    """
+
+    values: dict[str, dict[str, int]]
+    without: dict[str, int]
+
+
+def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
+    """How often each stored value occurs, by attribute: of labels that are not rejected, and of frames."""
+    return _by_name(_counted(_stored(connection)))
+
+
+def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]) -> ValueCounts:
+    """As `value_counts`, with the default of a frames' attribute for all frames that have no value.
+
+    These are all frames that the latest scans found, labelled or not, since labels are counted before their review,
+    too. Exports write the default for those of them that they contain.
+
+    Args:
+        attributes: of the project; those without any value have an entry, too.
+    """
+    stored = list(_stored(connection))
+    counts, without = _counted(stored), dict[str, int]()
+    boxes = _boxes_without(connection, stored, attributes)
+    found = int(connection.execute(select(func.count()).where(frames.c.position.is_not(None))).scalar_one())
+    frames_with = _frames_with(connection)
+    for each in attributes:
+        missing = boxes[each.name]
+        if each.of is AttributeOf.FRAME:
+            missing = found - frames_with[each.name]
+            if each.default is not None and missing:
+                counts[each.name][value_text(each.default)] += missing
+                missing = 0
+        counts.setdefault(each.name, Counter())
+        without[each.name] = missing
+    return ValueCounts(_by_name(counts), without)
+
+
+def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
+    """Refuses a change of attributes that stored values do not fit."""
+    for attribute in after:
+        if any(attribute.has_same_values(each) for each in before):
+            continue
+        wrong = list(_misfits(connection, attribute))
+        if wrong:
+            number, example = sum(number for number, _ in wrong), wrong[0][1]
+            raise ProjectError(
+                f"{amount(number, 'stored value')} of {attribute.name} would not fit, such as {example}; first change "
+                "what does not fit, or have it removed (--drop)"
+            )
+
+
+def _counted(stored: Iterable[_Stored]) -> dict[str, Counter[str]]:
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for _, values, number in stored:
+        for name, value in values.items():
+            counts[name][value_text(value)] += number
+    return counts
+
+
+def _by_name(counts: Mapping[str, Counter[str]]) -> dict[str, dict[str, int]]:
+    return {name: dict(counts[name].most_common()) for name in sorted(counts)}
+
+
+def _boxes_without(connection: Connection, stored: Iterable[_Stored], attributes: Sequence[Attribute]) -> Counter[str]:
+    """Labels of an attribute's classes that have no value of it."""
+    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
+    without: Counter[str] = Counter()
+    for label, number in connection.execute(of_classes):
+        without.update({each.name: number for each in attributes if each.is_of(label)})
+    for label, values, number in stored:
+        if label is not None:
+            without.subtract({each.name: number for each in attributes if each.is_of(label) and each.name in values})
+    return without
+
+
+def _frames_with(connection: Connection) -> Counter[str]:
+    """Frames that the latest scans found and that have a value of their own, by attribute."""
+    query = select(frames.c.attributes, func.count()).where(frames.c.position.is_not(None))
+    counts: Counter[str] = Counter()
+    for text, number in connection.execute(query.group_by(frames.c.attributes)):
+        counts.update(dict.fromkeys(values_of(text), number))
+    return counts
+
+
+def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:
+    for label, values, number in _stored(connection, everywhere=True):
+        if attribute.name not in values or (label is None) != (attribute.of is AttributeOf.FRAME):
+            continue
+        value = values[attribute.name]
+        if label is not None and not attribute.is_of(label):
+            yield number, f"{value!r} of a {label}"
+        elif not attribute.fits(value):
+            yield number, repr(value)
+
+
+def _stored(connection: Connection, everywhere: bool = False) -> Iterator[_Stored]:
+    """With `everywhere`, also of rejected labels and of removed recordings."""
+    table, names = ALL_LABELS if everywhere else labels, Terms(connection).names
+    columns = (table.c.class_id, table.c.attributes)
+    query = select(*columns, func.count()).where(table.c.attributes != "{}").group_by(*columns)
+    if not everywhere:
+        query = query.where(table.c.state != "rejected")
+    for class_id, content, number in connection.execute(query):
+        yield names[class_id], values_of(content), number
+    of_frames = select(frames.c.attributes).where(frames.c.attributes.is_not(None))
+    for row in connection.execute(of_frames if everywhere else of_frames.where(KEPT)):
+        yield None, values_of(row.attributes), 1

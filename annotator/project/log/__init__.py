@@ -1,1 +1,0 @@
-"""The event log: its payloads and rows, what is derived from them, and undo."""
