@@ -411,8 +411,7 @@ def follow_recording(
         progress: called with (frames done, frames), counted for each object and direction.
 
     Raises:
-        ConfigError: the recording is no sequence, there is no reviewed box to follow, or a track has two reviewed
-            boxes in a frame.
+        ConfigError: the recording is no sequence, or there is no reviewed box to follow.
         NotFoundError: no such recording.
         RecordingError: the recording cannot be opened.
         StaleRevisionError, TrackTakenError, DetectionError: as `FollowRun.run`.
@@ -448,8 +447,7 @@ def follow_from_frame(
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
-        ConfigError: the recording is no sequence, there is no reviewed box, no frame to follow it to, or a track has
-            two reviewed boxes in a frame.
+        ConfigError: the recording is no sequence, there is no reviewed box, or no frame to follow it to.
         NotFoundError, RecordingError: no such frame or label, or the recording cannot be opened.
     """
     page = page_at(project, frame_id, revision, uid)
@@ -476,7 +474,6 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
 
     Raises:
         NotFoundError: its frame is no longer in the recording.
-        ConfigError: its track has two reviewed boxes in a frame.
     """
     index = timeline.index.get(frame_id)
     if index is None:

@@ -83,13 +83,6 @@ class Timeline:
         """Returns the key frames of a track, in order."""
         keys: dict[int, KeyFrame] = {}
         for stored in self.project.labels.select(states=REVIEWED, recordings=[self.recording_id], tracks=[track_id]):
-            index = self.index.get(stored.frame_id)
-            if index is None:
-                continue
-            if index in keys:
-                raise ConfigError(
-                    f"frame {self.frames[index].key} has two reviewed boxes of track {track_id}; "
-                    "give one of them another track"
-                )
-            keys[index] = KeyFrame(index, stored.label)
+            if (index := self.index.get(stored.frame_id)) is not None:
+                keys[index] = KeyFrame(index, stored.label)
         return [keys[index] for index in sorted(keys)]
