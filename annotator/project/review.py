@@ -203,7 +203,8 @@ def _doubt(formula: Formula) -> ColumnElement[float]:
     for signal in formula.signals:
         way = (labels.c[signal.name] - signal.good) / (signal.bad - signal.good)
         trust *= func.coalesce(1.0 - formula.most * func.min(func.max(way, 0.0), 1.0), 1.0)
-    unknown = and_(labels.c.proposed_box.is_(None), labels.c.score.is_(None))
+    # the score first: SQLite reads a row up to the last column that it needs
+    unknown = and_(labels.c.score.is_(None), labels.c.proposed_box.is_(None))
     return case((unknown, null()), else_=cast(1.0 - trust, Float))
 
 
