@@ -13,9 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from annotator.formats.dataset_writing import XYZ
 from annotator.formats.labelcloud import (
-    angles_xyz,
-    box_of,
-    centroid_object,
     read_labelcloud,
     vertices_object,
 )
@@ -85,15 +82,6 @@ def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:
     (frame,) = read_labelcloud(tmp_path / "out").values()
     assert frame.T_camera_cloud is not None
     assert_same_box(frame.objects[0].box.transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
-
-
-GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi / 2, 0.3]).as_rotvec()), (4, 2, 1))
-
-
-def test_angles_equal_those_of_scipy() -> None:
-    for rotation in Rotation.random(20, rng=np.random.default_rng(0)):
-        z, y, x = rotation.as_euler("ZYX")
-        np.testing.assert_allclose(angles_xyz(rotation.as_matrix()), [x, y, z], atol=1e-12)
 
 
 def entry(x: float, y: float, z: float) -> dict[str, Any]:
@@ -175,7 +163,3 @@ def test_a_damaged_calibration_is_an_error(tmp_path: Path, text: str, problem: s
     (tmp_path / "calib/000000.txt").write_text(text)
     with pytest.raises(FormatError, match=problem):
         read_labelcloud(tmp_path)
-
-
-def test_angles_are_exact_also_where_they_are_ambiguous() -> None:
-    assert_same_box(box_of(centroid_object("a", GIMBAL), degrees=False), GIMBAL, 1e-7)

@@ -14,18 +14,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.reading import read_mask, read_pairs
 from annotator.formats.units import Angles, Lengths
 from annotator.geometry.oriented_box import box_corners
-from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
-from annotator.types.label import AttributeValue, Said
 
 # file names contain no NUL and no lone surrogates
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=8)
@@ -146,38 +142,6 @@ def test_what_is_no_mask_is_an_error(tmp_path: Path) -> None:
         read_mask(tmp_path / "none.png")
 
 
-def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
-    numbers = np.random.default_rng(0)
-    turns = Rotation.random(4, rng=numbers).as_matrix()
-    boxes = [OrientedBox.from_parts(numbers.normal(size=3), turn, numbers.uniform(1, 2, 3)) for turn in turns]
-    said = (Said("theirs", "dog", boxes[1], 0.5),)
-    frames = {
-        "a": [Truth("car", box, 3, 0.25, Box2D("car", 1.0, 2.0, 3.0, 4.0)) for box in boxes],
-        "b": [],
-        "c": [
-            Truth("car", boxes[0], said=said),
-            Truth("dog", boxes[0], 1, -3.0, None, BoxKind.SILHOUETTE, {"wet": True}),
-        ],
-    }
-    packed = PackedTruths(iter(frames.items()))
-    assert list(packed) == list(frames) and len(packed) == 3
-    assert list(packed.scores) == [0.25] * len(boxes) + [-3.0]
-    for name, truths in frames.items():
-        for found, want in zip(packed[name], truths, strict=True):
-            np.testing.assert_array_equal(found.box.pose, want.box.pose)
-            np.testing.assert_array_equal(found.box.size_m, want.box.size_m)
-            for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes", "said"):
-                assert getattr(found, field) == getattr(want, field)
-
-
-@pytest.mark.parametrize(("first", "second"), [(True, 1), (1, 1.0), (0, False), (0.0, -0.0)])
-def test_equal_values_of_different_kinds_stay_apart(first: AttributeValue, second: AttributeValue) -> None:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    given = [Truth("car", box, attributes={"wet": value}) for value in (first, second)]
-    found = PackedTruths([("a", given)])["a"]
-    assert [repr(each.attributes["wet"]) for each in found] == [repr(first), repr(second)]
-
-
 FILE = Path("a.txt")
 TURN = 2 * math.pi
 
@@ -212,9 +176,6 @@ def test_sizes_of_ships_are_doubted_and_read() -> None:
     assert (lengths.problem() or "").startswith(
         "2 of 3 boxes are longer than 100 m (the median is 400 m), so they look"
     )
-
-
-TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=True).tolist()
 
 
 HEAD = "image,class,cx,cy,cz,l,w,h,yaw,score"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -199,17 +197,6 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
         read_yolo(dataset)
 
 
-@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "loop"], ids=["zero byte", "long", "loop"])
-def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
-    put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the folder, or is not a valid name"):
-        read_yolo(tmp_path)
-    put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
-    with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the folder, or is not a valid name"):
-        read_yolo(tmp_path)
-
-
 def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ("no",))
     writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
@@ -228,21 +215,6 @@ def test_keypoints_that_data_yaml_names_are_refused(tmp_path: Path) -> None:
     yaml = "train: images\nnames: [person]\nkpt_shape: [2, 2]\n"
     with pytest.raises(FormatError, match="has keypoints"):
         read_yolo(put(tmp_path, **{"labels/a.txt": row, "images/a.png": "", "data.yaml": yaml}))
-
-
-@pytest.mark.parametrize(
-    ("data", "listed"),
-    [
-        ({"path": "C:\\data\\set", "train": "images\\train", "val": "images\\train"}, None),
-        ({"train": "list.txt"}, "\ufeff.\\images\\train\\x.png\r\n"),
-    ],
-)
-def test_paths_of_windows_are_read(tmp_path: Path, data: dict[str, str], listed: str | None) -> None:
-    put(tmp_path, **{"images/train/x.png": "", "labels/train/x.txt": ROW, "list.txt": listed or ""})
-    put(tmp_path, **{"data.yaml": json.dumps(data | {"names": ["a", "b"]})})
-    (picture,) = read_yolo(tmp_path)
-    assert picture.label_file == tmp_path / "labels" / "train" / "x.txt"
-    assert (picture.file_name, len(picture.boxes)) == ("x.png", 1)
 
 
 def plates(centers: list[tuple[float, float]], w: float, h: float, *visibilities: int, dots: int = 4) -> list[str]:
@@ -301,10 +273,3 @@ def test_rows_that_are_all_boxes_with_points_are_keypoints(
         want = [np.array(row.split()[1:], float).reshape(-1, 2) for row in rows]
         edges = [[*(each.min(0) + each.max(0)) / 2, *np.ptp(each, axis=0)] for each in want]
         np.testing.assert_allclose([box.shares for box in found], edges)
-
-
-def test_names_of_pictures_in_another_unicode_form_are_found(tmp_path: Path) -> None:
-    names = [unicodedata.normalize(form, "Bü") for form in ("NFC", "NFD")]
-    put(tmp_path, **{"classes.txt": "a\nb\n", f"labels/{names[0]}.txt": ROW, f"images/{names[1]}.png": ""})
-    (picture,) = read_yolo(tmp_path)
-    assert picture.picture == tmp_path / "images" / f"{names[1]}.png"

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
-from annotator.recordings.image_file import decode_depth, looks_rotated, read_rgb
+from annotator.recordings.image_file import decode_depth, read_rgb
 from annotator.recordings.phones.stray_scanner import _depth_m
 from annotator.recordings.ros.pictures import color_image, depth_image
 from annotator.types.errors import FrameError
@@ -142,13 +142,6 @@ DEPTHS = [
 @pytest.mark.parametrize("read", DEPTHS)
 def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Path], np.ndarray]):
     np.testing.assert_allclose(read(tmp_path), METRES, rtol=1e-6)
-
-
-def test_saturated_pixels_are_not_taken_for_rotated_bits():
-    raw = np.full((HEIGHT, WIDTH), 2000, np.uint16)
-    raw[0] = 65535
-    raw[1, 0] = 65504
-    assert not looks_rotated(raw, 1000.0)
 
 
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]

@@ -19,7 +19,7 @@ from annotator.recordings import (
     parse_options,
     stored_options,
 )
-from annotator.recordings.open import PARTS, READERS, nearest_formats, recordings_below
+from annotator.recordings.open import recordings_below
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 
 REAL = [
@@ -55,22 +55,6 @@ def test_real_folders_are_recognised_and_their_frames_load(
 def test_a_raw_sun_rgbd_folder_is_not_taken_for_an_rgbd_folder(shared: Path):
     # its depth has another encoding: read as millimetres it would be wrong
     assert detect_format(shared / "data" / "sunrgbd" / "raw") is None
-
-
-def test_an_unknown_folder_tells_what_each_reader_looks_for(tmp_path: Path):
-    (tmp_path / "color").mkdir()
-    with pytest.raises(UnknownFormatError) as caught:
-        open_recording(tmp_path)
-    message = str(caught.value)
-    assert message.startswith(f"{tmp_path}: no known recording format in this folder")
-    assert [line.partition(": ")[0] for line in caught.value.looked_for] == list(READERS)
-    assert detect_format(tmp_path) is None
-
-
-def test_the_error_of_a_folder_of_recordings_names_them(tmp_path: Path):
-    make(tmp_path, "b/color/0.png", "b/depth/", "a/color/0.png", "a/depth/", "empty/color/", "empty/depth/")
-    with pytest.raises(UnknownFormatError, match=r"give the path of one of them: a, b$"):
-        open_recording(tmp_path)
 
 
 def test_a_file_and_a_missing_path_have_different_errors(tmp_path: Path):
@@ -175,19 +159,6 @@ def test_the_nearest_format_is_named_with_what_is_missing(tmp_path: Path, names:
     message = refusal(tmp_path)
     assert message.startswith(f"{tmp_path}: no known recording format in this folder; ")
     assert said in message
-
-
-def test_every_format_of_the_table_looks_like_itself(tmp_path: Path):
-    for number, (name, parts) in enumerate(PARTS.items()):
-        folder = tmp_path / str(number)
-        make(folder, *(part.split("|")[0].replace("*", "x") for part in parts[:-1]))
-        assert any(f"looks like {name}: " in text for text in nearest_formats(folder)), name
-
-
-def test_a_frames_csv_alone_looks_like_no_format(tmp_path: Path):
-    """An export in the format sustechpoints, for one, has such a file beside its scenes."""
-    make(tmp_path, "frames.csv", "scene/label/000000.json", "scene/calib/camera/front.json")
-    assert nearest_formats(tmp_path) == []
 
 
 def test_recordings_are_searched_three_levels_down(tmp_path: Path):

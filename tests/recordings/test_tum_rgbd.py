@@ -9,13 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.recordings import open_recording
 from annotator.recordings.recording import ReaderOptions
-from annotator.recordings.tum_rgbd import _pairs
 from annotator.types.errors import FrameError, RecordingError
 
 START_S = 1305031102
@@ -106,28 +103,6 @@ def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
     cloud = open_recording(tmp_path).frame(0).cloud
     low, middle, high = np.percentile(cloud.xyz_m[:, 2], [1, 50, 99])
     assert 1 < low < middle < 3 < high < 10  # a desk, with a hall behind it
-
-
-times = st.lists(st.integers(0, 400), unique=True, max_size=12).map(sorted)
-
-
-@given(times, times, st.integers(1, 60))
-def test_pairs_are_those_of_the_published_rule(first: list[int], second: list[int], tolerance: int):
-    """All possible pairs, the closest first, each image once; ties in any order."""
-    pairs = _pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)
-    apart = sorted(abs(first[a] - second[b]) for a, b in pairs)
-    possible = sorted((abs(a - b), a, b) for a in first for b in second if abs(a - b) <= tolerance)
-    free, rest, expected = {*first}, {*second}, []
-    for distance, a, b in possible:
-        if a in free and b in rest:
-            free.remove(a)
-            rest.remove(b)
-            expected.append(distance)
-    assert len({b for _, b in pairs}) == len({a for a, _ in pairs}) == len(pairs)
-    # more than three before or after an image are not considered
-    most = max((sum(abs(a - b) <= tolerance for b in second) for a in first), default=0)
-    if len({distance for distance, _, _ in possible}) == len(possible) and most <= 3:
-        assert apart == expected
 
 
 def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:

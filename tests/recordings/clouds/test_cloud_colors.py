@@ -134,16 +134,6 @@ def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: st
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
 
 
-def test_highlights_do_not_turn_fractions_into_bytes():
-    bright = np.repeat(RGB, 20, axis=0) / 255
-    bright[7, 1] = 3.5
-    columns = dict(zip(NAMES, bright.T, strict=True)) | dict.fromkeys("xyz", np.ones(len(bright)))
-    rgb = np.asarray(from_columns(columns).rgb)
-    expected = np.repeat(RGB, 20, axis=0)
-    expected[7, 1] = 255
-    np.testing.assert_array_equal(rgb, expected)
-
-
 def test_a_dark_scan_has_the_scale_of_the_others():
     """16 bits, of which the dark scan uses eight."""
     scans = [of_depth(16), np.full((N, 3), 200.0)]

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 from bag_writer import BagWriter, structured
-from cloud_samples import camera_file, pcd, ply, ros_cloud
+from cloud_samples import camera_file, pcd, ply
 from kitti_samples import OBJECT_CALIB
 
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.virtual_camera import STEP_M
 from annotator.recordings.recording import origin_of
-from annotator.recordings.ros import messages
-from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
-from annotator.types.errors import ConfigError, FrameError
+from annotator.types.errors import ConfigError
 
 UTM_M = np.array([701_378.25, 4_485_513.5, 640.75])
 # The coordinates of a floor and a wall around (0, 0, 0); UTM coordinates need 64 bits.
@@ -147,18 +143,6 @@ def test_the_option_places_the_camera_and_only_clouds_take_it(tmp_path: Path, ge
         open_recording(generated / "people", ReaderOptions(origin=place))
 
 
-def test_virtual_cameras_around_a_place_in_a_map_share_it(tmp_path: Path):
-    write_npy(tmp_path / "7", XYZ + UTM_M)
-    ahead, left = (
-        open_recording(tmp_path, ReaderOptions(look_around=4, camera=camera)) for camera in ("around-000", "around-090")
-    )
-    assert origin_of(ahead) == origin_of(left)
-    for recording in (ahead, left):
-        frame = recording.frame(0)
-        np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
-        np.testing.assert_allclose(frame.T_world_camera.translation, origin_of(recording), atol=1e-9)
-
-
 def test_a_calibrated_camera_in_a_map_knows_its_place(tmp_path: Path):
     """The clouds' own calibration is used, and there is nothing to choose."""
     write_npy(tmp_path / "7", XYZ + UTM_M)
@@ -188,26 +172,6 @@ def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path):
     np.testing.assert_allclose(placed(around), placed(frames[1]), atol=2e-4)
 
 
-def bin_file(folder: Path, xyz: np.ndarray) -> np.ndarray:
-    (folder / "a.bin").write_bytes(np.c_[xyz, np.ones(len(xyz))].astype("<f4").tobytes())
-    return read_cloud(folder / "a.bin", Scans(4)).xyz_m
-
-
-def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
-    rows = structured(dict(zip("xyz", xyz.astype(np.float32).T, strict=True)))
-    return messages.cloud_of(ros_cloud(rows)).xyz_m
-
-
-@pytest.mark.parametrize("read", [bin_file, ros_message])
-def test_points_at_the_sensor_itself_are_left_out(tmp_path: Path, read: Callable[[Path, np.ndarray], np.ndarray]):
-    xyz = np.array([[1.0, 2, 3], [0, 0, 0], [0, 0, 1], [np.nan, 0, 0], [np.inf, 1, 1], [-0.0, 0, -0.0], [0, 5, 0]])
-    np.testing.assert_array_equal(read(tmp_path, xyz), [[1, 2, 3], [0, 0, 1], [0, 5, 0]])
-    with pytest.raises(
-        (FrameError, ValueError), match=r"every point is NaN or infinite, or \(0, 0, 0\), which means no return"
-    ):
-        read(tmp_path, np.zeros((5, 3)))
-
-
 def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):
     for name, xyz in (("coarse", (XYZ + UTM_M).astype(np.float32)), ("fine", XYZ + UTM_M), ("near", np.float32(XYZ))):
         (tmp_path / name).mkdir()
@@ -216,17 +180,6 @@ def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):
         recording.frame(0)
         expected = "its coordinates, up to 4,485,524 m, are rounded to 0.5 m, as 32-bit floats are; save clouds with"
         assert [note[: len(expected)] for note in recording.notes] == ([expected] if name == "coarse" else []), name
-
-
-def test_one_place_of_many_points_does_not_move_the_origin(tmp_path: Path):
-    share = 0.9
-    xyz = np.random.default_rng(5).uniform((-10, -10, -1.6), (10, 10, 0), (60_000, 3)) + UTM_M
-    strays = np.random.default_rng(6).permutation(len(xyz))[: round(share * len(xyz))]
-    xyz[strays] = (0, 0, 1.8)
-    write_npy(tmp_path / "7", xyz)
-    recording = open_recording(tmp_path)
-    assert np.abs(np.subtract(origin_of(recording), UTM_M - [0, 0, 0.8])).max() < 1.5
-    np.testing.assert_allclose(placed(recording.frame(0)), np.delete(xyz, strays, axis=0), atol=1e-4)
 
 
 def test_a_cloud_in_millimetres_is_doubted_where_it_gets_an_origin(tmp_path: Path):

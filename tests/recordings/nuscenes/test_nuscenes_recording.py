@@ -256,19 +256,6 @@ def test_errors_of_broken_tables_name_the_place(
     assert str(caught.value).startswith(str(tmp_path))
 
 
-def test_a_table_that_is_cut_off_is_an_error(tmp_path: Path):
-    path = small(tmp_path) / "v1.0-mini" / "sample_data.json"
-    path.write_bytes(path.read_bytes()[:-2])
-    with pytest.raises(RecordingError, match=r"sample_data\.json: is cut off: its list does not end"):
-        opened(tmp_path)
-    path.write_bytes(b"")
-    with pytest.raises(RecordingError, match="the file is empty"):
-        opened(tmp_path)
-    path.write_text("{}")
-    with pytest.raises(RecordingError, match="is not a list of records"):
-        opened(tmp_path)
-
-
 def test_errors_of_scans_and_labels_name_the_file(tmp_path: Path):
     recording = opened(small(tmp_path))
     scan = tmp_path / recording.moments[0][1].file

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,7 +18,7 @@ from annotator.recordings import open_recording
 from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.video_file import open_video
 from annotator.types import Frame
-from annotator.types.errors import FrameError, MissingExtraError, RecordingError
+from annotator.types.errors import FrameError, RecordingError
 
 Images = list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
@@ -102,15 +101,6 @@ def test_a_smaller_image_than_the_metadata_names_has_a_smaller_camera(tmp_path: 
     assert (camera.width_px, camera.fx, camera.cx) == (320, 150.0, (159.5 + 0.5) / 2 - 0.5)
 
 
-def test_removed_images_keep_the_numbers_of_the_others(tmp_path: Path):
-    path = made.write_record3d(tmp_path / "take", made.frames())
-    for suffix in ("jpg", "depth", "conf"):
-        (path / "rgbd" / f"1.{suffix}").unlink()
-    recording = open_recording(path)
-    assert recording.keys == ("0", "2", "3")
-    assert recording.frame(1).camera.fx == 302.0
-
-
 def test_older_stray_scanner_folders_share_one_camera_matrix_and_have_numpy_depth(tmp_path: Path):
     images = made.frames(3)
     path = made.write_stray_scanner(tmp_path / "take", images, own_intrinsics=False)
@@ -181,13 +171,6 @@ def test_confidence_that_leaves_nothing_is_an_error(tmp_path: Path):
     assert len(open_recording(path, ReaderOptions(min_confidence=0)).frame(0).cloud) > 1000
 
 
-def test_without_lzfse_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = record3d(tmp_path, made.frames(1))
-    monkeypatch.setitem(sys.modules, "lzfse", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "rcv-annotator\[phones\]"'):
-        open_recording(path).frame(0)
-
-
 def metadata(**changes: object) -> Callable[[Path], None]:
     def change(path: Path) -> None:
         content = json.loads((path / "metadata").read_text()) | changes
@@ -207,16 +190,6 @@ R3D_DAMAGES = [
     pytest.param(metadata(dw=81), "it has 19200 bytes instead of 19440", id="depth-size"),
     pytest.param(write("rgbd/0.depth", b"bvx2 nothing"), "compression .LZFSE. is damaged", id="depth"),
 ]
-
-
-def test_numbers_and_times_beyond_all_clocks_are_left_out(tmp_path: Path):
-    path = made.write_record3d(tmp_path / "take", made.frames(2), frameTimestamps=[], fps=1e-9)
-    (path / "rgbd" / ("9" * 200 + ".jpg")).write_bytes(b"")
-    for suffix in ("jpg", "depth", "conf"):
-        (path / f"rgbd/1.{suffix}").rename(path / f"rgbd/99.{suffix}")
-    recording = open_recording(path)
-    assert recording.keys == ("0", "99")
-    assert [recording.frame(i).timestamp_ns for i in range(2)] == [0, None]
 
 
 THIRD = 33_333_333

@@ -30,7 +30,6 @@ from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.recordings.ros.topics import list_topics
-from annotator.recordings.ros.transforms import LinkMissingError, Links
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 
 COMPRESSIONS = [("ros1", "lz4"), ("ros1", "bz2"), ("sqlite3", ""), ("sqlite3", "message"), ("mcap", "storage"),
@@ -194,20 +193,6 @@ def test_a_missing_link_is_named(tmp_path: Path, parents: dict[str, str], proble
             bag.transform("/tf_static", START_NS, parent, child, T_CAMERA_LIDAR)
     with pytest.raises(FrameError, match=problem):
         open_recording(bag.path).frame(0)
-
-
-def test_an_invalid_link_is_named():
-    for place, quaternion, problem in (
-        ([0, 0, 0], [0, 0, 0, 2], "its quaternion has the length 2, not 1"),
-        ([0, np.nan, 0], [0, 0, 0, 1], "its translation is not finite or is too large"),
-    ):
-        for parent, child in (("lidar", "camera"), ("camera", "lidar")):
-            links = Links()
-            links.add("world", "arm", None, np.zeros(3), np.zeros(4))
-            links.add(parent, child, None, np.array(place), np.array(quaternion))
-            says = f"camera is missing: the bag's transform from {child} to {parent} is invalid: {problem}$"
-            with pytest.raises(LinkMissingError, match=says):
-                links.transform("camera", "lidar", START_NS)
 
 
 def test_the_camera_frame_can_be_named(tmp_path: Path):
@@ -376,18 +361,6 @@ def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
     np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
 
 
-def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
-    with BagWriter(tmp_path, "mcap") as bag:
-        for i, most in enumerate((1, 255)):
-            columns = dict(zip("xyz", POINTS_M.T, strict=True)) | {
-                "intensity": np.linspace(0, most, 200, dtype=np.float32)
-            }
-            bag.cloud("/points", START_NS + i * 100 * MS, structured(columns))
-    for i, most in enumerate((1 / 255, 1.0)):
-        reflectance = open_recording(bag.path).frame(i).cloud.reflectance
-        assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
-
-
 def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):
     deep = np.floor(IMAGE * (4095 / 255) + 0.5).astype(np.uint16)
     with BagWriter(tmp_path, "mcap") as bag:
@@ -399,23 +372,6 @@ def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Pat
     recording = open_recording(bag.path)
     np.testing.assert_array_equal(recording.frame(0).rgb, np.zeros_like(IMAGE))
     np.testing.assert_array_equal(recording.frame(1).rgb, IMAGE)
-
-
-def test_two_publishers_and_messages_of_two_types_are_told(tmp_path: Path):
-    with BagWriter(tmp_path, "ros1") as bag:
-        write_take(bag)
-        for name, ms in (("/a", 304), ("/b", 404)):
-            kind = "sensor_msgs/msg/Image"
-            bag._topics["/cam/image_raw"] = bag.writer.add_connection(
-                "/cam/image_raw", kind, typestore=bag.store, callerid=name
-            )
-            bag.image("/cam/image_raw", START_NS + ms * MS, IMAGE, "rgb8")
-        bag._topics["/points"] = bag.writer.add_connection("/points", "sensor_msgs/msg/Imu", typestore=bag.store)
-        bag.imu("/points", START_NS, (0.0, 0.0, 9.8))
-    recording = open_recording(bag.path)
-    assert any("/cam/image_raw has 3 publishers" in note for note in recording.notes)
-    told = "the topic /points has messages of several types: sensor_msgs/Imu, sensor_msgs/PointCloud2"
-    assert told in recording.notes and len(recording) == 3
 
 
 def test_a_broken_message_affects_only_its_frame(tmp_path: Path):
