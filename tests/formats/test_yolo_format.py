@@ -138,10 +138,7 @@ def test_datasets_of_other_tools_are_read(
     ("files", "says"),
     [
         ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
-        ({"classes.txt": "a\n"}, "has no label file"),
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
-        ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
-        ({"data.yaml": "[" * 5000}, "is not valid YAML"),
         # values that do not match their tag; PyYAML raises a different exception for each
         *(
             ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
@@ -152,8 +149,6 @@ def test_datasets_of_other_tools_are_read(
             )
         ),
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
-        ({"data.yaml": "train: x"}, "names: Field required"),
-        ({"data.yaml": "names: [a]"}, "names no image"),
         ({"data.yaml": "train: 'D:\\\\set'\nnames: [a]"}, "is a path of another computer; write it rel"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
         ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the folder"),
@@ -217,47 +212,27 @@ def test_keypoints_that_data_yaml_names_are_refused(tmp_path: Path) -> None:
         read_yolo(put(tmp_path, **{"labels/a.txt": row, "images/a.png": "", "data.yaml": yaml}))
 
 
-def plates(centers: list[tuple[float, float]], w: float, h: float, *visibilities: int, dots: int = 4) -> list[str]:
-    """Rows of boxes with points in a ring around their centres."""
-    rows = []
-    for cx, cy in centers:
-        ring = [
-            (cx + 0.45 * w * np.cos(a), cy + 0.45 * h * np.sin(a)) for a in np.arange(dots) * 2 * np.pi / dots + 0.4
-        ]
-        values = [f"{x:.6f} {y:.6f} {v}" for (x, y), v in zip(ring, visibilities or [""] * dots, strict=True)]
-        rows.append(f"0 {cx} {cy} {w} {h} {' '.join(values)}")
-    return rows
-
-
-def turned(centers: list[tuple[float, float]], w: float, h: float, turn: float, corners: int = 4) -> list[str]:
-    """Rows of polygons."""
+def polygon(cx: float, cy: float, w: float, h: float, turn: float, corners: int) -> str:
     angles = np.arange(corners) * 2 * np.pi / corners + turn
-    rings = [[(cx + w / 2 * np.cos(a), cy + h / 2 * np.sin(a)) for a in angles] for cx, cy in centers]
-    return ["0 " + " ".join(f"{x:.6f} {y:.6f}" for x, y in ring) for ring in rings]
+    return "0 " + " ".join(f"{cx + w / 2 * np.cos(a):.6f} {cy + h / 2 * np.sin(a):.6f}" for a in angles)
 
 
-PLACES = [(0.5, 0.5), (0.4, 0.6), (0.45, 0.35)]
+POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
 
 
 @pytest.mark.parametrize(
     ("rows", "are_keypoints"),
     [
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"], True, id="pairs"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True, id="one-is-missing"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True, id="triples"),
-        pytest.param(plates(PLACES, 0.1, 0.05), True, id="plates"),
-        pytest.param(plates(PLACES, 0.6, 0.55, 2, 2, 0, 1), True, id="large-triples"),
-        pytest.param(plates([(0.1, 0.1), (0.12, 0.11), (0.11, 0.13)], 0.1, 0.1), True, id="size-as-place"),
-        # polygons and turned boxes: small ones in the upper left hold their points, read as boxes
-        *(
-            pytest.param(turned(PLACES[:count], w, h, turn, corners), False, id=f"{count}-{w}-{turn}-{corners}")
-            for count in (1, 3)
-            for w, h in ((0.05, 0.05), (0.5, 0.4))
-            for turn in (0.0, 0.4)
-            for corners in (3, 4, 12)
-        ),
+        ([POINT], True),
+        (["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True),  # one is missing
+        (["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True),
+        # boxes with four points each, in the middle and where sizes are as large as places
+        ([f"0 0.5 0.5 0.1 0.05 {polygon(0.5, 0.5, 0.09, 0.045, 0.4, 4)[2:]}"] * 2, True),
+        ([f"0 {x} 0.11 0.1 0.1 {polygon(x, 0.11, 0.09, 0.09, 0.4, 4)[2:]}" for x in (0.1, 0.12, 0.11)], True),
+        # small polygons in the upper left hold their points, read as boxes
+        *(([polygon(0.5, 0.5, w, 0.9 * w, 0.4, corners)], False) for w in (0.05, 0.5) for corners in (3, 4, 12)),
         # one polygon by chance, the other not
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53", *turned(PLACES, 0.1, 0.1, 0.4)], False, id="chance"),
+        ([POINT, polygon(0.4, 0.6, 0.1, 0.1, 0.4, 4)], False),
     ],
 )
 def test_rows_that_are_all_boxes_with_points_are_keypoints(

@@ -128,9 +128,7 @@ def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
 PLAIN = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 FALSE_HEADERS = [
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n" % HUGE, "declares"),
-    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "only lists"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no column y z"),
-    ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
     ("a.ply", ply(vertices(), "binary_little_endian")[:3000], "declares 500 points"),
     ("a.pcd", pcd(PLAIN, "binary", bytes(120), HUGE), "declares"),
     ("a.pcd", pcd(PLAIN, "ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3), "line 13 has 2 values instead of 3"),
@@ -141,15 +139,10 @@ FALSE_HEADERS = [
     ),
     ("a.pcd", pcd(PLAIN, "binary_compressed", lzf(bytes(120))[:50], 10), "compressed bytes but has"),
     ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
-    ("a.pcd", pcd(PLAIN, "gzip", b" ", 10), "encoding 'gzip' is unknown"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n", "the PCD header is damaged"),
-    ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
     ("a.npy", npy_header((HUGE, 3)) + bytes(36), "too large"),
-    ("a.npy", npy_header((3, 3)) + bytes(35), "its array is damaged"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
-    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "its array is damaged"),
     ("a.npz", b"PK\x03\x04 no archive", "archive cannot be read"),
-    ("a.pcd", b"", "the file is empty"),
 ]
 
 
