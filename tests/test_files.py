@@ -209,16 +209,6 @@ def test_large_files_are_refused_without_reading_them(tmp_path: Path):
     tracemalloc.stop()
 
 
-def test_text_has_line_feeds(tmp_path: Path):
-    (tmp_path / "a").write_bytes("ä\r\nb\rc\n".encode())
-    assert read_text_file(tmp_path / "a") == "ä\nb\nc\n" == (tmp_path / "a").read_text(encoding="utf-8")
-    (tmp_path / "a").write_bytes("ä\r\nb\rc\n".encode("utf-16"))
-    assert read_text_file(tmp_path / "a") == "ä\nb\nc\n"
-    (tmp_path / "a").write_bytes("a\nä\n".encode("latin-1"))
-    with pytest.raises(UnicodeDecodeError, match=r"^not UTF-8 text in line 2 \(0xe4\); save it as UTF-8$"):
-        read_text_file(tmp_path / "a")
-
-
 def test_an_archive_with_an_endless_list_of_files_is_refused(tmp_path: Path):
     path = tmp_path / "a.zip"
     with zipfile.ZipFile(path, "w") as archive:

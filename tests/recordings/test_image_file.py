@@ -174,17 +174,6 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
 
 
-@pytest.mark.parametrize(("encoding", "bits"), [("rgb16", 10), ("bgr16", 16), ("png", 12)])
-def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
-    pixels = deep(bits, 3)
-    if encoding == "png":
-        data = np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
-        content = SimpleNamespace(format="rgb16; png compressed bgr16", data=data)
-    else:
-        content = ros(encoding, pixels[..., ::-1] if encoding == "bgr16" else pixels)
-    np.testing.assert_array_equal(color_image(content), COLOR)
-
-
 def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
     """As of infrared cameras, whose highlights are saturated; one range for all pictures of a topic."""
     grey = np.linspace(500, 3500, 2000).astype(np.uint16).reshape(40, 50)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from small_recordings import write_tum
 
 from annotator.recordings import open_recording
 from annotator.recordings.mirror import open_mirror
@@ -65,19 +65,12 @@ def test_only_files_of_the_frame_and_shared_files_are_copied(tmp_path: Path) -> 
 
 
 def test_images_with_a_partner_of_another_name_belong_to_one_frame(tmp_path: Path) -> None:
-    folder = tmp_path / "take"
-    for name, dtype, shift in (("rgb", np.uint8, 0), ("depth", np.uint16, 0.01)):
-        (folder / name).mkdir(parents=True)
-        lines = []
-        for number in range(3):
-            time = f"{number + shift:.2f}"
-            cv2.imwrite(str(folder / name / f"{time}.png"), np.full((480, 640), 90 + number, dtype))
-            lines.append(f"{time} {name}/{time}.png\n")
-        (folder / f"{name}.txt").write_text("".join(lines))
+    times, image = (range(0, 3000, 1000), range(10, 3000, 1000)), np.full((480, 640), 90, np.uint8)
+    folder = write_tum(tmp_path / "take", *times, lambda _: np.dstack([image] * 3), lambda _: image.astype(np.uint16))
     mirror = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE)
     assert np.array_equal(mirror.frame(2).cloud.xyz_m, open_recording(folder).frame(2).cloud.xyz_m)
     copied = {path.name for path in (tmp_path / "copy").rglob("*.png") if path.stat().st_size}
-    assert copied == {"2.00.png", "2.01.png"}
+    assert copied == {"1305031104.000000.png", "1305031104.010000.png"}
 
 
 def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_path: Path) -> None:

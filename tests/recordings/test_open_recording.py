@@ -14,12 +14,10 @@ from annotator.recordings import (
     ReaderOptions,
     Recording,
     detect_format,
-    open,
     open_recording,
     parse_options,
     stored_options,
 )
-from annotator.recordings.open import recordings_below
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 
 REAL = [
@@ -171,18 +169,6 @@ def test_recordings_below_that_cannot_be_opened_are_shown_with_their_problem(tmp
     make(tmp_path, "drive/image_2/1.png", "drive/velodyne/1.bin")
     assert "it contains recordings that cannot be opened: " in refusal(tmp_path)
     assert f"{tmp_path}/drive: looks like a KITTI object folder: calib/ is missing" in refusal(tmp_path)
-
-
-def test_the_search_is_bounded_in_number_and_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    make(tmp_path, *(f"{number:03d}/" for number in range(60)), "999/color/1.png", "999/depth/1.png")
-    assert recordings_below(tmp_path, detect_format, ()).recordings == ["999"]
-    monkeypatch.setattr(open, "MOST_FOLDERS", 50)
-    below = recordings_below(tmp_path, detect_format, ())
-    assert (below.recordings, below.is_partial) == ([], True)
-    assert "not all were searched" in refusal(tmp_path)
-    monkeypatch.setattr(open, "MOST_FOLDERS", 500)
-    monkeypatch.setattr(open, "MOST_SECONDS", 0.0)
-    assert recordings_below(tmp_path, detect_format, ()).is_partial
 
 
 def test_a_part_of_a_recording_names_the_recording(tmp_path: Path):

@@ -6,22 +6,15 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+import small_recordings as made
 from scipy.spatial.transform import Rotation
+from small_recordings import START_S
 
 from annotator.recordings import open_recording
 from annotator.recordings.recording import ReaderOptions
 from annotator.types.errors import FrameError, RecordingError
-
-START_S = 1305031102
-# The first pose of TUM's fr1/xyz, whose camera looks down on a desk.
-POSE = "1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986"
-
-
-def png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
 
 
 def image(number: int) -> np.ndarray:
@@ -34,22 +27,8 @@ def depth(number: int) -> np.ndarray:
     return raw
 
 
-def write_tum(
-    folder: Path, rgb_ms: list[int], depth_ms: list[int], images: Callable[[int], np.ndarray] = image
-) -> Path:
-    """Writes images of these times (ms after the start), numbered in this order."""
-    for name, times, make in (("rgb", rgb_ms, images), ("depth", depth_ms, depth)):
-        (folder / name).mkdir(parents=True)
-        lines = [f"# {name} images", "# file: 'made.bag'", "# timestamp filename"]
-        for number, time_ms in enumerate(times):
-            text = f"{START_S + time_ms / 1000:.6f}"
-            content = make(number)
-            (folder / name / f"{text}.png").write_bytes(png(content[..., ::-1] if name == "rgb" else content))
-            lines.append(f"{text} {name}/{text}.png")
-        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
-    poses = [f"{START_S + time_ms / 1000:.4f} {POSE}" for time_ms in range(-5, 200, 10)]
-    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(poses) + "\n")
-    return folder
+def write_tum(folder: Path, rgb_ms: list[int], depth_ms: list[int], images: made.Draw = image) -> Path:
+    return made.write_tum(folder, rgb_ms, depth_ms, images, depth)
 
 
 def test_images_are_paired_by_time_and_depth_has_5000_units_per_metre(tmp_path: Path):

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from annotator.recordings import detect_format, open_recording
-from annotator.recordings.kinect.matroska import read_index
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import FrameError, RecordingError
 
@@ -207,21 +206,3 @@ def test_a_recording_is_recognised_without_reading_it_all(tmp_path: Path, monkey
     assert [detect_format(tmp_path / name) for name in ("take.mkv", "film.mkv", "text.mkv")] == [
         "azure_kinect", None, None
     ]  # fmt: skip
-
-
-def test_a_damaged_size_affects_only_its_cluster(tmp_path: Path):
-    path = tmp_path / "x.mkv"
-    block = b"\xa3\x86\x81\x00\x07\x80xy"
-    content = b"\xe7\x81\x05" + block + block
-    cluster = b"\x1f\x43\xb6\x75" + (0x80 | len(content)).to_bytes(1) + content
-    head = b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\xff"
-    path.write_bytes(head + 3 * cluster)
-    assert len(read_index(path).blocks) == 6
-    damaged = block.replace(b"\x86", b"\x94", 1)  # as if it were 20 bytes long
-    path.write_bytes(head + cluster.replace(block, damaged, 1) + 2 * cluster)
-    index = read_index(path)
-    assert [block.offset for block in index.blocks] == [
-        len(head + cluster) + 5 + 3 + 6, len(head + cluster) + 5 + 3 + 6 + 8,
-        len(head + 2 * cluster) + 5 + 3 + 6, len(head + 2 * cluster) + 5 + 3 + 6 + 8,
-    ]  # fmt: skip
-    assert not index.is_truncated

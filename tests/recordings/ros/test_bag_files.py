@@ -16,6 +16,7 @@ from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 from annotator.recordings import open_recording
 from annotator.recordings.ros import pairing, pictures
 from annotator.recordings.ros.bag import Topic, open_bag
+from annotator.recordings.ros.pictures import lost_before
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 
@@ -186,3 +187,18 @@ def test_pictures_after_a_lost_one_are_errors_until_the_next_key_frame(monkeypat
             picture(monkeypatch, form, packets, i)
     for i, level in ((0, 40), (3, 60)):
         assert abs(picture(monkeypatch, form, packets, i).mean() - level) <= 4
+
+
+def test_lost_pictures_of_h264_are_told_by_their_numbers():
+    # x264's numbers have 4 bits here, so they begin again; with scaling lists, and pictures that are no references
+    levels = [i * 7 for i in range(30)]
+    plain = encoded("h264", levels, 30, **{"x264-params": "cqm=jvt"})
+    skipping = encoded("h264", levels, 30, 1, tune="psnr", **{"x264-params": "b-adapt=0:scenecut=0"})
+    for packets in (plain, skipping):
+        assert lost_before(packets) is None
+    for i in (1, 15, 16, 28):
+        assert lost_before(plain[:i] + plain[i + 1 :]) == i
+    references = [i for i in range(1, 29) if skipping[i].split(b"\0\0\1")[-1][0] & 0x60]
+    assert 10 < len(references) < 20
+    for i in range(1, 29):
+        assert lost_before(skipping[:i] + skipping[i + 1 :]) == (i if i in references else None)

@@ -432,15 +432,3 @@ def test_a_real_realsense_recording(shared: Path):
     np.testing.assert_allclose(back[:, 2], expected_m, atol=1e-6)
     assert len(frame.cloud) > 100_000
     assert frame.depth_m is not None and frame.timestamp_ns == 360_713_523_000
-    listed = list_topics(recording.path, ReaderOptions()) or ()
-    used = {topic.name.removeprefix("/device_0/"): topic.use for topic in listed if topic.use}
-    assert used == {
-        "sensor_0/Depth_0/image/data": "depth",
-        "sensor_0/Depth_0/info": "rate of the depth",
-        "sensor_0/Depth_0/info/camera_info": "camera of the depth",
-        "sensor_0/Depth_0/tf/0": "transforms",
-        "sensor_0/option/Depth Units/value": "unit of the depth",
-        "sensor_1/Color_0/image/data": "image",
-        "sensor_1/Color_0/info/camera_info": "camera",
-        "sensor_1/Color_0/tf/0": "transforms",
-    }
