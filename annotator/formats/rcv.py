@@ -18,7 +18,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import JPEG_QUALITY, DatasetItem, DatasetWriter, encoded_image, write_ply
+from annotator.formats.dataset_writing import (
+    JPEG_QUALITY,
+    DatasetItem,
+    DatasetWriter,
+    Detector,
+    encoded_image,
+    write_ply,
+)
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
@@ -132,14 +139,6 @@ class RcvLabels(_Record):
     objects: tuple[RcvObject, ...]
 
 
-class RcvDetector(_Record):
-    """A 2D detector that contributed to the boxes; `role` is its input, such as image or view."""
-
-    role: str
-    name: str
-    fingerprint: str
-
-
 class RcvOptions(_Record):
     """How an export is written: lossless PNG, or JPEG at the given quality."""
 
@@ -188,7 +187,7 @@ class RcvManifest(_Record):
     generator: str
     classes: tuple[str, ...]
     conventions: RcvConventions
-    detectors: tuple[RcvDetector, ...]
+    detectors: tuple[Detector, ...]
     options: RcvOptions
     cameras: tuple[RcvCameraUse, ...]
     counts: RcvCounts
@@ -411,7 +410,7 @@ class RcvWriter(DatasetWriter):
             generator=self.info.generator,
             classes=self.info.classes,
             conventions=RcvConventions(),
-            detectors=tuple(RcvDetector(**asdict(each)) for each in self.info.detectors),
+            detectors=tuple(self.info.detectors),
             options=RcvOptions(image_format=self.info.image_format, jpeg_quality=JPEG_QUALITY),
             cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
             counts=RcvCounts(

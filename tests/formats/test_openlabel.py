@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.openlabel import Scene, read_openlabel
-from annotator.types import BoxKind, OrientedBox, Suggestion
+from annotator.formats.openlabel import read_openlabel
+from annotator.types import BoxKind, Camera, OrientedBox, Suggestion
 from annotator.types.errors import FormatError
 
+PLACE_IN_MAP = RigidTransform.from_components([701_378.25, 4_485_513.5, 640.0], Rotation.from_rotvec([1, -0.5, 0.25]))
 # 4 x 2 x 1.5 m, 1 m ahead, rotated by 90 degrees about the camera's y axis (right-hand rule: x becomes -z).
 TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
@@ -64,17 +65,19 @@ def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
         assert (tmp_path / "out" / name).is_file()
 
 
-def test_tracks_keep_their_identity_over_frames() -> None:
-    scene = Scene("rec", "annotator 1")
-    for index in (0, 1, 4):
-        labels = [make_label(uid=f"{index}a", track_id=1), make_label(uid=f"{index}b", track_id=1), make_label()]
-        scene.add(make_item(labels, index=index), f"images/{index}.png", f"clouds/{index}.ply")
-    content = scene.document().openlabel
-    objects = content.objects or {}
-    spans = [[(i.frame_start, i.frame_end) for i in each.frame_intervals or ()] for each in objects.values()]
-    # two labels of a track in one frame are two objects; a label without a track is one object, identified by its uid
-    assert spans == [[(0, 1), (4, 4)]] * 3
-    assert content.frame_intervals == next(iter(objects.values())).frame_intervals
+def test_the_document_follows_the_schema(tmp_path: Path) -> None:
+    """Checks ASAM's schema, and its rules for references and intervals, with the package openlabel-checker."""
+    core = pytest.importorskip("openlabel_checker.core", reason="openlabel-checker contains ASAM's schema")
+    other = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
+    items = [
+        make_item([make_label(track_id=1), make_label(track_id=1, uid="u2")], index=0, key="a"),
+        make_item([make_label(track_id=1, uid="u3")], index=2, key="c", camera=other, timestamp_ns=None),
+        make_item([make_label(track_id=1, uid="u4")], index=5, key="d", T_world_camera=PLACE_IN_MAP),
+    ]
+    write("openlabel", tmp_path / "out", items)
+    result = core.check_file(str(tmp_path / "out" / "rec.json"))
+    assert len(result.outcomes) > 5
+    assert [issue.message for outcome in result.outcomes for issue in outcome.issues] == []
 
 
 def foreign(**changes: Any) -> dict[str, Any]:

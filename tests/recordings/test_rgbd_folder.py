@@ -148,7 +148,6 @@ def image(array: np.ndarray) -> Callable[[Path], None]:
 
 
 COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
-DEPTH_CAMERA = "depth_intrinsic.json"
 DAMAGES = [
     pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
@@ -191,27 +190,3 @@ def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
         camera = json.dumps(INTRINSICS | {"depth_encoding": encoding})
         (folder / "camera_intrinsic.json").write_text(camera)
         np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
-
-
-def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, color: np.ndarray):
-    for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
-        (folder / name / "000000.png").rename(folder / name / f"{key}.png")
-    (folder / "timestamps.csv").write_text("key,timestamp_ns\ncafe\u0301,7000000\n000001,8000000\n", encoding="utf-8")
-    recording = open_recording(folder)
-    assert recording.keys == ("000001", "caf\u00e9")
-    frame = recording.frame(1)
-    np.testing.assert_array_equal(frame.rgb, color)
-    assert (frame.key, frame.timestamp_ns) == ("caf\u00e9", 7_000_000)
-
-
-def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth: np.ndarray):
-    (folder / "color").rename(folder / "rgb")
-    for name, content in (
-        ("camera_intrinsic.json", json.dumps(INTRINSICS | {"depth_scale": 5000}, indent=1)),
-        ("gravity.json", '{"up": [0, -2, 0]}\n'),
-        ("timestamps.csv", "key,timestamp_ns\n000000,5000000\n000001,6000000\n"),
-    ):
-        (folder / name).write_bytes(content.replace("\n", "\r\n").encode("utf-8-sig"))
-    frame = open_recording(folder).frame(1)
-    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
-    np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)

@@ -152,16 +152,6 @@ def small(number: int) -> np.ndarray:
     return image(number)[:8, :8]
 
 
-def test_names_may_have_blanks_and_another_unicode_form(tmp_path: Path):
-    path = write_tum(tmp_path / "freiburg", [0], [1], small)
-    for name, new, listed in (("rgb", "e\u0301 1, 2.png", "\u00e9 1, 2.png"), ("depth", "a b.png", "a b.png")):
-        next((path / name).iterdir()).rename(path / name / new)
-        (path / f"{name}.txt").write_text(f"{START_S}.0 {name}/{listed}\n", encoding="utf-8")
-    recording = open_recording(path)
-    assert recording.keys == ("\u00e9 1, 2",)
-    assert [file.name for file in recording.files(0)] == ["e\u0301 1, 2.png", "a b.png"]
-
-
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [

@@ -113,13 +113,6 @@ def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Pat
     np.testing.assert_array_equal(cloud.xyz_m, np.delete(XYZ, 1, 0))
 
 
-@pytest.mark.parametrize(("name", "kind"), [("rgb", "f4"), ("rgb", "f8"), ("red", "f4")])
-def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
-    nan = np.full(N, np.nan, kind)
-    columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
-    assert from_columns(columns).rgb is None
-
-
 @pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
 def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: str):
     rows = np.zeros(N, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "u1", 4)])

@@ -161,15 +161,6 @@ def test_a_false_header_is_an_error_before_memory_is_allocated(
     assert sys.platform != "linux" or grown_kb < 100_000
 
 
-def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path):
-    np.savez(tmp_path / "a.npz", weights=XYZ)
-    with pytest.raises(FrameError, match=r"has no array points or .* \(its arrays: weights\)"):
-        read_cloud(tmp_path / "a.npz")
-    np.savez(tmp_path / "a.npz", points=XYZ, colors=RGB[:-1])
-    with pytest.raises(FrameError, match="for 500 points"):
-        read_cloud(tmp_path / "a.npz")
-
-
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.binary(min_size=1, max_size=32), st.tuples(st.integers(1, 400), st.integers(3, 264)))))
 def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
@@ -199,17 +190,6 @@ TEXT_CLOUDS = {
     "property float x\nproperty float y\nproperty float z\nend_header\n",
     ".pcd": "# .PCD v0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n",
 }
-
-
-@pytest.mark.parametrize("suffix", TEXT_CLOUDS)
-def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_named(tmp_path: Path, suffix: str):
-    path = tmp_path / f"a{suffix}"
-    text = TEXT_CLOUDS[suffix] + "1 2 3\n4.5 5 6\n"
-    path.write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
-    np.testing.assert_array_equal(read_cloud(path).xyz_m, [[1, 2, 3], [4.5, 5, 6]])
-    path.write_text(text.replace("4.5", "4,5"))
-    with pytest.raises(FrameError, match="'4,5' has a decimal comma; write a point"):
-        read_cloud(path)
 
 
 @pytest.mark.parametrize("rows", [1, 3])
