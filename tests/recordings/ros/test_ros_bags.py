@@ -29,7 +29,6 @@ from annotator.cli.options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.recording import RosBag, message
-from annotator.recordings.ros.topics import list_topics
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 
 COMPRESSIONS = [("ros1", "lz4"), ("ros1", "bz2"), ("sqlite3", ""), ("sqlite3", "message"), ("mcap", "storage"),
@@ -126,18 +125,11 @@ def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
     with pytest.raises(RecordingError, match=r"--points: /points \(1 message\), /points_rear"):
         open_recording(path, ReaderOptions(image="/left/image_raw"))
     assert len(open_recording(path, ReaderOptions(image="/left/image_raw", points="points"))) == 1
-    facts = {topic.name: (topic.use, topic.option) for topic in list_topics(path, ReaderOptions()) or []}
-    assert facts["/left/image_raw"] == ("", "--image")
-    assert facts["/points_rear"] == ("", "--points")
-    assert facts["/tf_static"] == ("transforms", "")
 
 
 WRONG_OPTIONS = [
     ({"image": "/nowhere"}, "--image /nowhere: is not in the bag; possible are: /left/image_raw, /right/image_raw"),
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
-    ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
-    ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
-    ({"image": "/left/image_raw", "points": "/points", "depth_info": "/left/camera_info"}, "is for depth images"),
     ({"columns": 4}, "not --columns"),
     ({"image": "/left/image_raw", "points": "/points", "origin": (1, 2, 3)}, "so --origin is not taken"),
 ]
