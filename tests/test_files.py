@@ -34,7 +34,7 @@ from annotator.files import (
     read_text_file,
     write_atomic,
 )
-from annotator.frame_limits import VARIABLE, frame_memory, memory_problem, require_pixels
+from annotator.frame_limits import VARIABLE, frame_memory, require_pixels
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.sunrgbd import _read_mat
@@ -262,11 +262,6 @@ def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv(VARIABLE, "8 GB")
     with pytest.raises(ConfigError, match=f"{VARIABLE}='8 GB': must be a number of MiB"):
         frame_memory()
-
-
-def test_real_frames_are_within_the_default():
-    assert memory_problem(points=10_000_000, pixels=12_000_000) == ""
-    require_pixels(4032, 3024, give_points=True)
 
 
 def test_compressed_columns_do_not_fill_the_memory(tmp_path: Path):

@@ -25,7 +25,6 @@ REAL = [
     ("human_turn", "rgbd_folder", 75, True),
     ("rgbd_open3d_testdata/RGBD", "rgbd_folder", 5, True),
     ("kitti", "kitti_object", 10, False),
-    ("kitti/training", "kitti_object", 10, False),
     ("kitti_drive_0005", "kitti_tracking", 20, True),
     ("realsense/single_depth_color_640x480.bag", "ros_bag", 1, True),
 ]

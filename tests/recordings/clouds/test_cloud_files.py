@@ -179,12 +179,6 @@ def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
     assert lzf_decompress(bytes(packed), len(plain)) == bytes(plain)
 
 
-def test_a_point_with_a_signalling_nan_is_skipped(tmp_path: Path):
-    rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
-    (tmp_path / "a.pcd").write_bytes(pcd(PLAIN, "binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2))
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])
-
-
 TEXT_CLOUDS = {
     ".ply": "ply\nformat ascii 1.0\nelement vertex 2\n"
     "property float x\nproperty float y\nproperty float z\nend_header\n",

@@ -11,7 +11,7 @@ import kinect_recording as made
 import numpy as np
 import pytest
 
-from annotator.recordings import detect_format, open_recording
+from annotator.recordings import open_recording
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import FrameError, RecordingError
 
@@ -193,16 +193,3 @@ def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
     distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::100]])
     assert np.mean(distance < 1e-5) > 0.9
-
-
-def test_a_recording_is_recognised_without_reading_it_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=1)
-    film = tmp_path / "film.mkv"
-    film.write_bytes(path.read_bytes().replace(b"DEPTH", b"OTHER"))
-    (tmp_path / "text.mkv").write_bytes(b"no film")
-    monkeypatch.setattr(
-        "annotator.recordings.kinect.mkv_recording.read_index", lambda path: pytest.fail("the whole file is indexed")
-    )
-    assert [detect_format(tmp_path / name) for name in ("take.mkv", "film.mkv", "text.mkv")] == [
-        "azure_kinect", None, None
-    ]  # fmt: skip

@@ -231,17 +231,10 @@ def edit(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], Any]
 
 BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
     ("sample_data", lambda rows: rows[-1].pop("filename"), r"the row at byte \d+: filename: Field required"),
-    (
-        "sample_data",
-        lambda rows: rows[-1].update(timestamp=2**63),
-        r"timestamp: the time \d+ us is beyond the year 2262",
-    ),
     ("sample_data", lambda rows: rows[-1].update(filename="/dev/zero"), "filename: .*must be a path in the dataset"),
     ("ego_pose", lambda rows: rows.pop(), r"refers to LIDAR_TOP1-5, which is not in ego_pose\.json"),
     ("scene", lambda rows: rows[1].update(name="scene-0000"), r"scene\.json: two scenes are called scene-0000"),
-    ("sample", lambda rows: rows.clear(), "scene-0001 has no scan"),
     ("ego_pose", lambda rows: rows[-2].update(rotation=[0, 0, 0, 0]), "is not a unit quaternion"),
-    ("calibrated_sensor", lambda rows: rows[1].update(camera_intrinsic=[]), "is not a pinhole camera"),
     ("ego_pose", lambda rows: rows[-2].update(translation=[0, 0, 1e6]), "lies in the image"),
 ]
 
