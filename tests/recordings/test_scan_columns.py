@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_samples import OBJECT_CALIB
 
+from annotator.cli.main import main
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.scan_file import Scans, weigh_columns
-from annotator.types.errors import FrameError, UnclearError
+from annotator.types.errors import ConfigError, FrameError, UnclearError
 
 RANDOM = np.random.default_rng(3)
 COUNT = len(SCAN)
@@ -144,6 +145,21 @@ def test_a_dark_scan_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path)
             # the last one is beyond the scale of the others
             expected = {0: 200 / 255, 1: 1 / 255, 3: 1 / 255, 4: 60_000 / 65_535}[number]
             assert reflectance.max() == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_option_is_stored_with_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    scan = np.random.default_rng(0).uniform(2, 9, (600, 3)).astype(np.float32)
+    (tmp_path / "take").mkdir()
+    (tmp_path / "take" / "a.bin").write_bytes(scan.tobytes())
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "cars", "--classes", "car"]) == 0
+    assert main(["add", "cars", "take"]) == 2
+    assert "give --columns N" in capsys.readouterr().err.replace("\n", " ")
+    assert main(["add", "cars", "take", "--columns", "3"]) == 0
+    with pytest.raises(ConfigError, match="takes --columns, --origin, not --camera"):
+        open_recording(tmp_path / "take", ReaderOptions(camera="left"))
 
 
 @pytest.mark.shared

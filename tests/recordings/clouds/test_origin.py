@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 from bag_writer import BagWriter, structured
-from cloud_samples import camera_file, pcd, ply
+from cloud_samples import camera_file, pcd, ply, ros_cloud
 from kitti_samples import OBJECT_CALIB
 
 from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.virtual_camera import STEP_M
 from annotator.recordings.recording import origin_of
+from annotator.recordings.ros import messages
+from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FrameError
 
 UTM_M = np.array([701_378.25, 4_485_513.5, 640.75])
 # The coordinates of a floor and a wall around (0, 0, 0); UTM coordinates need 64 bits.
@@ -170,6 +174,26 @@ def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path):
     assert frames[0].T_world_camera.translation.tolist() == frames[1].T_world_camera.translation.tolist()
     around = open_recording(recording.path, ReaderOptions(look_around=4)).frame(1)
     np.testing.assert_allclose(placed(around), placed(frames[1]), atol=2e-4)
+
+
+def bin_file(folder: Path, xyz: np.ndarray) -> np.ndarray:
+    (folder / "a.bin").write_bytes(np.c_[xyz, np.ones(len(xyz))].astype("<f4").tobytes())
+    return read_cloud(folder / "a.bin", Scans(4)).xyz_m
+
+
+def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
+    rows = structured(dict(zip("xyz", xyz.astype(np.float32).T, strict=True)))
+    return messages.cloud_of(ros_cloud(rows)).xyz_m
+
+
+@pytest.mark.parametrize("read", [bin_file, ros_message])
+def test_points_at_the_sensor_itself_are_left_out(tmp_path: Path, read: Callable[[Path, np.ndarray], np.ndarray]):
+    xyz = np.array([[1.0, 2, 3], [0, 0, 0], [0, 0, 1], [np.nan, 0, 0], [np.inf, 1, 1], [-0.0, 0, -0.0], [0, 5, 0]])
+    np.testing.assert_array_equal(read(tmp_path, xyz), [[1, 2, 3], [0, 0, 1], [0, 5, 0]])
+    with pytest.raises(
+        (FrameError, ValueError), match=r"every point is NaN or infinite, or \(0, 0, 0\), which means no return"
+    ):
+        read(tmp_path, np.zeros((5, 3)))
 
 
 def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nuscenes_samples import CAMERAS, START_US, K, ego_pose, mount, real, scan_points, small
+from scipy.spatial.transform import Rotation
 
 from annotator.formats.nuscenes import read_sample_boxes
 from annotator.geometry.oriented_box import box_corners, contains
@@ -29,13 +30,8 @@ def opened(path: Path, **options: Any) -> NuScenes:
     return recording
 
 
-def matrix_of(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """The rotation matrix of a unit quaternion, by the textbook's formula."""
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+def turn_of(row: dict[str, Any]) -> np.ndarray:
+    return Rotation.from_quat(row["rotation"], scalar_first=True).as_matrix()
 
 
 def by_hand(folder: Path, table: str, token: str) -> np.ndarray:
@@ -43,7 +39,7 @@ def by_hand(folder: Path, table: str, token: str) -> np.ndarray:
     rows = json.loads((folder / "v1.0-mini" / f"{table}.json").read_text())
     row = next(row for row in rows if row["token"] == token)
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = matrix_of(*row["rotation"]), row["translation"]
+    matrix[:3, :3], matrix[:3, 3] = turn_of(row), row["translation"]
     return matrix
 
 
@@ -65,7 +61,7 @@ def test_the_real_boxes_lie_where_the_transforms_put_them_in_all_cameras(shared:
         rounded = np.array(sample["images"][channel]["lidar2cam"]) @ T_lidar_global
         expected = {}
         for number, row in enumerate(annotations):
-            turn = matrix_of(*row["rotation"])
+            turn = turn_of(row)
             width, length, height = row["size"]
             corners = (signs * [length, width, height] / 2) @ turn.T + row["translation"]
             seven_digits = corners @ rounded[:3, :3].T + rounded[:3, 3]
