@@ -28,7 +28,6 @@ LABELS = "label_02"
 IMAGES, SCANS = "image_02", "velodyne"
 # Track id of DontCare areas.
 NO_TRACK = -1
-MOST_SEQUENCES = 10_000
 
 
 @dataclass
@@ -116,15 +115,8 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     Args:
         places: recording, key and place in the recording of all frames. The frame number is the key if all keys of
             the recording have six digits, else the place.
-
-    Raises:
-        ValueError: more recordings than four digits can count.
     """
     names = list(dict.fromkeys(recording for recording, _, _ in places))
-    if len(names) > MOST_SEQUENCES:
-        raise ValueError(
-            f"KITTI tracking has at most {MOST_SEQUENCES} sequences (four digits); export fewer recordings"
-        )
     ids: dict[tuple[str, str], tuple[str, int]] = {}
     for number, name in enumerate(names):
         frames = [(key, place) for recording, key, place in places if recording == name]

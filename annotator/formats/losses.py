@@ -15,95 +15,61 @@ from annotator.types.messages import amount
 
 
 class Lost(StrEnum):
-    """What an export leaves out or approximates.
+    """What an export leaves out or approximates; in words, {for one|for several} and the rest of the line."""
 
-    TILT: pitch and roll; the nearest upright box was written.
-    SCORE, TRACK, STATE: a label's score, track id and review state.
-    LENS: lens distortion; image and boxes were written for an ideal pinhole camera.
-    DEPTH_COLOR, REFLECTANCE: colours and LiDAR reflectances of points.
-    OUTSIDE: objects outside the image, left out because the format needs a 2D box.
-    NAME: characters of a class name that the format cannot store.
-    TIME: capture times of frames.
-    SOLID: 3D boxes; the 2D boxes around their projections were written.
-    KIND: the information that some 2D boxes of an image are projected 3D boxes, where the others are drawn around what
-        is seen.
-    SAME: duplicate boxes of one class in a file, and duplicate images.
-    OPEN: images with unreviewed proposals, left out.
-    GRAVITY: the direction of gravity, where it differs from the image's downward direction.
-    LEVEL: gravity is unknown; the format needs it, so the image's downward direction was used.
-    ROUNDED: digits of a box that the format's rounding drops.
-    CUT: points of a scan outside the camera's view.
-    ATTRIBUTE: values of attributes.
-    SAID: what sources of boxes, such as detectors, said of objects before the review.
-    ORIGIN: the place of the camera in map coordinates; boxes and points were written relative to the camera.
-    UNREADABLE: frames whose files cannot be read, left out on request.
-    """
+    words: str
 
-    TILT = "tilt"
-    SCORE = "score"
-    TRACK = "track"
-    STATE = "state"
-    LENS = "lens"
-    DEPTH_COLOR = "point_color"
-    REFLECTANCE = "reflectance"
-    OUTSIDE = "outside"
-    NAME = "name"
-    TIME = "time"
-    SOLID = "solid"
-    KIND = "kind"
-    SAME = "same"
-    OPEN = "open"
-    GRAVITY = "gravity"
-    LEVEL = "level"
-    ROUNDED = "rounded"
-    CUT = "cut"
-    ATTRIBUTE = "attribute"
-    SAID = "said"
-    ORIGIN = "origin"
-    UNREADABLE = "unreadable"
+    def __new__(cls, value: str, words: str) -> Lost:
+        member = str.__new__(cls, value)
+        member._value_, member.words = value, words
+        return member
+
+    TILT = (
+        "tilt",
+        "{box is tilted; the nearest upright one was|boxes are tilted; the nearest upright ones were} written",
+    )
+    SCORE = "score", "{box has|boxes have} a score"
+    TRACK = "track", "{box has|boxes have} a track id"
+    STATE = (
+        "state",
+        "{box was not reviewed or was|boxes were not reviewed or were} corrected, which the format cannot store",
+    )
+    LENS = "lens", "{frame has|frames have} lens distortion; images were rectified to an ideal camera"
+    DEPTH_COLOR = "point_color", "{cloud has|clouds have} colours"
+    REFLECTANCE = "reflectance", "{cloud has|clouds have} reflectances"
+    OUTSIDE = "outside", "{box is outside the image and was|boxes are outside the image and were} left out"
+    NAME = "name", "{box has|boxes have} a class name that was written with other characters"
+    TIME = "time", "{frame has|frames have} a capture time"
+    SOLID = (
+        "solid",
+        "{box is a 3D box; the 2D box around its projection was|boxes are 3D boxes; the 2D boxes around their "
+        "projections were} written",
+    )
+    KIND = (
+        "kind",
+        "{box is a projected 3D box|boxes are projected 3D boxes} on images whose other boxes are drawn around what is "
+        "seen",
+    )
+    SAME = "same", "{box or image is a duplicate and was|boxes or images are duplicates and were} left out"
+    OPEN = (
+        "open",
+        "{image with reviewed boxes also has unreviewed proposals and was|images with reviewed boxes also have "
+        "unreviewed proposals and were} left out",
+    )
+    GRAVITY = "gravity", "{frame has|frames have} a gravity direction other than the image's downward direction"
+    LEVEL = "level", "{frame has|frames have} no known gravity direction; the image's downward direction was used"
+    ROUNDED = "rounded", "{box was|boxes were} rounded"
+    CUT = "cut", "{frame has|frames have} a scan with points outside the camera's view, which were left out"
+    ATTRIBUTE = "attribute", "{attribute value|attribute values} cannot be stored in this format"
+    SAID = "said", "{box was|boxes were} proposed by other software; this format cannot store which one"
+    ORIGIN = "origin", "{frame has|frames have} a place in a map; boxes and points were written relative to the camera"
+    UNREADABLE = "unreadable", "{frame cannot be read and was|frames cannot be read and were} left out"
 
 
 # Corners that move less are unchanged, metres.
 LEAST_ROUNDING_M = 1e-6
 # A box with a smaller tilt counts as upright, radians: angles in files are rounded to two to six decimals.
 LEAST_TILT_RAD = 1e-3
-
-# What is counted: {for one|for several} and the rest of the line.
-_WORDS = {
-    Lost.TILT: "{box is tilted; the nearest upright one was|boxes are tilted; the nearest upright ones were} written",
-    Lost.SCORE: "{box has|boxes have} a score",
-    Lost.TRACK: "{box has|boxes have} a track id",
-    Lost.STATE: (
-        "{box was not reviewed or was|boxes were not reviewed or were} corrected, which the format cannot store"
-    ),
-    Lost.LENS: "{frame has|frames have} lens distortion; images were rectified to an ideal camera",
-    Lost.DEPTH_COLOR: "{cloud has|clouds have} colours",
-    Lost.REFLECTANCE: "{cloud has|clouds have} reflectances",
-    Lost.OUTSIDE: "{box is outside the image and was|boxes are outside the image and were} left out",
-    Lost.NAME: "{box has|boxes have} a class name that was written with other characters",
-    Lost.TIME: "{frame has|frames have} a capture time",
-    Lost.SOLID: (
-        "{box is a 3D box; the 2D box around its projection was|boxes are 3D boxes; the 2D boxes around their "
-        "projections were} written"
-    ),
-    Lost.KIND: (
-        "{box is a projected 3D box|boxes are projected 3D boxes} on images whose other boxes are drawn around what is "
-        "seen"
-    ),
-    Lost.SAME: "{box or image is a duplicate and was|boxes or images are duplicates and were} left out",
-    Lost.OPEN: (
-        "{image with reviewed boxes also has unreviewed proposals and was|images with reviewed boxes also have "
-        "unreviewed proposals and were} left out"
-    ),
-    Lost.GRAVITY: "{frame has|frames have} a gravity direction other than the image's downward direction",
-    Lost.LEVEL: "{frame has|frames have} no known gravity direction; the image's downward direction was used",
-    Lost.ROUNDED: "{box was|boxes were} rounded",
-    Lost.CUT: "{frame has|frames have} a scan with points outside the camera's view, which were left out",
-    Lost.ATTRIBUTE: "{attribute value|attribute values} cannot be stored in this format",
-    Lost.SAID: "{box was|boxes were} proposed by other software; this format cannot store which one",
-    Lost.ORIGIN: "{frame has|frames have} a place in a map; boxes and points were written relative to the camera",
-    Lost.UNREADABLE: "{frame cannot be read and was|frames cannot be read and were} left out",
-}
 
 
 class Loss(BaseModel):
@@ -161,7 +127,7 @@ class Losses:
 
     def _line(self, kind: Lost) -> Loss:
         count = self._counts[kind]
-        several, rest = _WORDS[kind][1:].split("} ", 1)
+        several, rest = kind.words[1:].split("} ", 1)
         message, most = f"{amount(count, *several.split('|'))} {rest}", None
         if kind is Lost.ROUNDED:
             message, most = f"{message} (corners move by up to {self._rounding_m * 1000:.2g} mm)", self._rounding_m

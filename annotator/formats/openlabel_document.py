@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
@@ -41,25 +41,19 @@ Timestamp = Annotated[str | Bounded, Field(union_mode="left_to_right")]
 AttributeKind = Literal["num", "text", "boolean", "vec"]
 
 
-class Num(FileRecord):
-    """A named number."""
+Value = TypeVar("Value")
+
+
+class Named(FileRecord, Generic[Value]):
+    """A named value."""
 
     name: str | None = None
-    val: Exact
+    val: Value
 
 
-class Text(FileRecord):
-    """A named text."""
-
-    name: str | None = None
-    val: str
-
-
-class Boolean(FileRecord):
-    """A named yes or no."""
-
-    name: str | None = None
-    val: bool
+Num = Named[Exact]
+Text = Named[str]
+Boolean = Named[bool]
 
 
 class Attributes(FileRecord):

@@ -18,7 +18,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import JPEG_QUALITY, DatasetItem, DatasetWriter, encoded_image, write_ply
+from annotator.formats.dataset_writing import (
+    JPEG_QUALITY,
+    DatasetItem,
+    DatasetWriter,
+    Detector,
+    encoded_image,
+    write_ply,
+)
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
@@ -28,12 +35,8 @@ from annotator.types.label import Said
 from annotator.types.messages import amount
 
 FORMAT_NAME = "annotator-rcv"
-FORMAT_VERSION = 1
 FRAME_OF_REFERENCE = "camera: the colour camera, right-handed, x right, y down, z forward, metres"
-BOX_AXES = "x along the length, y along the width, z along the height, origin at the centre"
 CORNER_ORDER = ("---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++")
-PIXELS = "continuous; the centre of the first pixel is (0, 0)"
-DISTORTION = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
 
 # Limit for metres, pixels and radians; squares of such numbers stay finite.
 LARGEST = 1e9
@@ -50,7 +53,7 @@ class _Record(BaseModel):
 
 
 class RcvCamera(_Record):
-    """Intrinsics of the colour camera; `distortion` as in `DISTORTION`."""
+    """Intrinsics of the colour camera; `distortion` as in `RcvConventions`."""
 
     width_px: int = Field(gt=0)
     height_px: int = Field(gt=0)
@@ -132,14 +135,6 @@ class RcvLabels(_Record):
     objects: tuple[RcvObject, ...]
 
 
-class RcvDetector(_Record):
-    """A 2D detector that contributed to the boxes; `role` is its input, such as image or view."""
-
-    role: str
-    name: str
-    fingerprint: str
-
-
 class RcvOptions(_Record):
     """How an export is written: lossless PNG, or JPEG at the given quality."""
 
@@ -151,13 +146,13 @@ class RcvConventions(_Record):
     """The conventions of the numbers, in words."""
 
     frame_of_reference: str = FRAME_OF_REFERENCE
-    box_axes: str = BOX_AXES
+    box_axes: str = "x along the length, y along the width, z along the height, origin at the centre"
     rotation: str = "columns = box axes in the camera frame"
     quaternion: str = "w x y z"
     corners: str = "4 x 8, rows x y z 1, columns in corner_order (signs along the box's x y z)"
     corner_order: tuple[str, ...] = CORNER_ORDER
-    pixels: str = PIXELS
-    distortion: str = DISTORTION
+    pixels: str = "continuous; the centre of the first pixel is (0, 0)"
+    distortion: str = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
 
 
 class RcvCameraUse(_Record):
@@ -188,7 +183,7 @@ class RcvManifest(_Record):
     generator: str
     classes: tuple[str, ...]
     conventions: RcvConventions
-    detectors: tuple[RcvDetector, ...]
+    detectors: tuple[Detector, ...]
     options: RcvOptions
     cameras: tuple[RcvCameraUse, ...]
     counts: RcvCounts
@@ -257,7 +252,7 @@ def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> R
         cloud=cloud,
         points=len(frame.cloud),
         frame_of_reference=FRAME_OF_REFERENCE,
-        up=None if frame.up is None else _vector(frame.up),
+        up=None if frame.up is None else frame.up.tolist(),
         camera=camera_record(frame.camera),
         world=None if frame.T_world_camera is None else _pose_record(frame.T_world_camera),
         attributes=dict(item.attributes),
@@ -282,11 +277,11 @@ def object_record(label: Label) -> RcvObject:
         **_common(label),
         attributes=dict(label.attributes),
         said=tuple(map(_said_record, label.said)),
-        center=_vector(box.center_m),
-        size=_vector(box.size_m),
-        rotation=_matrix(box.rotation),
+        center=box.center_m.tolist(),
+        size=box.size_m.tolist(),
+        rotation=box.rotation.tolist(),
         quaternion=_quaternion(box.T_camera_box),
-        corners=tuple(tuple(row) for row in corners_4x8(box).tolist()),
+        corners=corners_4x8(box).tolist(),
     )
 
 
@@ -316,8 +311,8 @@ def _said_record(said: Said) -> RcvSaid:
         score=said.score,
         track_id=said.track_id,
         box_kind=said.box_kind,
-        center=_vector(said.box.center_m),
-        size=_vector(said.box.size_m),
+        center=said.box.center_m.tolist(),
+        size=said.box.size_m.tolist(),
         quaternion=_quaternion(said.box.T_camera_box),
     )
 
@@ -329,7 +324,7 @@ def _said(record: RcvSaid) -> Said:
 
 
 def _pose_record(T: RigidTransform) -> RcvPose:
-    return RcvPose(translation=_vector(T.translation), quaternion=_quaternion(T))
+    return RcvPose(translation=T.translation.tolist(), quaternion=_quaternion(T))
 
 
 def pose_from(record: RcvPose) -> RigidTransform:
@@ -339,17 +334,10 @@ def pose_from(record: RcvPose) -> RigidTransform:
 
 
 def _quaternion(T: RigidTransform) -> tuple[float, float, float, float]:
-    w, x, y, z = T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
-    return (w, x, y, z)
-
-
-def _vector(values: np.ndarray) -> Vector3:
-    x, y, z = values.tolist()
-    return (x, y, z)
-
-
-def _matrix(values: np.ndarray) -> Matrix3:
-    return (_vector(values[0]), _vector(values[1]), _vector(values[2]))
+    quaternion: tuple[float, float, float, float] = tuple(
+        T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
+    )
+    return quaternion
 
 
 MANIFEST = "dataset.json"
@@ -407,11 +395,11 @@ class RcvWriter(DatasetWriter):
     def manifest(self) -> RcvManifest:
         return RcvManifest(
             format=FORMAT_NAME,
-            version=FORMAT_VERSION,
+            version=1,
             generator=self.info.generator,
             classes=self.info.classes,
             conventions=RcvConventions(),
-            detectors=tuple(RcvDetector(**asdict(each)) for each in self.info.detectors),
+            detectors=tuple(self.info.detectors),
             options=RcvOptions(image_format=self.info.image_format, jpeg_quality=JPEG_QUALITY),
             cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
             counts=RcvCounts(

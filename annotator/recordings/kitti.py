@@ -47,10 +47,6 @@ from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
-P2_NAMES = ("P2",)
-RECTIFICATION_NAMES = ("R0_rect", "R_rect")
-LIDAR_NAMES = ("Tr_velo_to_cam", "Tr_velo_cam")
-RAW_P2_NAMES, RAW_RECTIFICATION_NAMES = ("P_rect_02",), ("R_rect_00",)
 # Tolerance for rotations: files have four digits or more.
 MOST_OFF_ROTATION = 1e-2
 REMEDY = "copy the calibration file again from the data set"
@@ -101,16 +97,16 @@ class KittiCalibration:
 def read_calibration(path: Path) -> KittiCalibration:
     """Reads the calibration of a KITTI object or tracking file."""
     rows = _read_rows(path)
-    P2 = _matrix(path, rows, P2_NAMES, (3, 4))
-    R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
-    return _calibration(path, path, P2, R0, _matrix(path, rows, LIDAR_NAMES, (3, 4)))
+    P2 = _matrix(path, rows, ("P2",), (3, 4))
+    R0 = _matrix(path, rows, ("R0_rect", "R_rect"), (3, 3))
+    return _calibration(path, path, P2, R0, _matrix(path, rows, ("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4)))
 
 
 def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
     """Reads the calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`."""
     rows, poses = _read_rows(cameras), _read_rows(lidar)
-    P2 = _matrix(cameras, rows, RAW_P2_NAMES, (3, 4))
-    R0 = _matrix(cameras, rows, RAW_RECTIFICATION_NAMES, (3, 3))
+    P2 = _matrix(cameras, rows, ("P_rect_02",), (3, 4))
+    R0 = _matrix(cameras, rows, ("R_rect_00",), (3, 3))
     Tr = np.concatenate([_matrix(lidar, poses, ("R",), (3, 3)), _matrix(lidar, poses, ("T",), (3, 1))], axis=1)
     return _calibration(cameras, lidar, P2, R0, Tr)
 

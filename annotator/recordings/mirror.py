@@ -77,10 +77,12 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
 
 
 class Mirror:
-    """A `Recording` in remote storage; its files are downloaded when frames are read."""
+    """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy."""
 
     def __init__(self, opened: Recording, store: _Store, removed: weakref.finalize[Any, Any]) -> None:
         self._opened, self._store, self._removed = opened, store, removed
+        self.path, self.root, self.name, self.format = opened.path, opened.root, opened.name, opened.format
+        self.keys, self.is_sequence = opened.keys, opened.is_sequence
         self._of_key: dict[str, list[str]] = {}
         self._shared: list[str] = []
         keys = {normal(key): key for key in opened.keys}
@@ -90,39 +92,9 @@ class Mirror:
             (self._shared if owner is None else self._of_key.setdefault(owner, [])).append(path)
 
     @property
-    def path(self) -> Path:
-        """The local copy."""
-        return self._opened.path
-
-    @property
-    def root(self) -> Path:
-        """The root of the local copy."""
-        return self._opened.root
-
-    @property
-    def format(self) -> str:
-        """The reader's name."""
-        return self._opened.format
-
-    @property
-    def name(self) -> str:
-        """The last part of the URL."""
-        return self._opened.name
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """As of the recording."""
         return self._opened.notes
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The frames' names, in order."""
-        return self._opened.keys
-
-    @property
-    def is_sequence(self) -> bool:
-        """True if the frames are in time order."""
-        return self._opened.is_sequence
 
     def __len__(self) -> int:
         return len(self._opened)

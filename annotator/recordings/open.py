@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned, look_around
@@ -173,52 +173,53 @@ def kind_of_file(path: Path) -> list[str]:
     return []
 
 
-# Tried in this order; the first reader that recognises a path opens it. A reader takes the path and returns a
-# Recording, or NotFound with what it looked for.
-READERS: dict[str, str] = {
-    "stray_scanner": "annotator.recordings.phones.stray_scanner:open_stray_scanner",
-    "record3d": "annotator.recordings.phones.record3d:open_record3d",
+class Reader(NamedTuple):
+    """How a format is opened; functions as module:name below `annotator.recordings`.
+
+    Attributes:
+        opens: takes the path [and the options], returns a Recording, or NotFound with what it looked for.
+        options: those of `ReaderOptions` that it takes; with any, it is called with the options.
+        recognises: a faster check of a path, for formats that are slow to open.
+    """
+
+    opens: str
+    options: tuple[str, ...] = ()
+    recognises: str | None = None
+
+    def open(self, path: Path, options: ReaderOptions) -> Recording | NotFound:
+        opened: Recording | NotFound = _load(self.opens)(path, *([options] if self.options else []))
+        return opened
+
+    def is_at(self, path: Path) -> bool:
+        if self.recognises is not None:
+            return bool(_load(self.recognises)(path))
+        return not isinstance(self.open(path, NO_OPTIONS), NotFound)
+
+
+# Tried in this order; the first reader that recognises a path opens it.
+READERS: dict[str, Reader] = {
+    "stray_scanner": Reader("phones.stray_scanner:open_stray_scanner", ("min_confidence",)),
+    "record3d": Reader("phones.record3d:open_record3d", ("min_confidence",), "phones.record3d:is_record3d"),
     # before rgbd_folder, whose names differ only by the lists of images
-    "tum_rgbd": "annotator.recordings.tum_rgbd:open_tum_rgbd",
-    "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
-    "kitti_object": "annotator.recordings.kitti:open_kitti_object",
-    "kitti_tracking": "annotator.recordings.kitti:open_kitti_tracking",
-    "kitti_raw": "annotator.recordings.kitti:open_kitti_raw",
-    "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
-    "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
-    "nuscenes": "annotator.recordings.nuscenes:open_nuscenes",
-    "argoverse2": "annotator.recordings.argoverse:open_argoverse2",
-    "sunrgbd_extracted": "annotator.recordings.sunrgbd:open_sunrgbd_extracted",
-    "sunrgbd_scenes": "annotator.recordings.sunrgbd:open_sunrgbd_scenes",
-    "rcv": "annotator.recordings.exports:open_rcv",
-    "openlabel": "annotator.recordings.exports:open_openlabel",
-    # last, because other formats contain cloud files, too
-    "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
-}
-
-# The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
-OPTIONS: dict[str, tuple[str, ...]] = {
-    "ros_bag": (
-        *("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin"),
+    "tum_rgbd": Reader("tum_rgbd:open_tum_rgbd", ("tolerance_s",)),
+    "rgbd_folder": Reader("rgbd_folder:open_rgbd_folder"),
+    "kitti_object": Reader("kitti:open_kitti_object", ("columns",)),
+    "kitti_tracking": Reader("kitti:open_kitti_tracking", ("columns", "scene")),
+    "kitti_raw": Reader("kitti:open_kitti_raw", ("columns",)),
+    "azure_kinect": Reader("kinect.mkv_recording:open_azure_kinect", (), "kinect.mkv_recording:is_azure_kinect"),
+    "ros_bag": Reader(
+        "ros.recording:open_ros_bag",
+        ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin"),
+        "ros.bag:is_bag",
     ),
-    "kitti_object": ("columns",),
-    "kitti_tracking": ("columns", "scene"),
-    "kitti_raw": ("columns",),
-    "cloud_folder": ("columns", "origin"),
-    "stray_scanner": ("min_confidence",),
-    "record3d": ("min_confidence",),
-    "tum_rgbd": ("tolerance_s",),
-    "nuscenes": ("scene", "camera", "tolerance_s"),
-    "argoverse2": ("camera", "tolerance_s"),
-}
-
-# Faster recognition checks, for formats that are slow to open.
-QUICK_CHECKS: dict[str, str] = {
-    "record3d": "annotator.recordings.phones.record3d:is_record3d",
-    "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
-    "ros_bag": "annotator.recordings.ros.bag:is_bag",
-    "nuscenes": "annotator.recordings.nuscenes:is_nuscenes",
-    "argoverse2": "annotator.recordings.argoverse:is_argoverse2",
+    "nuscenes": Reader("nuscenes:open_nuscenes", ("scene", "camera", "tolerance_s"), "nuscenes:is_nuscenes"),
+    "argoverse2": Reader("argoverse:open_argoverse2", ("camera", "tolerance_s"), "argoverse:is_argoverse2"),
+    "sunrgbd_extracted": Reader("sunrgbd:open_sunrgbd_extracted"),
+    "sunrgbd_scenes": Reader("sunrgbd:open_sunrgbd_scenes"),
+    "rcv": Reader("exports:open_rcv"),
+    "openlabel": Reader("exports:open_openlabel"),
+    # last, because other formats contain cloud files, too
+    "cloud_folder": Reader("clouds.cloud_folder:open_cloud_folder", ("columns", "origin")),
 }
 
 
@@ -250,13 +251,10 @@ def detect_format(path: Path) -> str | None:
     Raises:
         RecordingError: the recording has no frames, or the path cannot be read.
     """
-    for name, target in READERS.items():
+    for name, reader in READERS.items():
         with path_errors(path):
-            result = (
-                _load(QUICK_CHECKS[name])(path) if name in QUICK_CHECKS else _opened(name, target, path, NO_OPTIONS)
-            )
-        if result is not False and not isinstance(result, NotFound):
-            return name
+            if reader.is_at(path):
+                return name
     return None
 
 
@@ -265,9 +263,9 @@ def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
     looked_for = []
     # the virtual cameras are those of the LiDAR, and no camera of the recording itself
     own = options.model_copy(update={"look_around": None, "camera": None}) if options.look_around else options
-    for name, target in READERS.items():
+    for name, reader in READERS.items():
         with path_errors(path):
-            result = _opened(name, target, path, own)
+            result = reader.open(path, own)
         if not isinstance(result, NotFound):
             _require_taken(path, name, own)
             return look_around(_scanned(path, name, result), options) if options.look_around else result
@@ -275,13 +273,8 @@ def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
     return looked_for
 
 
-def _opened(name: str, target: str, path: Path, options: ReaderOptions) -> Recording | NotFound:
-    opened: Recording | NotFound = _load(target)(path, options) if name in OPTIONS else _load(target)(path)
-    return opened
-
-
 def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
-    taken = OPTIONS.get(name, ())
+    taken = READERS[name].options
     surplus = [option_flag(option) for option in options.given() if option not in taken]
     if surplus:
         possible = ", ".join(map(option_flag, taken)) or "no options"
@@ -299,7 +292,7 @@ def _scanned(path: Path, name: str, recording: Recording) -> Scanned:
 
 def _load(target: str) -> Any:
     module, _, function = target.partition(":")
-    return getattr(import_module(module), function)
+    return getattr(import_module(f"annotator.recordings.{module}"), function)
 
 
 def _explain(path: Path) -> str:

@@ -20,7 +20,7 @@ Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_na
 
 
 class ReaderOptions(BaseModel):
-    """How a recording is read; None = the reader decides. `annotator.recordings.open.OPTIONS` says who takes what.
+    """How a recording is read; None = the reader decides. `annotator.recordings.open.READERS` says who takes what.
 
     The descriptions are the help texts of the command line.
     """

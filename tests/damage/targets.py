@@ -8,10 +8,12 @@ boxes has no target here, so a format needs no test of damage of its own: a new 
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,6 +22,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 TESTS = Path(__file__).resolve().parent.parent
 ROOMS = (
@@ -39,14 +42,16 @@ from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noq
 from test_cloud_files import RGB, XYZ  # noqa: E402
 from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 from test_las_file import written  # noqa: E402
-from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
-from test_ros_messages import rvl  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
+from annotator.formats.kitti_objects import read_kitti_file  # noqa: E402
+from annotator.formats.kitti_rows import read_object_labels, read_tracking_labels  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
 from annotator.formats.nuscenes import read_results  # noqa: E402
+from annotator.formats.reading import read_mask, text_files  # noqa: E402
+from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels  # noqa: E402
 from annotator.formats.table import FORMATS, BoxFormat, FlatFormat  # noqa: E402
 from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
@@ -130,9 +135,10 @@ def depth_bag(form: str) -> Callable[[Path], object]:
     """A bag with a camera and compressed depth images."""
 
     def build(folder: Path) -> None:
-        depth = np.full(SIZE[::-1], 1500, np.uint16)
-        head = np.zeros(3, "<f4").tobytes()
-        data = head + (rvl(depth) if "rvl" in form else cv2.imencode(".png", depth)[1].tobytes())
+        png = cv2.imencode(".png", np.full(SIZE[::-1], 1500, np.uint16))[1].tobytes()
+        # the size, one run of 768 depths of which only the first differs from the one before, 767 differences of 0
+        rvl = np.array([*SIZE, 0x088C18FE, 0x50000000, *[0] * 95], "<u4").tobytes()
+        data = bytes(12) + (rvl if "rvl" in form else png)
         with BagWriter(folder, "ros1") as writer:
             for i in range(2):
                 time_ns = START_NS + i * 100 * MS
@@ -195,12 +201,23 @@ def read_flat(format: FlatFormat, path: Path) -> None:
         picture.boxes_on(*SIZE)
 
 
-def label_file(name: str) -> Target:
-    """A file of `test_malformed_labels`."""
-    file, content, read = LABEL_FILES[name]
-    return Target(f"labels_{name}", lambda folder: (folder / file).write_bytes(content), lambda f: read(f / file))  # type: ignore[func-returns-value, return-value]
+def label_file(name: str, file: str, content: str | bytes, read: Callable[[Path], object]) -> Target:
+    data = content.encode() if isinstance(content, str) else content
+    return Target(f"labels_{name}", lambda f: (f / file).write_bytes(data), lambda f: read(f / file) and None)
 
 
+def zipped(text: str) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("a.txt", "b/c.txt"):
+            archive.writestr(name, text)
+    return out.getvalue()
+
+
+CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
+POLYGON = {"X": [0, 1, 1, 0], "Z": [1, 1, 3, 3], "Ymin": 0.5, "Ymax": 1.5}
+SCENE = json.dumps({"objects": [{"name": "bed", "polygon": [POLYGON]}]}, indent=1)
+SHIFT = RigidTransform.from_translation([0.1, 0.2, 0.3])
 CLASSES = ("hand",)
 PCD_ROWS = structured(dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": np.ones(len(XYZ), np.float32)})
 ROWS = structured(dict(zip(("x", "y", "z", "red", "green", "blue"), (*XYZ.T, *RGB.T), strict=True)))
@@ -257,7 +274,15 @@ TARGETS: list[Target] = [
            lambda folder: read_labels(BoxFormat.BOXES, folder / "b.json") and None),
     Target("coco", pictures(lambda folder: CocoWriter(folder, CLASSES)), partial(read_flat, FlatFormat.COCO)),
     Target("yolo", pictures(lambda folder: YoloWriter(folder, CLASSES)), partial(read_flat, FlatFormat.YOLO)),
-    *(label_file(name) for name in LABEL_FILES if not name.startswith("rcv/")),
+    label_file("kitti", "0.txt", f"{CAR}\n{CAR}\n", lambda file: read_object_labels(file, SHIFT)),
+    label_file("kitti_tracking", "l.txt", f"0 1 {CAR}\n1 1 {CAR}\n", lambda file: read_tracking_labels(file, SHIFT)),
+    label_file("kitti_results", "0.txt", f"{CAR} 0.5\n", lambda file: read_kitti_file(file, scored=True)),
+    label_file("sunrgbd", "0.txt", "bed 1 2 30 40 0.1 0.2 0.3 0.5 1 0.4 0.6 0.8\n",
+               lambda file: read_extracted_labels(file, SHIFT)),
+    label_file("sunrgbd_scene", "index.json", SCENE, lambda file: read_scene_labels(file, SHIFT)),
+    label_file("archive", "labels.zip", zipped(CAR), lambda file: list(text_files(file))),
+    label_file("mask", "0.png", cv2.imencode(".png", np.ones((3, 4), np.uint8))[1].tobytes(),
+               lambda file: read_mask(file).any()),
     Target("tracklets",
            lambda folder: (folder / "tracklet_labels.xml").write_text(document(VAN, PEDESTRIAN)),
            lambda folder: read_tracklets(folder / "tracklet_labels.xml") and None),

@@ -12,7 +12,7 @@ import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, FileNames, encoded_image, writing
+from annotator.formats.dataset_writing import DatasetItem, FileNames
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, WRITERS, ExportFormat, documented
 from annotator.types import Camera, PointCloud, ReviewState, Truth
@@ -242,18 +242,6 @@ def test_a_full_disk_and_impossible_items_are_errors_and_leave_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_frames_are_written_one_by_one(tmp_path: Path) -> None:
-    """All earlier frames are on disk when the next frame is requested."""
-
-    def items() -> Iterator[DatasetItem]:
-        for number in range(3):
-            (part,) = tmp_path.glob(".out.part-*")
-            assert len(list((part / "labels").iterdir())) == number
-            yield make_item(key=f"{number:06d}")
-
-    assert len(write("rcv", tmp_path / "out", items()).origins) == 3
-
-
 @pytest.mark.parametrize("name", ["openlabel", "labelcloud", "nuscenes", "sustechpoints"])
 def test_frames_without_points_and_parts_of_a_dataset_read_back(tmp_path: Path, name: str) -> None:
     item = make_item([make_label()], key="a", split="train")
@@ -278,8 +266,3 @@ def test_long_names_make_valid_file_names_that_differ(tmp_path: Path) -> None:
         assert not stem.startswith(".")
         (tmp_path / f".{stem}.json.{'0' * 32}.tmp").touch()
     assert names.add("take", "000") == "take-000"
-
-
-def test_an_image_too_large_for_its_format_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="an image of 70000 x 1 pixels is too large"), writing(tmp_path):
-        encoded_image(np.zeros((1, 70000, 3), np.uint8), "jpg")

@@ -5,7 +5,6 @@ tests/benchmarks/test_golden.py has the reference numbers.
 
 from __future__ import annotations
 
-import math
 import unicodedata
 import zipfile
 from collections.abc import Sequence
@@ -30,7 +29,6 @@ from annotator.formats.kitti_rows import (
     dump_label_line,
     heading_rotation,
     kitti_row,
-    parse_label_line,
     read_object_labels,
     read_tracking_areas,
     read_tracking_labels,
@@ -46,14 +44,6 @@ from annotator.types.errors import FormatError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
 DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
-
-
-def test_every_field_of_a_row_is_read():
-    row = parse_label_line(CAR)
-    assert (row.label, row.truncated, row.occluded, row.alpha) == ("Car", 0.25, 2, -1.55)
-    assert row.image_box.xyxy == (548.00, 171.33, 572.40, 194.42)
-    assert (row.height, row.width, row.length) == (1.48, 1.56, 3.62)
-    assert (row.x, row.y, row.z, row.rotation_y, row.score) == (-2.72, 0.82, 48.22, -1.62, None)
 
 
 @pytest.mark.parametrize(("word", "sizes"), [("DontCare", "-1 -1 -1"), ("dontcare", "1.5 1.6 3.9")])
@@ -82,36 +72,18 @@ def test_levels_of_truncation_in_tracking_files_are_no_fractions(tmp_path: Path,
     assert truth.attributes.get("truncation") == read
 
 
-@pytest.mark.parametrize("row", [f"0 {CAR}", f"0.5 1 {CAR}", f"0 {10**30} {CAR}"])
-def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
-    path = tmp_path / "label_02.txt"
-    path.write_text(f"0 1 {CAR}\n{row}\n")
-    with pytest.raises(FormatError) as caught:
-        read_tracking_labels(path, None)
-    assert str(caught.value).startswith(f"{path}:2: ")
-
-
-@pytest.mark.parametrize(("label", "calibration"), [("NFC", "NFD"), ("NFD", "NFC")])
-def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path, label: str, calibration: str):
-    def name(form: str) -> str:
-        return unicodedata.normalize(form, "Bü")
-
-    for folder in ("label_2", "label_02", "calib"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / f"label_2/{name(label)}.txt").write_text(CAR)
-    (tmp_path / f"label_02/{name(label)}.txt").write_text(f"3 1 {CAR}")
-    (tmp_path / f"calib/{name(calibration)}.txt").write_text("P2: 100 0 50 6 0 100 40 0 0 0 1 0\n")
-    (key,) = (frame for frame, _ in each_kitti_frame(tmp_path, KittiRows()))
-    shifts = read_kitti_shifts(tmp_path)
-    assert key == name("NFC") and list(shifts) == [key]
-    np.testing.assert_allclose(shifts[key], [0.06, 0, 0])
+def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path):
+    composed, decomposed = (unicodedata.normalize(form, "Bü") for form in ("NFC", "NFD"))
+    for name, text in (
+        (f"label_2/{composed}.txt", CAR), (f"label_02/{decomposed}.txt", f"3 1 {CAR}"),
+        (f"calib/{decomposed}.txt", "P2: 100 0 50 6 0 100 40 0 0 0 1 0\n"),
+    ):  # fmt: skip
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert [frame for frame, _ in each_kitti_frame(tmp_path, KittiRows())] == [composed]
+    np.testing.assert_allclose(read_kitti_shifts(tmp_path)[composed], [0.06, 0, 0])
     frames, shifts = read_kitti_tracks(tmp_path, KittiRows())
-    assert list(frames) == list(shifts) == [f"{key}/000003"]
-    np.testing.assert_allclose(shifts[f"{key}/000003"], [0.06, 0, 0])
-    (tmp_path / "label_02").rename(tmp_path / "other")
-    (tmp_path / "frames.csv").write_text(f"id,recording,key,split\n{name(calibration)},take,7,\n")
-    assert [frame for frame, _ in each_kitti_frame(tmp_path, KittiRows())] == ["take/7"]
-    np.testing.assert_allclose(read_kitti_shifts(tmp_path)["take/7"], [0.06, 0, 0])
+    assert list(frames) == list(shifts) == [f"{composed}/000003"]
 
 
 def test_a_name_in_both_unicode_forms_is_refused(tmp_path: Path):
@@ -166,13 +138,10 @@ def changed(**fields: str) -> str:
 
 
 BROKEN = [
-    pytest.param(LABEL, "a result row has 16", id="no-score"),
     pytest.param("Car 1 2 3", "has 15 fields", id="too-few"),
     pytest.param(changed(_5="wide"), "'wide' is not a number", id="text"),
-    pytest.param(changed(_11="nan"), "not a finite number", id="nan"),
     pytest.param(changed(_2="0.5"), "not a whole number", id="half-occluded"),
     pytest.param(changed(_8="-1.5"), "must be positive", id="negative-size"),
-    pytest.param(changed(_4="300"), "the 2D box must have left <= right", id="left-of-its-right"),
 ]
 
 
@@ -190,13 +159,10 @@ def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
     (tmp_path / "cut.zip").write_bytes(archive_of(tmp_path / "b.zip", {"1.txt": RESULT * 99}).read_bytes()[:-30])
     archive_of(tmp_path / "empty.zip", {"x.md": ""})
     archive_of(tmp_path / "twice.zip", {"a/1.txt": "", "b/1.txt": ""})
+    neither = "is neither a folder"
     for name, problem in {
-        "missing": "there is no such folder",
-        "file.txt": "is neither a folder",
-        "cut.zip": "is neither a folder",
-        "empty.zip": "has no .txt files",
-        "twice.zip": "two files called 1.txt",
-    }.items():
+        "file.txt": neither, "cut.zip": neither, "empty.zip": "has no .txt", "twice.zip": "two files called 1.txt"
+    }.items():  # fmt: skip
         with pytest.raises(FormatError, match=problem):
             read_kitti_folder(tmp_path / name, scored=True)
     with pytest.raises(FormatError, match=r"has no \.txt file"):
@@ -227,7 +193,9 @@ def test_a_box_behind_the_camera_has_no_2d_box() -> None:
 
 # Axes of upright boxes in the camera frame, with the length to the right, forward, to the left, towards the camera.
 RIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-TURNS = [Rotation.from_euler("y", angle).as_matrix() @ RIGHT for angle in (0.0, -math.pi / 2, -math.pi, math.pi / 2)]
+
+
+TURNS = [Rotation.from_euler("y", angle).as_matrix() @ RIGHT for angle in (0.0, -np.pi / 2, -np.pi, np.pi / 2)]
 
 
 def frame(key: str = "a", T: RigidTransform | None = None, wall_m: float = 20.0, **more: object) -> Frame:
@@ -352,38 +320,24 @@ def test_keys_of_six_digits_are_kept_as_ids(tmp_path: Path) -> None:
 
 
 ROW = "Car 0.00 0 0.10 10.00 20.00 30.00 40.00 1.50 1.60 4.00 1.00 1.60 20.00 0.20\n"
+ORIGINS = "id,recording,key,split\n000000,room,7,\n"
+WRONG_ORIGINS = [
+    ("frames.csv", ORIGINS, "does not list the frame 000001"),
+    ("frames.csv", f"{ORIGINS}000001,room,7,\n", "the ids 000000 and 000001 both name room/7"),
+    ("classes.txt", "traffic_light\n", r"classes\.txt:1: a line must be `WORD CLASS_NAME`"),
+]
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        (ROW + "Car 0 0\n", r"000001\.txt:2: a label row has 15 fields"),
-        (ROW.replace("4.00 1.00", "-4 1.00"), r"000001\.txt:1: height width length must be positive"),
-        (ROW.replace("20.00 0.20", "nan 0.20"), r"000001\.txt:1: 'nan' is not a finite number"),
-    ],
-)
-def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, problem: str) -> None:
+@pytest.mark.parametrize(("name", "text", "problem"), WRONG_ORIGINS)
+def test_files_that_do_not_fit_their_frames_are_errors(tmp_path: Path, name: str, text: str, problem: str) -> None:
     folder = tmp_path / "label_2"
-    folder.mkdir()
-    (folder / "000000.txt").write_text(ROW)
-    (folder / "000001.txt").write_text(text)
-    with pytest.raises(FormatError, match=problem):
-        dict(each_kitti_frame(tmp_path, KittiRows()))
-    (folder / "000001.txt").write_text("")
+    folder_of(folder, {"000000.txt": ROW, "000001.txt": ""})
     (tmp_path / "frames.csv").write_text("id,raw_drive\n000000,2011\n")  # KITTI subsets have such a file, too
-    assert {name: len(truths) for name, truths in dict(each_kitti_frame(folder, KittiRows())).items()} == {
-        "000000": 1,
-        "000001": 0,
-    }
-    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n")
-    with pytest.raises(FormatError, match="does not list the frame 000001"):
-        dict(each_kitti_frame(folder, KittiRows()))
-    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,7,\n")
-    with pytest.raises(FormatError, match="the ids 000000 and 000001 both name room/7"):
-        dict(each_kitti_frame(folder, KittiRows()))
-    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,8,\n")
-    (tmp_path / "classes.txt").write_text("traffic_light\n")
-    with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be `WORD CLASS_NAME`"):
+    found = dict(each_kitti_frame(folder, KittiRows()))
+    assert {frame: len(truths) for frame, truths in found.items()} == {"000000": 1, "000001": 0}
+    (tmp_path / "frames.csv").write_text(f"{ORIGINS}000001,room,8,\n")
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FormatError, match=problem):
         dict(each_kitti_frame(folder, KittiRows()))
 
 
@@ -405,36 +359,33 @@ HEAD = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
 <!DOCTYPE boost_serialization>
 <boost_serialization signature="serialization::archive" version="9">
 <tracklets class_id="0" tracking_level="0" version="0">
-\t<count>{count}</count>
-\t<item_version>1</item_version>
+<count>2</count>
 """
-TAIL = "</tracklets>\n</boost_serialization>\n"
 
 
-def pose(tx: float, ty: float, tz: float, rz: float, **more: object) -> str:
-    values = {"tx": tx, "ty": ty, "tz": tz, "rx": 0, "ry": 0, "rz": rz, "state": 2, "truncation": 0, **more}
-    return (
-        "\t\t<item>\n"
-        + "".join(f"\t\t\t<{name}>{value}</{name}>\n" for name, value in values.items())
-        + "\t\t</item>\n"
-    )
+def xml(**values: object) -> str:
+    return "".join(f"<{name}>{value}</{name}>\n" for name, value in values.items())
 
 
-def tracklet(label: str, hwl: Sequence[float], first: int, poses: Sequence[str]) -> str:
-    h, w, l = hwl  # noqa: E741 - KITTI's own names
-    return (
-        f'\t<item class_id="1">\n\t\t<objectType>{label}</objectType>\n\t\t<h>{h}</h>\n\t\t<w>{w}</w>\n\t\t<l>{l}</l>\n'
-        f"\t\t<first_frame>{first}</first_frame>\n\t\t<poses>\n\t\t<count>{len(poses)}</count>\n"
-        f"\t\t<item_version>2</item_version>\n{''.join(poses)}\t\t</poses>\n\t\t<finished>1</finished>\n\t</item>\n"
-    )
+def pose(tx: float, ty: float, tz: float, rz: float, truncation: int = 0) -> str:
+    return xml(tx=tx, ty=ty, tz=tz, rx=0, ry=0, rz=rz, state=2, truncation=truncation)
+
+
+def tracklet(label: str, hwl: Sequence[float], first: int, *poses: str) -> str:
+    sizes = xml(**dict(zip("hwl", hwl, strict=True)))
+    return xml(
+        item=xml(objectType=label) + sizes + xml(
+            first_frame=first, poses=xml(count=len(poses)) + "".join(xml(item=each) for each in poses), finished=1
+        )
+    )  # fmt: skip
 
 
 def document(*tracklets: str) -> str:
-    return HEAD.format(count=len(tracklets)) + "".join(tracklets) + TAIL
+    return f"{HEAD}{''.join(tracklets)}</tracklets>\n</boost_serialization>\n"
 
 
-VAN = tracklet("Van", (2.0, 1.8, 4.5), 3, [pose(10, 2, -1.7, 0.5), pose(11, 2, -1.7, 0.6, truncation=99)])
-PEDESTRIAN = tracklet("Pedestrian", (1.7, 0.6, 0.8), 4, [pose(5, -3, -1.6, -2), pose(5, -4, -1.6, -2, truncation=2)])
+VAN = tracklet("Van", (2.0, 1.8, 4.5), 3, pose(10, 2, -1.7, 0.5), pose(11, 2, -1.7, 0.6, truncation=99))
+PEDESTRIAN = tracklet("Pedestrian", (1.7, 0.6, 0.8), 4, pose(5, -3, -1.6, -2), pose(5, -4, -1.6, -2, truncation=2))
 
 
 def written(folder: Path, text: str) -> Path:
@@ -477,22 +428,15 @@ BOMB = (
     + "]><a>&e10;</a>"
 )
 BROKEN_TRACKLETS = [
-    ("", r":1: is not valid XML, or truncated"),
     (document(VAN)[:-60], r"is not valid XML, or truncated"),
-    ("<a/>", "contains no tracklets"),
     (BOMB, "is not valid XML.*amplification"),
     ('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "undefined entity"),
     (document(VAN.replace("<l>4.5</l>", "<l>-4.5</l>")), r"object 0: l w h must be positive, not -4\.5"),
-    (document(PEDESTRIAN, VAN.replace("<l>4.5</l>", "")), "object 1: l is missing"),
-    (document(VAN.replace("<h>2.0</h>", "<h>nan</h>")), "object 0: h: 'nan' is not a finite number"),
     (document(VAN.replace(">Van<", "> <")), "object 0 has no objectType"),
-    (document(VAN.replace(">3</first", ">3.5</first")), "first_frame must be a whole number"),
     (document(VAN.replace(">3</first", ">-1</first")), "first_frame must be a whole number"),
-    (document(VAN.replace("<tx>11</tx>", "<tx>here</tx>")), "object 0, pose 1: tx: 'here' is not a number"),
     (document(VAN.replace("<ry>0</ry>", "<ry>0.2</ry>", 1)), "object 0, pose 0 has rx or ry"),
-    (document(VAN.replace("<tx>10</tx>", "<tx>1e300</tx>")), r"pose 0: a box must be within 1e\+09 m"),
     # unknown, bytes-to-bytes, multi-byte, and one whose decoder raises
-    *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "hex", "big5", "idna")),
+    *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "idna")),
 ]
 
 

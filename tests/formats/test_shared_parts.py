@@ -14,18 +14,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.reading import read_mask, read_pairs
 from annotator.formats.units import Angles, Lengths
 from annotator.geometry.oriented_box import box_corners
-from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
-from annotator.types.label import AttributeValue, Said
 
 # file names contain no NUL and no lone surrogates
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=8)
@@ -53,7 +49,6 @@ def test_a_spreadsheet_runs_no_cell(name: str) -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", r"frames\.csv:1: must begin with id,recording,key,split"),
         ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs the fields id, recording, key, split"),
         ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 occurs twice"),
         ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is not valid CSV"),
@@ -94,15 +89,9 @@ def test_pairs_are_those_of_the_whole_file(
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "must be a JSON object"),
         ("[1]", "must be a JSON object"),
-        ('{"a": 1', "Expecting ','"),
-        ('{"a": 1,}', "a key in double quotes is missing"),
-        ('{"a": 1} x', "after the end"),
         ('{"a"\n: 1,\n"b": [1,\n]}', "content.json:4: is not valid JSON"),
-        ('{"a": "b', "Unterminated string"),
         ('{"a": 1, "a": 2}', "'a' occurs twice"),
-        ('{"a": {"b": 1, "b": 2}}', "'b' occurs twice"),
         ('{"a": "\\ud800"}', "unpaired surrogate"),
         ('{"a": ' + "1" * 5000 + "}", "cannot be read"),
         ('{"a": ' + "[" * 100_000, "nested too deeply"),
@@ -146,38 +135,6 @@ def test_what_is_no_mask_is_an_error(tmp_path: Path) -> None:
         read_mask(tmp_path / "none.png")
 
 
-def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
-    numbers = np.random.default_rng(0)
-    turns = Rotation.random(4, rng=numbers).as_matrix()
-    boxes = [OrientedBox.from_parts(numbers.normal(size=3), turn, numbers.uniform(1, 2, 3)) for turn in turns]
-    said = (Said("theirs", "dog", boxes[1], 0.5),)
-    frames = {
-        "a": [Truth("car", box, 3, 0.25, Box2D("car", 1.0, 2.0, 3.0, 4.0)) for box in boxes],
-        "b": [],
-        "c": [
-            Truth("car", boxes[0], said=said),
-            Truth("dog", boxes[0], 1, -3.0, None, BoxKind.SILHOUETTE, {"wet": True}),
-        ],
-    }
-    packed = PackedTruths(iter(frames.items()))
-    assert list(packed) == list(frames) and len(packed) == 3
-    assert list(packed.scores) == [0.25] * len(boxes) + [-3.0]
-    for name, truths in frames.items():
-        for found, want in zip(packed[name], truths, strict=True):
-            np.testing.assert_array_equal(found.box.pose, want.box.pose)
-            np.testing.assert_array_equal(found.box.size_m, want.box.size_m)
-            for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes", "said"):
-                assert getattr(found, field) == getattr(want, field)
-
-
-@pytest.mark.parametrize(("first", "second"), [(True, 1), (1, 1.0), (0, False), (0.0, -0.0)])
-def test_equal_values_of_different_kinds_stay_apart(first: AttributeValue, second: AttributeValue) -> None:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    given = [Truth("car", box, attributes={"wet": value}) for value in (first, second)]
-    found = PackedTruths([("a", given)])["a"]
-    assert [repr(each.attributes["wet"]) for each in found] == [repr(first), repr(second)]
-
-
 FILE = Path("a.txt")
 TURN = 2 * math.pi
 
@@ -214,9 +171,6 @@ def test_sizes_of_ships_are_doubted_and_read() -> None:
     )
 
 
-TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=True).tolist()
-
-
 HEAD = "image,class,cx,cy,cz,l,w,h,yaw,score"
 ROW = "3,night_stand,-0.5,3.25,-0.75,1.5,2,1,-0.25,0.875"
 
@@ -236,16 +190,11 @@ def test_rows_are_read(tmp_path: Path) -> None:
 
 
 BROKEN_CSV = [
-    pytest.param([], 1, "image is missing", id="empty"),
     pytest.param([HEAD.removesuffix(",score"), ROW], 1, "has no column score", id="no-score"),
-    pytest.param([HEAD + ",colour", ROW], 1, "'colour' is unknown", id="unknown-column"),
-    pytest.param([HEAD + ",yaw", ROW], 1, "two columns have the same name", id="column-twice"),
     pytest.param([HEAD, ROW, "3,bed"], 3, "has 2 fields", id="too-few"),
     pytest.param([HEAD, ROW.replace("-0.75", "-0,75")], 2, "numbers need a decimal point", id="comma"),
     pytest.param([HEAD, ROW.replace("-0.25", "nan")], 2, "yaw: 'nan' is not a finite", id="nan"),
     pytest.param([HEAD, ROW.replace(",2,", ",-2,")], 2, "must be positive", id="negative-size"),
-    pytest.param([HEAD, ROW.replace("night_stand", " ")], 2, "must not be empty", id="no-class"),
-    pytest.param([HEAD, '3,"bed'], 2, "is not valid CSV", id="open-quote"),
 ]
 
 
@@ -305,12 +254,9 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
     ("content", "complaint"),
     [
         pytest.param({"a": {"label": "hand"}}, "a.0.center: Field required", id="missing-key"),
-        pytest.param({"a": [UNIT, UNIT | {"size": [1, 2]}]}, r"a\.1\.size", id="two-sizes"),
         pytest.param({"a": UNIT | {"size": [1, 0, 1]}}, "frame a, hand: box sizes must be positive", id="flat"),
         pytest.param({"a": UNIT | {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "proper rotation", id="mirror"),
-        pytest.param({"a": UNIT | {"attributes": {"b": [1]}}}, r"a\.0\.attributes\.b", id="list-of-values"),
         pytest.param({"a": UNIT | {"corners": [[0, 0, 1]] * 8}}, "corners differ by up to", id="other-corners"),
-        pytest.param('{"a": {"label": "x", "center": [0, NaN, 0]}}', "a.0.center.1", id="nan"),
     ],
 )
 def test_an_invalid_file_is_an_error(tmp_path: Path, content: object, complaint: str):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -42,14 +40,12 @@ def test_a_score_is_read_and_boxes_are_clipped_to_the_image() -> None:
     ("row", "says"),
     [
         ("0 0.5 0.5 1", "has 4 fields"),
-        ("0 0.1 0.1 0.2 0.1 0.2 0.2 0.3", "has 8 fields.*polygon.*keypoints are not supported"),
         ("person 0.5 0.5 1 1", "must hold numbers .*; 'person' is not the number of a class"),
         ("0 0,5 0.5 1 1", "must hold numbers .*: '0,5' has a decimal comma; write a point"),
         ("2 0.5 0.5 1 1", "class 2 has no name; classes with a name go from 0 to 1"),
         ("0 nan 0.5 1 1", "finite"),
         ("0 0.5 0.5 0 1", "non-empty box"),
         ("0 320 240 100 100", "fractions of the image"),
-        ("0 1.005 0.5 0.01 0.1", "the box is outside the image"),
         ("0 0.5 0.5 1 1 1.5", "score must be in 0..1"),
         ("1 0.5 0.5 0.2 0.2", "the same box as in line 1"),
     ],
@@ -140,10 +136,7 @@ def test_datasets_of_other_tools_are_read(
     ("files", "says"),
     [
         ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
-        ({"classes.txt": "a\n"}, "has no label file"),
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
-        ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
-        ({"data.yaml": "[" * 5000}, "is not valid YAML"),
         # values that do not match their tag; PyYAML raises a different exception for each
         *(
             ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
@@ -154,8 +147,6 @@ def test_datasets_of_other_tools_are_read(
             )
         ),
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
-        ({"data.yaml": "train: x"}, "names: Field required"),
-        ({"data.yaml": "names: [a]"}, "names no image"),
         ({"data.yaml": "train: 'D:\\\\set'\nnames: [a]"}, "is a path of another computer; write it rel"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
         ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the folder"),
@@ -199,17 +190,6 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
         read_yolo(dataset)
 
 
-@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "loop"], ids=["zero byte", "long", "loop"])
-def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
-    put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the folder, or is not a valid name"):
-        read_yolo(tmp_path)
-    put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
-    with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the folder, or is not a valid name"):
-        read_yolo(tmp_path)
-
-
 def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ("no",))
     writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
@@ -230,62 +210,27 @@ def test_keypoints_that_data_yaml_names_are_refused(tmp_path: Path) -> None:
         read_yolo(put(tmp_path, **{"labels/a.txt": row, "images/a.png": "", "data.yaml": yaml}))
 
 
-@pytest.mark.parametrize(
-    ("data", "listed"),
-    [
-        ({"path": "C:\\data\\set", "train": "images\\train", "val": "images\\train"}, None),
-        ({"train": "list.txt"}, "\ufeff.\\images\\train\\x.png\r\n"),
-    ],
-)
-def test_paths_of_windows_are_read(tmp_path: Path, data: dict[str, str], listed: str | None) -> None:
-    put(tmp_path, **{"images/train/x.png": "", "labels/train/x.txt": ROW, "list.txt": listed or ""})
-    put(tmp_path, **{"data.yaml": json.dumps(data | {"names": ["a", "b"]})})
-    (picture,) = read_yolo(tmp_path)
-    assert picture.label_file == tmp_path / "labels" / "train" / "x.txt"
-    assert (picture.file_name, len(picture.boxes)) == ("x.png", 1)
-
-
-def plates(centers: list[tuple[float, float]], w: float, h: float, *visibilities: int, dots: int = 4) -> list[str]:
-    """Rows of boxes with points in a ring around their centres."""
-    rows = []
-    for cx, cy in centers:
-        ring = [
-            (cx + 0.45 * w * np.cos(a), cy + 0.45 * h * np.sin(a)) for a in np.arange(dots) * 2 * np.pi / dots + 0.4
-        ]
-        values = [f"{x:.6f} {y:.6f} {v}" for (x, y), v in zip(ring, visibilities or [""] * dots, strict=True)]
-        rows.append(f"0 {cx} {cy} {w} {h} {' '.join(values)}")
-    return rows
-
-
-def turned(centers: list[tuple[float, float]], w: float, h: float, turn: float, corners: int = 4) -> list[str]:
-    """Rows of polygons."""
+def polygon(cx: float, cy: float, w: float, h: float, turn: float, corners: int) -> str:
     angles = np.arange(corners) * 2 * np.pi / corners + turn
-    rings = [[(cx + w / 2 * np.cos(a), cy + h / 2 * np.sin(a)) for a in angles] for cx, cy in centers]
-    return ["0 " + " ".join(f"{x:.6f} {y:.6f}" for x, y in ring) for ring in rings]
+    return "0 " + " ".join(f"{cx + w / 2 * np.cos(a):.6f} {cy + h / 2 * np.sin(a):.6f}" for a in angles)
 
 
-PLACES = [(0.5, 0.5), (0.4, 0.6), (0.45, 0.35)]
+POINT = "0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"
 
 
 @pytest.mark.parametrize(
     ("rows", "are_keypoints"),
     [
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"], True, id="pairs"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True, id="one-is-missing"),
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True, id="triples"),
-        pytest.param(plates(PLACES, 0.1, 0.05), True, id="plates"),
-        pytest.param(plates(PLACES, 0.6, 0.55, 2, 2, 0, 1), True, id="large-triples"),
-        pytest.param(plates([(0.1, 0.1), (0.12, 0.11), (0.11, 0.13)], 0.1, 0.1), True, id="size-as-place"),
-        # polygons and turned boxes: small ones in the upper left hold their points, read as boxes
-        *(
-            pytest.param(turned(PLACES[:count], w, h, turn, corners), False, id=f"{count}-{w}-{turn}-{corners}")
-            for count in (1, 3)
-            for w, h in ((0.05, 0.05), (0.5, 0.4))
-            for turn in (0.0, 0.4)
-            for corners in (3, 4, 12)
-        ),
+        ([POINT], True),
+        (["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True),  # one is missing
+        (["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True),
+        # boxes with four points each, in the middle and where sizes are as large as places
+        ([f"0 0.5 0.5 0.1 0.05 {polygon(0.5, 0.5, 0.09, 0.045, 0.4, 4)[2:]}"] * 2, True),
+        ([f"0 {x} 0.11 0.1 0.1 {polygon(x, 0.11, 0.09, 0.09, 0.4, 4)[2:]}" for x in (0.1, 0.12, 0.11)], True),
+        # small polygons in the upper left hold their points, read as boxes
+        *(([polygon(0.5, 0.5, w, 0.9 * w, 0.4, corners)], False) for w in (0.05, 0.5) for corners in (3, 4, 12)),
         # one polygon by chance, the other not
-        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53", *turned(PLACES, 0.1, 0.1, 0.4)], False, id="chance"),
+        ([POINT, polygon(0.4, 0.6, 0.1, 0.1, 0.4, 4)], False),
     ],
 )
 def test_rows_that_are_all_boxes_with_points_are_keypoints(
@@ -301,10 +246,3 @@ def test_rows_that_are_all_boxes_with_points_are_keypoints(
         want = [np.array(row.split()[1:], float).reshape(-1, 2) for row in rows]
         edges = [[*(each.min(0) + each.max(0)) / 2, *np.ptp(each, axis=0)] for each in want]
         np.testing.assert_allclose([box.shares for box in found], edges)
-
-
-def test_names_of_pictures_in_another_unicode_form_are_found(tmp_path: Path) -> None:
-    names = [unicodedata.normalize(form, "Bü") for form in ("NFC", "NFD")]
-    put(tmp_path, **{"classes.txt": "a\nb\n", f"labels/{names[0]}.txt": ROW, f"images/{names[1]}.png": ""})
-    (picture,) = read_yolo(tmp_path)
-    assert picture.picture == tmp_path / "images" / f"{names[1]}.png"

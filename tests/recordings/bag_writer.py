@@ -68,14 +68,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def image(
         self, topic: str, time_ns: int, pixels: np.ndarray, encoding: str, frame: str = "camera", *,
-        log_ns: int | None = None, padding: int = 0, is_bigendian: bool = False, **changed: Any,
+        log_ns: int | None = None, **changed: Any,
     ) -> None:  # fmt: skip
-        height, width = pixels.shape[:2]
-        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(height, -1)
-        rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=7)
+        rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
         fields = {
-            "header": self.header(time_ns, frame), "height": height, "width": width, "encoding": encoding,
-            "is_bigendian": int(is_bigendian), "step": rows.shape[1], "data": rows.reshape(-1),
+            "header": self.header(time_ns, frame), "height": len(pixels), "width": pixels.shape[1],
+            "encoding": encoding, "is_bigendian": 0, "step": rows.shape[1], "data": rows.reshape(-1),
         } | changed  # fmt: skip
         self.write(topic, time_ns if log_ns is None else log_ns, self.type("sensor_msgs/Image")(**fields))
 
@@ -86,31 +84,25 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.write(topic, time_ns, content)
 
     def info(
-        self, topic: str, time_ns: int, size: tuple[int, int], K: np.ndarray, D: Any = (), frame: str = "camera", *,
-        model: str = "plumb_bob", R: np.ndarray | None = None, P: np.ndarray | None = None,
-        binning: tuple[int, int] = (0, 0), roi: tuple[int, int, int, int] = (0, 0, 0, 0),
+        self, topic: str, time_ns: int, size: tuple[int, int], K: np.ndarray, frame: str = "camera", *,
+        R: np.ndarray | None = None, P: np.ndarray | None = None,
     ) -> None:  # fmt: skip
-        matrices = {"D": np.array(D, np.float64), "K": np.asarray(K, np.float64).reshape(-1)}
-        matrices["R"] = (np.eye(3) if R is None else R).reshape(-1).astype(np.float64)
-        matrices["P"] = (np.zeros((3, 4)) if P is None else P).reshape(-1).astype(np.float64)
-        if not self.is_ros1:
-            matrices = {name.lower(): values for name, values in matrices.items()}
-        x, y, width, height = roi
-        region = self.type("sensor_msgs/RegionOfInterest")(
-            x_offset=x, y_offset=y, width=width, height=height, do_rectify=False
-        )
+        given = {"D": [], "K": K, "R": np.eye(3) if R is None else R, "P": np.zeros(12) if P is None else P}
+        matrices = {
+            name if self.is_ros1 else name.lower(): np.array(each, float).ravel() for name, each in given.items()
+        }
+        region = self.type("sensor_msgs/RegionOfInterest")(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
         content = self.type("sensor_msgs/CameraInfo")(
-            header=self.header(time_ns, frame), height=size[1], width=size[0], distortion_model=model,
-            binning_x=binning[0], binning_y=binning[1], roi=region, **matrices,
+            header=self.header(time_ns, frame), height=size[1], width=size[0], distortion_model="plumb_bob",
+            binning_x=0, binning_y=0, roi=region, **matrices,
         )  # fmt: skip
         self.write(topic, time_ns, content)
 
     def cloud(
-        self, topic: str, time_ns: int, points: np.ndarray, frame: str = "lidar", *, height: int = 1,
-        row_padding: int = 0, log_ns: int | None = None, **changed: Any,
-    ) -> None:  # fmt: skip
+        self, topic: str, time_ns: int, points: np.ndarray, frame: str = "lidar", log_ns: int | None = None
+    ) -> None:
         """Writes a structured array of points; its byte order is that of its first field."""
-        dtype = points.dtype
+        dtype, n = points.dtype, len(points)
         assert dtype.names is not None and dtype.fields is not None
         fields = [
             self.type("sensor_msgs/PointField")(
@@ -118,14 +110,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             )
             for name in dtype.names
         ]
-        rows = np.frombuffer(points.tobytes(), np.uint8).reshape(height, -1)
-        rows = np.pad(rows, ((0, 0), (0, row_padding)), constant_values=9)
-        content = {
-            "header": self.header(time_ns, frame), "height": height, "width": len(points) // height, "fields": fields,
-            "is_bigendian": dtype[0].str[0] == ">", "point_step": dtype.itemsize, "row_step": rows.shape[1],
-            "data": rows.reshape(-1), "is_dense": False,
-        } | changed  # fmt: skip
-        self.write(topic, time_ns if log_ns is None else log_ns, self.type("sensor_msgs/PointCloud2")(**content))
+        content = self.type("sensor_msgs/PointCloud2")(
+            header=self.header(time_ns, frame), height=1, width=n, fields=fields, is_bigendian=dtype[0].str[0] == ">",
+            point_step=dtype.itemsize, row_step=n * dtype.itemsize, data=np.frombuffer(points.tobytes(), np.uint8),
+            is_dense=False,
+        )  # fmt: skip
+        self.write(topic, time_ns if log_ns is None else log_ns, content)
 
     def transform(self, topic: str, time_ns: int, parent: str, child: str, T: RigidTransform) -> None:
         x, y, z = T.translation.tolist()

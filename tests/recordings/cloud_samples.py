@@ -29,7 +29,7 @@ def image(number: int) -> np.ndarray:
 
 
 def put_image(path: Path, number: int) -> None:
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(cv2.imencode(".png", image(number)[:, :, ::-1])[1].tobytes())
 
 

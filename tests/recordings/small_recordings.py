@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,34 +30,41 @@ def put(path: Path, content: bytes | str) -> None:
     path.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def kitti_object(folder: Path) -> None:
-    put_image(folder / "image_2" / "0.png", 1)
-    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
-    put(folder / "calib" / "0.txt", OBJECT_CALIB)
+def kitti_object(folder: Path, keys: Sequence[str] = ("0",)) -> None:
+    for key in keys:
+        put_image(folder / "image_2" / f"{key}.png", 1)
+        put(folder / "velodyne" / f"{key}.bin", SCAN.tobytes())
+        put(folder / "calib" / f"{key}.txt", OBJECT_CALIB)
 
 
-def kitti_tracking(folder: Path) -> None:
-    put_image(folder / "image_02" / "0.png", 1)
-    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
+def kitti_tracking(folder: Path, keys: Sequence[str] = ("0",)) -> None:
+    for key in keys:
+        put_image(folder / "image_02" / f"{key}.png", 1)
+        put(folder / "velodyne" / f"{key}.bin", SCAN.tobytes())
     put(folder / "calib.txt", TRACKING_CALIB)
 
 
-def kitti_raw(folder: Path) -> None:
-    (folder / "image_02" / "data").mkdir(parents=True)
-    put_image(folder / "image_02" / "data" / "0.png", 1)
-    put(folder / "velodyne_points" / "data" / "0.bin", SCAN.tobytes())
+def kitti_raw(folder: Path, keys: Sequence[str] = ("0",)) -> None:
+    for key in keys:
+        put_image(folder / "image_02" / "data" / f"{key}.png", 1)
+        put(folder / "velodyne_points" / "data" / f"{key}.bin", SCAN.tobytes())
     put(folder / "calib_cam_to_cam.txt", CAMERAS)
     put(folder / "calib_velo_to_cam.txt", LIDAR)
     put(folder / "image_02" / "timestamps.txt", TIMES)
 
 
-def sunrgbd_extracted(folder: Path) -> None:
+def sunrgbd_extracted(folder: Path, keys: Sequence[str] = ("0",), clouds: str = "depth") -> None:
+    """Clouds as `depth/KEY.mat` or `points/KEY.npz`."""
     xyz, rgb = upright_points()
-    put(folder / "image" / "0.png", png(SUN_IMAGE))
     text = "\n".join(" ".join(f"{value:.9g}" for value in matrix.T.ravel()) for matrix in (RTILT, K))
-    put(folder / "calib" / "0.txt", text)
-    (folder / "depth").mkdir()
-    savemat(folder / "depth" / "0.mat", {"instance": np.c_[xyz, rgb / 255][:200]}, do_compression=True)
+    (folder / clouds).mkdir()
+    for key in keys:
+        put(folder / "image" / f"{key}.png", png(SUN_IMAGE[:, :, ::-1]))
+        put(folder / "calib" / f"{key}.txt", text + "\n")
+        if clouds == "depth":
+            savemat(folder / "depth" / f"{key}.mat", {"instance": np.c_[xyz, rgb / 255]}, do_compression=True)
+        else:
+            np.savez(folder / "points" / f"{key}.npz", points=xyz, colors=rgb)
 
 
 def sunrgbd_scene(folder: Path) -> None:
@@ -125,14 +132,32 @@ def stray_scanner(folder: Path) -> None:
     made.write_stray_scanner(folder, made.frames(3))
 
 
+START_S = 1305031102
+# The first pose of TUM's fr1/xyz, whose camera looks down on a desk.
+POSE = "1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986"
+Draw = Callable[[int], np.ndarray]
+
+
+def write_tum(folder: Path, rgb_ms: Sequence[int], depth_ms: Sequence[int], images: Draw, depths: Draw) -> Path:
+    """Writes images (RGB) and depths of these times (ms after the start), numbered in this order."""
+    for name, times, draw in (("rgb", rgb_ms, images), ("depth", depth_ms, depths)):
+        lines = [f"# {name} images", "# file: 'made.bag'", "# timestamp filename"]
+        for number, time_ms in enumerate(times):
+            text, content = f"{START_S + time_ms / 1000:.6f}", draw(number)
+            put(folder / name / f"{text}.png", png(content[..., ::-1] if name == "rgb" else content))
+            lines.append(f"{text} {name}/{text}.png")
+        put(folder / f"{name}.txt", "\n".join(lines) + "\n")
+    poses = [f"{START_S + time_ms / 1000:.4f} {POSE}" for time_ms in range(-5, 200, 10)]
+    put(folder / "groundtruth.txt", "# timestamp tx ty tz qx qy qz qw\n" + "\n".join(poses) + "\n")
+    return folder
+
+
 def tum_rgbd(folder: Path) -> None:
-    for number, name in enumerate(("rgb", "depth")):
-        content = np.full((48, 64, 3), 90, np.uint8) if name == "rgb" else np.full((48, 64), 7500, np.uint16)
-        put(folder / name / "1.5.png", png(content))
-        put(folder / f"{name}.txt", f"# comment\n1305031102.0{number} {name}/1.5.png\n")
-    put(folder / "groundtruth.txt", "1305031102.01 1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986\n")
-    K = [50.0, 0, 0, 0, 50.0, 0, 32.0, 24.0, 1]
-    put(folder / "camera_intrinsic.json", json.dumps({"width": 64, "height": 48, "intrinsic_matrix": K}))
+    write_tum(
+        folder, [0], [10], lambda _: np.full((48, 64, 3), 90, np.uint8), lambda _: np.full((48, 64), 7500, np.uint16)
+    )
+    matrix = [50.0, 0, 0, 0, 50.0, 0, 32.0, 24.0, 1]
+    put(folder / "camera_intrinsic.json", json.dumps({"width": 64, "height": 48, "intrinsic_matrix": matrix}))
 
 
 BUILDERS: list[Callable[[Path], None]] = [

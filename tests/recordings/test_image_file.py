@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,9 +16,8 @@ from hypothesis import strategies as st
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
-from annotator.recordings.image_file import decode_depth, looks_rotated, read_rgb
-from annotator.recordings.phones.stray_scanner import _depth_m
-from annotator.recordings.ros.pictures import color_image, depth_image
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.ros.pictures import color_image
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
@@ -93,7 +91,6 @@ WIDTH, HEIGHT = 12, 8
 CAMERA = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
 MILLIMETRES = np.full((HEIGHT, WIDTH), 2000, np.uint16)
 MILLIMETRES[0, :4] = 65535, 65504, 0, 65503
-METRES = np.where(np.isin(MILLIMETRES, (65535, 65504)), 0, MILLIMETRES / 1000).astype(np.float32)
 COLOR = np.random.default_rng(5).integers(0, 256, (HEIGHT, WIDTH, 3)).astype(np.uint8)
 COLOR[0, 0] = 255
 
@@ -115,40 +112,6 @@ def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
 def ros(encoding: str, values: np.ndarray, **more: object) -> SimpleNamespace:
     fields = {"width": values.shape[1], "height": values.shape[0], "encoding": encoding, "is_bigendian": 0, "step": 0}
     return SimpleNamespace(**fields, data=np.frombuffer(values.tobytes(), np.uint8), **more)
-
-
-def ros_depth(encoding: str) -> np.ndarray:
-    if encoding == "32FC1":
-        raw = np.where(MILLIMETRES > 65503, np.float32(np.inf), MILLIMETRES / 1000).astype(np.float32)
-        raw[0, 0] = -1
-        return depth_image(ros(encoding, raw))
-    return depth_image(ros(encoding, MILLIMETRES))
-
-
-def stray(folder: Path, suffix: str) -> np.ndarray:
-    path = folder / f"0.{suffix}"
-    np.save(path, MILLIMETRES) if suffix == "npy" else path.write_bytes(as_png(MILLIMETRES))
-    return _depth_m(path)
-
-
-DEPTHS = [
-    pytest.param(lambda p: open_recording(rgbd(p, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
-    pytest.param(lambda p: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
-    *(pytest.param(lambda p, kind=kind: ros_depth(kind), id=kind) for kind in ("16UC1", "mono16", "32FC1")),
-    *(pytest.param(lambda p, kind=kind: stray(p, kind), id=f"stray-{kind}") for kind in ("png", "npy")),
-]
-
-
-@pytest.mark.parametrize("read", DEPTHS)
-def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Path], np.ndarray]):
-    np.testing.assert_allclose(read(tmp_path), METRES, rtol=1e-6)
-
-
-def test_saturated_pixels_are_not_taken_for_rotated_bits():
-    raw = np.full((HEIGHT, WIDTH), 2000, np.uint16)
-    raw[0] = 65535
-    raw[1, 0] = 65504
-    assert not looks_rotated(raw, 1000.0)
 
 
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
@@ -179,17 +142,6 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path):
     recording = open_recording(rgbd(tmp_path, pictures))
     for number in (2, 0, 1):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
-
-
-@pytest.mark.parametrize(("encoding", "bits"), [("rgb16", 10), ("bgr16", 16), ("png", 12)])
-def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
-    pixels = deep(bits, 3)
-    if encoding == "png":
-        data = np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
-        content = SimpleNamespace(format="rgb16; png compressed bgr16", data=data)
-    else:
-        content = ros(encoding, pixels[..., ::-1] if encoding == "bgr16" else pixels)
-    np.testing.assert_array_equal(color_image(content), COLOR)
 
 
 def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():

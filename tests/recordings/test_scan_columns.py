@@ -16,7 +16,7 @@ from kitti_samples import OBJECT_CALIB
 from annotator.cli.main import main
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
-from annotator.recordings.scan_file import Scans, said_columns, weigh_columns
+from annotator.recordings.scan_file import Scans, weigh_columns
 from annotator.types.errors import ConfigError, FrameError, UnclearError
 
 RANDOM = np.random.default_rng(3)
@@ -69,15 +69,6 @@ def test_a_folder_of_scans_is_read_by_its_values(tmp_path: Path, columns: int):
     assert (cloud.reflectance is None) == (columns == 3)
 
 
-def test_name_and_place_say_the_columns(tmp_path: Path):
-    for place, columns in (
-        ("velodyne/000001.bin", 4), ("velodyne_points/data/0000000001.bin", 4), ("sweeps/LIDAR_TOP/a.bin", 5),
-        ("points/a__LIDAR_TOP__1.pcd.bin", 5), ("points/a.bin", None),
-    ):  # fmt: skip
-        said = said_columns(tmp_path / place)
-        assert (said and said[0]) == columns
-
-
 def test_values_that_contradict_name_or_place_are_refused(tmp_path: Path):
     for columns, place in ((6, "velodyne/1.bin"), (4, "points/1.pcd.bin")):
         with pytest.raises(UnclearError, match=f"its (place|name) .* but its values look like rows of {columns}; give"):
@@ -122,16 +113,6 @@ def test_a_refusal_names_the_candidates(tmp_path: Path):
         open_recording(tmp_path).frame(0)
     frame = open_recording(tmp_path, ReaderOptions(columns=3)).frame(0)
     np.testing.assert_allclose(frame.cloud.xyz_m[:, 2], shuffled[:, 0], atol=1e-6)
-
-
-def test_beams_that_fire_in_turns_are_uncertain():
-    """Every second point is alike, as in rows of twice as many values."""
-    azimuth = np.linspace(0, 6 * np.pi, 8000)
-    distance = np.tile([7.0, 60.0], 4000) * np.random.default_rng(0).uniform(0.9, 1.1, 8000)
-    z = np.tile([-1.8, 9.0], 4000)
-    xyz = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), z], axis=1).astype(np.float32)
-    evidence = weigh_columns([xyz.tobytes()])
-    assert (evidence.columns, evidence.candidates) == (None, (3, 6))
 
 
 def test_only_reflectances_are_read_as_reflectance(tmp_path: Path):

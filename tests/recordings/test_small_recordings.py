@@ -12,7 +12,7 @@ import pytest
 import small_recordings as made
 from small_recordings import cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder
 
-from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings import open_recording
 from annotator.recordings.recording import KeyedFrames
 from annotator.types.errors import FrameError
 from annotator.workflows.recorded.condition import broken_frames
@@ -71,12 +71,3 @@ def test_a_frame_has_these_files_and_an_empty_one_is_seen(
         # not from a cache of what was there before
         assert list(broken_frames(open_recording(folder), seconds=-1).errors) == [recording.keys[0]], file
         file.write_bytes(content)
-
-
-def test_virtual_cameras_around_a_lidar_have_its_files(tmp_path: Path):
-    made.kitti_object(tmp_path)
-    base, around = open_recording(tmp_path), open_recording(tmp_path, ReaderOptions(look_around=4))
-    assert isinstance(base, KeyedFrames) and isinstance(around, KeyedFrames)
-    assert around.files(0) == base.files(0) == (tmp_path / "image_2" / "0.png", tmp_path / "velodyne" / "0.bin")
-    (tmp_path / "velodyne" / "0.bin").write_bytes(b"")
-    assert list(broken_frames(around, seconds=-1).errors) == ["0"]

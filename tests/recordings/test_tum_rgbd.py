@@ -6,25 +6,15 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+import small_recordings as made
 from scipy.spatial.transform import Rotation
+from small_recordings import START_S
 
 from annotator.recordings import open_recording
 from annotator.recordings.recording import ReaderOptions
-from annotator.recordings.tum_rgbd import _pairs
 from annotator.types.errors import FrameError, RecordingError
-
-START_S = 1305031102
-# The first pose of TUM's fr1/xyz, whose camera looks down on a desk.
-POSE = "1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986"
-
-
-def png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image)[1].tobytes()
 
 
 def image(number: int) -> np.ndarray:
@@ -37,22 +27,8 @@ def depth(number: int) -> np.ndarray:
     return raw
 
 
-def write_tum(
-    folder: Path, rgb_ms: list[int], depth_ms: list[int], images: Callable[[int], np.ndarray] = image
-) -> Path:
-    """Writes images of these times (ms after the start), numbered in this order."""
-    for name, times, make in (("rgb", rgb_ms, images), ("depth", depth_ms, depth)):
-        (folder / name).mkdir(parents=True)
-        lines = [f"# {name} images", "# file: 'made.bag'", "# timestamp filename"]
-        for number, time_ms in enumerate(times):
-            text = f"{START_S + time_ms / 1000:.6f}"
-            content = make(number)
-            (folder / name / f"{text}.png").write_bytes(png(content[..., ::-1] if name == "rgb" else content))
-            lines.append(f"{text} {name}/{text}.png")
-        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
-    poses = [f"{START_S + time_ms / 1000:.4f} {POSE}" for time_ms in range(-5, 200, 10)]
-    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(poses) + "\n")
-    return folder
+def write_tum(folder: Path, rgb_ms: list[int], depth_ms: list[int], images: made.Draw = image) -> Path:
+    return made.write_tum(folder, rgb_ms, depth_ms, images, depth)
 
 
 def test_images_are_paired_by_time_and_depth_has_5000_units_per_metre(tmp_path: Path):
@@ -106,28 +82,6 @@ def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
     cloud = open_recording(tmp_path).frame(0).cloud
     low, middle, high = np.percentile(cloud.xyz_m[:, 2], [1, 50, 99])
     assert 1 < low < middle < 3 < high < 10  # a desk, with a hall behind it
-
-
-times = st.lists(st.integers(0, 400), unique=True, max_size=12).map(sorted)
-
-
-@given(times, times, st.integers(1, 60))
-def test_pairs_are_those_of_the_published_rule(first: list[int], second: list[int], tolerance: int):
-    """All possible pairs, the closest first, each image once; ties in any order."""
-    pairs = _pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)
-    apart = sorted(abs(first[a] - second[b]) for a, b in pairs)
-    possible = sorted((abs(a - b), a, b) for a in first for b in second if abs(a - b) <= tolerance)
-    free, rest, expected = {*first}, {*second}, []
-    for distance, a, b in possible:
-        if a in free and b in rest:
-            free.remove(a)
-            rest.remove(b)
-            expected.append(distance)
-    assert len({b for _, b in pairs}) == len({a for a, _ in pairs}) == len(pairs)
-    # more than three before or after an image are not considered
-    most = max((sum(abs(a - b) <= tolerance for b in second) for a in first), default=0)
-    if len({distance for distance, _, _ in possible}) == len(possible) and most <= 3:
-        assert apart == expected
 
 
 def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
@@ -196,16 +150,6 @@ def test_lists_of_other_tools_are_read(tmp_path: Path, changed: Callable[[str], 
 
 def small(number: int) -> np.ndarray:
     return image(number)[:8, :8]
-
-
-def test_names_may_have_blanks_and_another_unicode_form(tmp_path: Path):
-    path = write_tum(tmp_path / "freiburg", [0], [1], small)
-    for name, new, listed in (("rgb", "e\u0301 1, 2.png", "\u00e9 1, 2.png"), ("depth", "a b.png", "a b.png")):
-        next((path / name).iterdir()).rename(path / name / new)
-        (path / f"{name}.txt").write_text(f"{START_S}.0 {name}/{listed}\n", encoding="utf-8")
-    recording = open_recording(path)
-    assert recording.keys == ("\u00e9 1, 2",)
-    assert [file.name for file in recording.files(0)] == ["e\u0301 1, 2.png", "a b.png"]
 
 
 @pytest.mark.parametrize(

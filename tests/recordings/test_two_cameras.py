@@ -7,13 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import project, resized
+from annotator.geometry.projection import project
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera
 
 DEPTH = Camera(64, 48, 60.0, 61.0, 31.0, 23.5)
 COLOR = Camera(160, 120, 140.0, 141.0, 80.0, 58.0, (0.05, -0.02, 0.001, -0.001))
-SAME_PLACE = RigidTransform.identity()
 
 
 def pose(shift_m: list[float], turn_rad: list[float]) -> RigidTransform:
@@ -72,11 +71,3 @@ def test_points_outside_the_image_or_hidden_from_it_are_left_out():
     assert 0 < len(aside) < len(cloud) / 2
     behind, nothing = registered(depth_m, DEPTH, pose([0, 0, -3], [0, 0, 0]), picture(COLOR), COLOR)
     assert len(behind) == 0 and not nothing.any()
-
-
-def test_from_the_same_place_no_point_is_hidden():
-    depth_m = np.where(np.mgrid[:48, :64].sum(axis=0) % 2, 1.0, 3.0).astype(np.float32)
-    camera = Camera(640, 480, 600.0, 610.0, 314.5, 239.5)
-    cloud, in_color_m = registered(depth_m, resized(camera, 64, 48), SAME_PLACE, picture(camera), camera)
-    assert len(cloud) == depth_m.size == np.count_nonzero(in_color_m)
-    np.testing.assert_allclose(project(camera, cloud.xyz_m)[0], [4.5, 4.5], atol=1e-3)  # the middle of ten pixels

@@ -25,6 +25,7 @@ SKIPPED = frozenset(
     {EBML, 0x114D9B74, 0x1C53BB6B, 0x1941A469, 0x1043A770, 0x1254C367, 0xEC, 0xBF}
     | {0xA7, 0xAB, 0x5854, 0x9B, 0xFB, 0xFA, 0xFD, 0x75A1, 0x75A2, 0xA4, 0xAF, 0x8E}
 )
+KNOWN = ENTERED | SKIPPED | {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
 CLUSTER_ID = CLUSTER.to_bytes(4)
 # Larger than any offset, since sizes have 56 bits.
 NO_LIMIT = 1 << 60
@@ -101,7 +102,7 @@ class _IndexReader:
         while at < end:
             head = self._read(at, LONGEST_HEAD)
             element = element_head(head)
-            if element is None or not self._is_known(element[0]):
+            if element is None or element[0] not in KNOWN:
                 # a truncated file may end within a head
                 if end - at < LONGEST_HEAD:
                     return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), True)
@@ -119,10 +120,6 @@ class _IndexReader:
             self._read_element(kind, at, size)
             at += size
         return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
-
-    def _is_known(self, kind: int) -> bool:
-        used = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
-        return kind in ENTERED or kind in SKIPPED or kind in used
 
     def _read_element(self, kind: int, at: int, size: int) -> None:
         if kind == INFO:

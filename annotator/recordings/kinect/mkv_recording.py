@@ -28,7 +28,6 @@ from annotator.image_bytes import declared_size, decode_image, image_problem
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
-    Size,
     blocks_near,
     parse_calibration,
     parse_samples,
@@ -198,19 +197,13 @@ class AzureKinect(KeyedFrames):
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
         """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
-        return self._raw_image(self.key(i), "depth", self.captures[i].depth)
-
-    def _raw_image(self, key: str, what: str, block: Block | None) -> UInt16[np.ndarray, "h w"]:
-        """Reads an image of the depth camera's size, 16 bits per pixel, big-endian."""
+        key, camera, block = self.key(i), self.calibration.depth, self.captures[i].depth
         if block is None:
-            raise FrameError(self.path, f"frame {key}: the file ends before its {what} image", REMEDY)
-        camera = self.calibration.depth
-        data = self._read(key, what, block)
-        expected = 2 * camera.width_px * camera.height_px
+            raise FrameError(self.path, f"frame {key}: the file ends before its depth image", REMEDY)
+        data, expected = self._read(key, "depth", block), 2 * camera.width_px * camera.height_px
         if len(data) != expected:
-            raise FrameError(
-                self.path, f"frame {key}: the {what} image has {len(data)} bytes instead of {expected}", REMEDY
-            )
+            problem = f"frame {key}: the depth image has {len(data)} bytes instead of {expected}"
+            raise FrameError(self.path, problem, REMEDY)
         return np.frombuffer(data, ">u2").astype(np.uint16).reshape(camera.height_px, camera.width_px)
 
     def _read(self, key: str, what: str, block: Block) -> bytes:
@@ -268,7 +261,9 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
     if not captures:
         raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
     with file_errors(path, REMEDY, "its calibration cannot be used: ", RecordingError):
-        calibration = parse_calibration(attached, _size(depth), _size(color))
+        sizes = ((track.width_px, track.height_px) for track in (depth, color))
+        calibration = parse_calibration(attached, *sizes)
+    inertial = (block for block in index.blocks if "IMU" in tracks and block.track == tracks["IMU"].number)
     return AzureKinect(
         path=path,
         keys=tuple(f"{number:06d}" for number in captures),
@@ -276,7 +271,7 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
         calibration=calibration,
         fourcc=_fourcc(path, color),
         start_ns=tagged_ns(tags, "K4A_START_OFFSET_NS"),
-        inertial=tuple(sorted(_blocks(index, tracks.get("IMU")), key=lambda block: block.time_ns)),
+        inertial=tuple(sorted(inertial, key=lambda block: block.time_ns)),
     )
 
 
@@ -290,10 +285,6 @@ def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
     return read_index(path)
 
 
-def _size(track: Track) -> Size:
-    return track.width_px, track.height_px
-
-
 def _fourcc(path: Path, track: Track) -> str:
     """Returns the colour format: from byte 16 of the track's BITMAPINFOHEADER, or from the codec's name."""
     named = {"V_MJPEG": "MJPG", "V_UNCOMPRESSED": track.private[:4].decode("ascii", "replace")}
@@ -303,7 +294,3 @@ def _fourcc(path: Path, track: Track) -> str:
             f"{path}: the colour format {fourcc or track.codec!r} is unknown; record with one of {', '.join(FORMATS)}"
         )
     return fourcc
-
-
-def _blocks(index: MatroskaIndex, track: Track | None) -> tuple[Block, ...]:
-    return tuple(block for block in index.blocks if track and block.track == track.number)

@@ -113,13 +113,6 @@ def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Pat
     np.testing.assert_array_equal(cloud.xyz_m, np.delete(XYZ, 1, 0))
 
 
-@pytest.mark.parametrize(("name", "kind"), [("rgb", "f4"), ("rgb", "f8"), ("red", "f4")])
-def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
-    nan = np.full(N, np.nan, kind)
-    columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
-    assert from_columns(columns).rgb is None
-
-
 @pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
 def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: str):
     rows = np.zeros(N, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "u1", 4)])
@@ -132,16 +125,6 @@ def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: st
     body = rows.tobytes() if form == "pcd binary" else lines([f"{r} {g} {b} 0" for r, g, b in RGB.tolist()])
     (tmp_path / "a.pcd").write_bytes(head.encode() + body)
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
-
-
-def test_highlights_do_not_turn_fractions_into_bytes():
-    bright = np.repeat(RGB, 20, axis=0) / 255
-    bright[7, 1] = 3.5
-    columns = dict(zip(NAMES, bright.T, strict=True)) | dict.fromkeys("xyz", np.ones(len(bright)))
-    rgb = np.asarray(from_columns(columns).rgb)
-    expected = np.repeat(RGB, 20, axis=0)
-    expected[7, 1] = 255
-    np.testing.assert_array_equal(rgb, expected)
 
 
 def test_a_dark_scan_has_the_scale_of_the_others():

@@ -128,9 +128,7 @@ def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
 PLAIN = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 FALSE_HEADERS = [
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n" % HUGE, "declares"),
-    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "only lists"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no column y z"),
-    ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
     ("a.ply", ply(vertices(), "binary_little_endian")[:3000], "declares 500 points"),
     ("a.pcd", pcd(PLAIN, "binary", bytes(120), HUGE), "declares"),
     ("a.pcd", pcd(PLAIN, "ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3), "line 13 has 2 values instead of 3"),
@@ -141,15 +139,10 @@ FALSE_HEADERS = [
     ),
     ("a.pcd", pcd(PLAIN, "binary_compressed", lzf(bytes(120))[:50], 10), "compressed bytes but has"),
     ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
-    ("a.pcd", pcd(PLAIN, "gzip", b" ", 10), "encoding 'gzip' is unknown"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n", "the PCD header is damaged"),
-    ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
     ("a.npy", npy_header((HUGE, 3)) + bytes(36), "too large"),
-    ("a.npy", npy_header((3, 3)) + bytes(35), "its array is damaged"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
-    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "its array is damaged"),
     ("a.npz", b"PK\x03\x04 no archive", "archive cannot be read"),
-    ("a.pcd", b"", "the file is empty"),
 ]
 
 
@@ -166,15 +159,6 @@ def test_a_false_header_is_an_error_before_memory_is_allocated(
     assert "; " in str(caught.value)
     grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert sys.platform != "linux" or grown_kb < 100_000
-
-
-def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path):
-    np.savez(tmp_path / "a.npz", weights=XYZ)
-    with pytest.raises(FrameError, match=r"has no array points or .* \(its arrays: weights\)"):
-        read_cloud(tmp_path / "a.npz")
-    np.savez(tmp_path / "a.npz", points=XYZ, colors=RGB[:-1])
-    with pytest.raises(FrameError, match="for 500 points"):
-        read_cloud(tmp_path / "a.npz")
 
 
 @settings(deadline=None)
@@ -195,28 +179,11 @@ def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
     assert lzf_decompress(bytes(packed), len(plain)) == bytes(plain)
 
 
-def test_a_point_with_a_signalling_nan_is_skipped(tmp_path: Path):
-    rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
-    (tmp_path / "a.pcd").write_bytes(pcd(PLAIN, "binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2))
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])
-
-
 TEXT_CLOUDS = {
     ".ply": "ply\nformat ascii 1.0\nelement vertex 2\n"
     "property float x\nproperty float y\nproperty float z\nend_header\n",
     ".pcd": "# .PCD v0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n",
 }
-
-
-@pytest.mark.parametrize("suffix", TEXT_CLOUDS)
-def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_named(tmp_path: Path, suffix: str):
-    path = tmp_path / f"a{suffix}"
-    text = TEXT_CLOUDS[suffix] + "1 2 3\n4.5 5 6\n"
-    path.write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
-    np.testing.assert_array_equal(read_cloud(path).xyz_m, [[1, 2, 3], [4.5, 5, 6]])
-    path.write_text(text.replace("4.5", "4,5"))
-    with pytest.raises(FrameError, match="'4,5' has a decimal comma; write a point"):
-        read_cloud(path)
 
 
 @pytest.mark.parametrize("rows", [1, 3])

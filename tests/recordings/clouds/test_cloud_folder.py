@@ -12,7 +12,6 @@ from kitti_samples import HEIGHT, OBJECT_CALIB, WIDTH, by_formula
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.clouds.columns import from_columns
 from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.types import Camera, PointCloud
 from annotator.types.errors import FrameError
@@ -129,12 +128,3 @@ def test_the_drawn_image_shows_the_nearest_point():
     picture = virtual_image(camera, PointCloud(xyz, rgb=rgb))
     np.testing.assert_array_equal(picture[14:16, 19:21], np.full((2, 2, 3), [250, 0, 0]))
     assert {tuple(color) for color in picture.reshape(-1, 3)} == {(0, 0, 0), (250, 0, 0)}
-
-
-def test_reflectance_is_scaled_to_0_to_1():
-    xyz = dict(zip("xyz", np.ones((3, 2)), strict=True))
-    for values, expected in (([0.0, 0.5], [0, 0.5]), ([0.0, 51.0], [0, 0.2]), ([0.0, 65535.0], [0, 1])):
-        read = from_columns(xyz | {"intensity": np.array(values)})
-        np.testing.assert_allclose(read.reflectance, expected, atol=1e-6)
-    read = from_columns(xyz | {"intensity": np.array([0, 51], np.uint8)})
-    np.testing.assert_allclose(read.reflectance, [0, 0.2], atol=1e-6)

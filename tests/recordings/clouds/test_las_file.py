@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import sys
 from functools import lru_cache
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.las_file import parse_las
-from annotator.types.errors import MissingExtraError
 
 COUNT = 300
 RANDOM = np.random.default_rng(0)
@@ -99,14 +97,6 @@ def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count:
             parse_las(content)
 
 
-def test_a_saturated_laz_file_is_refused_in_the_same_words():
-    content = laspy.read(io.BytesIO(saturated("y", COUNT, LIMITS[0])))
-    out = io.BytesIO()
-    content.write(out, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
-    with pytest.raises(ValueError, match=rf"its coordinates are saturated: y is .* {COUNT} points; an offset"):
-        parse_las(out.getvalue())
-
-
 def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
     """Found by `scripts/fuzz files`: on these bytes lazrs reads memory that is not its own."""
     sound = written("1.2", 3, 0, True)
@@ -116,12 +106,6 @@ def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
     assert len(parse_las(sound).xyz_m) == COUNT
 
 
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "lazrs", None)
-    with pytest.raises(MissingExtraError, match=r"laspy\[lazrs\] is not installed; .*scripts/setup las"):
-        parse_las(b"")
-
-
 def patched(data: bytes, at: int, code: str, value: int) -> bytes:
     return data[:at] + struct.pack(f"<{code}", value) + data[at + struct.calcsize(f"<{code}") :]
 
@@ -129,17 +113,11 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
 HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 FALSE_HEADERS = [
-    (b"", "is not a LAS file"),
     (b"LASF" + bytes(300), "position of the points, byte 0"),
     (written("1.2", 3, 0, False)[:-1], "declares 300 points of 34 bytes"),
     (patched(written("1.2", 3, 0, False), 107, "I", HUGE), f"declares {HUGE} points"),
-    (patched(written("1.4", 6, 0, False), 247, "Q", 2**63), f"declares {2**63} points"),
-    (patched(OLD, 100, "I", HUGE), "records before its points"),
-    (patched(OLD, 96, "I", HUGE), "position of the points, byte"),
     (patched(OLD, 107, "I", 2**25), "33554432 points take about 4096 MiB"),
     (OLD[: len(OLD) // 2], "cannot be read as LAS or LAZ"),
-    (patched(OLD, 104, "B", 0x80 | 99), "cannot be read as LAS or LAZ"),
-    (patched(written("1.2", 3, 0, False), 131, "d", float("nan")), "every point is NaN"),
 ]
 
 

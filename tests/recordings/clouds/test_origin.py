@@ -147,18 +147,6 @@ def test_the_option_places_the_camera_and_only_clouds_take_it(tmp_path: Path, ge
         open_recording(generated / "people", ReaderOptions(origin=place))
 
 
-def test_virtual_cameras_around_a_place_in_a_map_share_it(tmp_path: Path):
-    write_npy(tmp_path / "7", XYZ + UTM_M)
-    ahead, left = (
-        open_recording(tmp_path, ReaderOptions(look_around=4, camera=camera)) for camera in ("around-000", "around-090")
-    )
-    assert origin_of(ahead) == origin_of(left)
-    for recording in (ahead, left):
-        frame = recording.frame(0)
-        np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
-        np.testing.assert_allclose(frame.T_world_camera.translation, origin_of(recording), atol=1e-9)
-
-
 def test_a_calibrated_camera_in_a_map_knows_its_place(tmp_path: Path):
     """The clouds' own calibration is used, and there is nothing to choose."""
     write_npy(tmp_path / "7", XYZ + UTM_M)
@@ -216,17 +204,6 @@ def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):
         recording.frame(0)
         expected = "its coordinates, up to 4,485,524 m, are rounded to 0.5 m, as 32-bit floats are; save clouds with"
         assert [note[: len(expected)] for note in recording.notes] == ([expected] if name == "coarse" else []), name
-
-
-def test_one_place_of_many_points_does_not_move_the_origin(tmp_path: Path):
-    share = 0.9
-    xyz = np.random.default_rng(5).uniform((-10, -10, -1.6), (10, 10, 0), (60_000, 3)) + UTM_M
-    strays = np.random.default_rng(6).permutation(len(xyz))[: round(share * len(xyz))]
-    xyz[strays] = (0, 0, 1.8)
-    write_npy(tmp_path / "7", xyz)
-    recording = open_recording(tmp_path)
-    assert np.abs(np.subtract(origin_of(recording), UTM_M - [0, 0, 0.8])).max() < 1.5
-    np.testing.assert_allclose(placed(recording.frame(0)), np.delete(xyz, strays, axis=0), atol=1e-4)
 
 
 def test_a_cloud_in_millimetres_is_doubted_where_it_gets_an_origin(tmp_path: Path):

@@ -31,15 +31,6 @@ class K4ATimeoutException(K4AException):
 
 
 @dataclass
-class Config:
-    color_resolution: ColorResolution = ColorResolution.RES_720P
-    color_format: ImageFormat = ImageFormat.COLOR_BGRA32
-    depth_mode: DepthMode = DepthMode.NFOV_UNBINNED
-    camera_fps: FPS = FPS.FPS_30
-    synchronized_images_only: bool = True
-
-
-@dataclass
 class Capture:
     """One capture; `color` and `depth` may be None."""
 
@@ -57,7 +48,6 @@ class Script:
         busy: indices of devices that another program uses.
         captures: the results of `get_capture` in order: a capture, "timeout" or "gone"; then timeouts.
         felt: queued accelerations, (device time in microseconds, m/s^2).
-        locked: whether a created device holds the GIL while it waits.
     """
 
     serials: tuple[str, ...] = ("000123456712",)
@@ -68,8 +58,6 @@ class Script:
     felt: list[tuple[int, Sequence[float]]] = field(default_factory=list)
     opened: int = 0
     closed: int = 0
-    configs: list[Config] = field(default_factory=list)
-    locked: bool = False
 
 
 def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
@@ -78,29 +66,23 @@ def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
     class PyK4A:
         TIMEOUT_WAIT_INFINITE = -1
 
-        def __init__(self, config: Config | None = None, device_id: int = 0, thread_safe: bool = True) -> None:
-            self._config, self._id = config or Config(), device_id
-            self._open, self.is_running = False, False
-            script.configs.append(self._config)
-            script.locked = script.locked or thread_safe
-
-        @property
-        def opened(self) -> bool:
-            return self._open
+        def __init__(self, config: object = None, device_id: int = 0, thread_safe: bool = True) -> None:
+            assert not thread_safe, "it holds the GIL while it waits"
+            self._id, self.opened, self.is_running = device_id, False, False
 
         def open(self) -> None:
             if self._id in script.busy or self._id >= len(script.serials):
                 raise K4AException()
-            self._open = True
+            self.opened = True
             script.opened += 1
 
         def close(self) -> None:
             self._require_open()
-            self._open = False
+            self.opened = False
             script.closed += 1
 
         def start(self) -> None:
-            if not self._open:
+            if not self.opened:
                 self.open()
             if not script.starts:
                 raise K4AException()
@@ -140,12 +122,13 @@ def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
             return {"acc_sample": tuple(felt), "acc_timestamp": time_us}
 
         def _require_open(self) -> None:
-            if not self._open:
+            if not self.opened:
                 raise K4AException("Device is not opened")
 
     module = ModuleType("pyk4a")
-    members = (FPS, ImageFormat, DepthMode, ColorResolution, K4AException, K4ATimeoutException, Config, PyK4A)
+    members = (FPS, ImageFormat, DepthMode, ColorResolution, K4AException, K4ATimeoutException, PyK4A)
     for member in members:
         setattr(module, member.__name__, member)
+    setattr(module, "Config", dict)  # noqa: B010 - a module has no such attribute
     setattr(module, "connected_device_count", lambda: len(script.serials))  # noqa: B010 - a module has no such attribute
     monkeypatch.setitem(sys.modules, "pyk4a", module)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_pyk4a import FPS, Capture, DepthMode, ImageFormat, Script, install
+from fake_pyk4a import Capture, Script, install
 from kinect_recording import ACCELEROMETER, DEPTH_HEIGHT, DEPTH_WIDTH, calibration, depth_mm, picture
 
 from annotator.recordings.kinect import device as kinect_device
@@ -70,17 +70,6 @@ def test_frames_of_a_device_have_the_same_content_as_those_of_a_recording(script
     device.close()
     device.close()
     assert (script.opened, script.closed) == (1, 1)
-
-
-def test_the_device_is_opened_for_synchronous_images_and_without_holding_the_gil(script: Script) -> None:
-    KinectDevice().close()
-    KinectDevice(mode="wfov").close()
-    narrow, wide = script.configs
-    assert (narrow.depth_mode, narrow.camera_fps) == (DepthMode.NFOV_UNBINNED, FPS.FPS_30)
-    assert (wide.depth_mode, wide.camera_fps) == (DepthMode.WFOV_UNBINNED, FPS.FPS_15)
-    assert all(made.synchronized_images_only for made in script.configs)
-    assert all(made.color_format is ImageFormat.COLOR_BGRA32 for made in script.configs)
-    assert not script.locked
 
 
 def test_a_device_is_selected_by_serial_number_or_index(script: Script) -> None:

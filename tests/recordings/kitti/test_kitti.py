@@ -6,10 +6,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from kitti_samples import CAMERAS, HEIGHT, LIDAR, OBJECT_CALIB, P2, R0, TIMES, TR, TRACKING_CALIB, WIDTH, by_formula
+from cloud_samples import SCAN, image
+from kitti_samples import LIDAR, P2, R0, TR, TRACKING_CALIB, by_formula
+from small_recordings import kitti_object, kitti_raw, kitti_tracking
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -17,50 +18,26 @@ from annotator.recordings.kitti import read_calibration
 from annotator.types.errors import FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
-
-@pytest.fixture
-def image() -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+IMAGE = image(1)
 
 
-@pytest.fixture
-def scan() -> np.ndarray:
-    """Points all around the LiDAR, many beside and behind the camera."""
-    random = np.random.default_rng(1)
-    return np.c_[random.uniform(-20, 20, (3000, 3)) * [1, 1, 0.2], random.random(3000)].astype(np.float32)
-
-
-@pytest.fixture(params=["kitti_object/training", "kitti_tracking"])
-def folder(request: pytest.FixtureRequest, tmp_path: Path, image: np.ndarray, scan: np.ndarray) -> Path:
+@pytest.fixture(params=["training", "."])
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Frames 000003 and 000005 of either format."""
-    root = tmp_path / "training" if request.param.endswith("training") else tmp_path
-    tracking = request.param == "kitti_tracking"
-    images, scans = root / ("image_02" if tracking else "image_2"), root / "velodyne"
-    for each in (images, scans):
-        each.mkdir(parents=True)
-    if tracking:
-        (root / "calib.txt").write_text(TRACKING_CALIB)
-    else:
-        (root / "calib").mkdir()
-    for key in ("000003", "000005"):
-        (images / f"{key}.png").write_bytes(cv2.imencode(".png", image[:, :, ::-1])[1].tobytes())
-        (scans / f"{key}.bin").write_bytes(scan.tobytes())
-        if not tracking:
-            (root / "calib" / f"{key}.txt").write_text(OBJECT_CALIB)
+    build = kitti_tracking if request.param == "." else kitti_object
+    build(tmp_path / request.param, ("000003", "000005"))
     return tmp_path
 
 
-def test_the_cloud_contains_the_points_on_the_image_with_their_colours(
-    folder: Path, image: np.ndarray, scan: np.ndarray
-):
+def test_the_cloud_contains_the_points_on_the_image_with_their_colours(folder: Path):
     frame = open_recording(folder).frame(0)
-    px, inside = by_formula(scan)
-    assert 10 < inside.sum() < len(scan) / 2
-    np.testing.assert_array_equal(frame.cloud.reflectance, scan[inside, 3])
+    px, inside = by_formula(SCAN)
+    assert 10 < inside.sum() < len(SCAN) / 2
+    np.testing.assert_array_equal(frame.cloud.reflectance, SCAN[inside, 3])
     np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), px[inside], atol=2e-3)  # float32 points
     u, v = np.rint(px[inside]).astype(int).T
-    np.testing.assert_array_equal(frame.cloud.rgb, image[v, u])
-    np.testing.assert_array_equal(frame.rgb, image)
+    np.testing.assert_array_equal(frame.cloud.rgb, IMAGE[v, u])
+    np.testing.assert_array_equal(frame.rgb, IMAGE)
     assert frame.cloud.pixel_index is None
     assert frame.depth_m is None
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
@@ -122,9 +99,7 @@ DAMAGES = [
     pytest.param(scan_path, truncate, "the scan is truncated: 47993 bytes", id="truncated-scan"),
     pytest.param(scan_path, points([[-5, 0, 0, 0.5]]), "none of its points lies in the image", id="all-behind"),
     pytest.param(calib_path, replaced("P2", "P"), "P2 is missing", id="no-p2"),
-    pytest.param(calib_path, replaced("P2: ", "P2: 1 "), "P2 must have 12 numbers, not 13", id="long-p2"),
     pytest.param(calib_path, replaced("P2: 7.", "P2: 7,"), "P2: '7,0*e.01' has a decimal comma", id="p2-comma"),
-    pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "the calibration: not UTF-16", id="no-text"),
 ]
 
 
@@ -158,19 +133,12 @@ def test_damage_is_an_error_with_file_cause_and_solution(
 
 
 @pytest.fixture
-def drive(tmp_path: Path, image: np.ndarray, scan: np.ndarray) -> Path:
-    """Frames 0, 2 and 3 of a drive; frame 1 was dropped by the recorder."""
+def drive(tmp_path: Path) -> Path:
+    """Frames 0, 2 and 3 of a drive; frame 1 was dropped by the recorder. The day's calibration is above its drives."""
     path = tmp_path / "2011_09_26" / "2011_09_26_drive_0005_sync"
-    images, scans = path / "image_02" / "data", path / "velodyne_points" / "data"
-    images.mkdir(parents=True)
-    scans.mkdir(parents=True)
-    for number in (0, 2, 3):
-        (images / f"{number:010d}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-        (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
-    # the day's calibration is above its drives, the LiDAR's beside it
-    (path.parent / "calib_cam_to_cam.txt").write_text(CAMERAS)
-    (path.parent / "calib_velo_to_cam.txt").write_text(LIDAR)
-    (path / "image_02" / "timestamps.txt").write_text(TIMES)
+    kitti_raw(path, [f"{number:010d}" for number in (0, 2, 3)])
+    for file in path.glob("calib_*.txt"):
+        file.rename(path.parent / file.name)
     return path
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nuscenes_samples import CAMERAS, START_US, K, ego_pose, mount, real, scan_points, small
+from scipy.spatial.transform import Rotation
 
 from annotator.formats.nuscenes import read_sample_boxes
 from annotator.geometry.oriented_box import box_corners, contains
@@ -29,13 +30,8 @@ def opened(path: Path, **options: Any) -> NuScenes:
     return recording
 
 
-def matrix_of(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """The rotation matrix of a unit quaternion, by the textbook's formula."""
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+def turn_of(row: dict[str, Any]) -> np.ndarray:
+    return Rotation.from_quat(row["rotation"], scalar_first=True).as_matrix()
 
 
 def by_hand(folder: Path, table: str, token: str) -> np.ndarray:
@@ -43,7 +39,7 @@ def by_hand(folder: Path, table: str, token: str) -> np.ndarray:
     rows = json.loads((folder / "v1.0-mini" / f"{table}.json").read_text())
     row = next(row for row in rows if row["token"] == token)
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = matrix_of(*row["rotation"]), row["translation"]
+    matrix[:3, :3], matrix[:3, 3] = turn_of(row), row["translation"]
     return matrix
 
 
@@ -65,7 +61,7 @@ def test_the_real_boxes_lie_where_the_transforms_put_them_in_all_cameras(shared:
         rounded = np.array(sample["images"][channel]["lidar2cam"]) @ T_lidar_global
         expected = {}
         for number, row in enumerate(annotations):
-            turn = matrix_of(*row["rotation"])
+            turn = turn_of(row)
             width, length, height = row["size"]
             corners = (signs * [length, width, height] / 2) @ turn.T + row["translation"]
             seven_digits = corners @ rounded[:3, :3].T + rounded[:3, 3]
@@ -231,17 +227,10 @@ def edit(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], Any]
 
 BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
     ("sample_data", lambda rows: rows[-1].pop("filename"), r"the row at byte \d+: filename: Field required"),
-    (
-        "sample_data",
-        lambda rows: rows[-1].update(timestamp=2**63),
-        r"timestamp: the time \d+ us is beyond the year 2262",
-    ),
     ("sample_data", lambda rows: rows[-1].update(filename="/dev/zero"), "filename: .*must be a path in the dataset"),
     ("ego_pose", lambda rows: rows.pop(), r"refers to LIDAR_TOP1-5, which is not in ego_pose\.json"),
     ("scene", lambda rows: rows[1].update(name="scene-0000"), r"scene\.json: two scenes are called scene-0000"),
-    ("sample", lambda rows: rows.clear(), "scene-0001 has no scan"),
     ("ego_pose", lambda rows: rows[-2].update(rotation=[0, 0, 0, 0]), "is not a unit quaternion"),
-    ("calibrated_sensor", lambda rows: rows[1].update(camera_intrinsic=[]), "is not a pinhole camera"),
     ("ego_pose", lambda rows: rows[-2].update(translation=[0, 0, 1e6]), "lies in the image"),
 ]
 
@@ -254,19 +243,6 @@ def test_errors_of_broken_tables_name_the_place(
     with pytest.raises(RecordingError, match=problem) as caught:
         opened(tmp_path, scene="scene-0001" if table != "scene" else None, camera="CAM_FRONT").frame(5)
     assert str(caught.value).startswith(str(tmp_path))
-
-
-def test_a_table_that_is_cut_off_is_an_error(tmp_path: Path):
-    path = small(tmp_path) / "v1.0-mini" / "sample_data.json"
-    path.write_bytes(path.read_bytes()[:-2])
-    with pytest.raises(RecordingError, match=r"sample_data\.json: is cut off: its list does not end"):
-        opened(tmp_path)
-    path.write_bytes(b"")
-    with pytest.raises(RecordingError, match="the file is empty"):
-        opened(tmp_path)
-    path.write_text("{}")
-    with pytest.raises(RecordingError, match="is not a list of records"):
-        opened(tmp_path)
 
 
 def test_errors_of_scans_and_labels_name_the_file(tmp_path: Path):

@@ -29,8 +29,6 @@ from annotator.cli.options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.recording import RosBag, message
-from annotator.recordings.ros.topics import list_topics
-from annotator.recordings.ros.transforms import LinkMissingError, Links
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 
 COMPRESSIONS = [("ros1", "lz4"), ("ros1", "bz2"), ("sqlite3", ""), ("sqlite3", "message"), ("mcap", "storage"),
@@ -127,18 +125,11 @@ def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
     with pytest.raises(RecordingError, match=r"--points: /points \(1 message\), /points_rear"):
         open_recording(path, ReaderOptions(image="/left/image_raw"))
     assert len(open_recording(path, ReaderOptions(image="/left/image_raw", points="points"))) == 1
-    facts = {topic.name: (topic.use, topic.option) for topic in list_topics(path, ReaderOptions()) or []}
-    assert facts["/left/image_raw"] == ("", "--image")
-    assert facts["/points_rear"] == ("", "--points")
-    assert facts["/tf_static"] == ("transforms", "")
 
 
 WRONG_OPTIONS = [
     ({"image": "/nowhere"}, "--image /nowhere: is not in the bag; possible are: /left/image_raw, /right/image_raw"),
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
-    ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
-    ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
-    ({"image": "/left/image_raw", "points": "/points", "depth_info": "/left/camera_info"}, "is for depth images"),
     ({"columns": 4}, "not --columns"),
     ({"image": "/left/image_raw", "points": "/points", "origin": (1, 2, 3)}, "so --origin is not taken"),
 ]
@@ -194,20 +185,6 @@ def test_a_missing_link_is_named(tmp_path: Path, parents: dict[str, str], proble
             bag.transform("/tf_static", START_NS, parent, child, T_CAMERA_LIDAR)
     with pytest.raises(FrameError, match=problem):
         open_recording(bag.path).frame(0)
-
-
-def test_an_invalid_link_is_named():
-    for place, quaternion, problem in (
-        ([0, 0, 0], [0, 0, 0, 2], "its quaternion has the length 2, not 1"),
-        ([0, np.nan, 0], [0, 0, 0, 1], "its translation is not finite or is too large"),
-    ):
-        for parent, child in (("lidar", "camera"), ("camera", "lidar")):
-            links = Links()
-            links.add("world", "arm", None, np.zeros(3), np.zeros(4))
-            links.add(parent, child, None, np.array(place), np.array(quaternion))
-            says = f"camera is missing: the bag's transform from {child} to {parent} is invalid: {problem}$"
-            with pytest.raises(LinkMissingError, match=says):
-                links.transform("camera", "lidar", START_NS)
 
 
 def test_the_camera_frame_can_be_named(tmp_path: Path):
@@ -376,18 +353,6 @@ def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
     np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
 
 
-def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
-    with BagWriter(tmp_path, "mcap") as bag:
-        for i, most in enumerate((1, 255)):
-            columns = dict(zip("xyz", POINTS_M.T, strict=True)) | {
-                "intensity": np.linspace(0, most, 200, dtype=np.float32)
-            }
-            bag.cloud("/points", START_NS + i * 100 * MS, structured(columns))
-    for i, most in enumerate((1 / 255, 1.0)):
-        reflectance = open_recording(bag.path).frame(i).cloud.reflectance
-        assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
-
-
 def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):
     deep = np.floor(IMAGE * (4095 / 255) + 0.5).astype(np.uint16)
     with BagWriter(tmp_path, "mcap") as bag:
@@ -399,23 +364,6 @@ def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Pat
     recording = open_recording(bag.path)
     np.testing.assert_array_equal(recording.frame(0).rgb, np.zeros_like(IMAGE))
     np.testing.assert_array_equal(recording.frame(1).rgb, IMAGE)
-
-
-def test_two_publishers_and_messages_of_two_types_are_told(tmp_path: Path):
-    with BagWriter(tmp_path, "ros1") as bag:
-        write_take(bag)
-        for name, ms in (("/a", 304), ("/b", 404)):
-            kind = "sensor_msgs/msg/Image"
-            bag._topics["/cam/image_raw"] = bag.writer.add_connection(
-                "/cam/image_raw", kind, typestore=bag.store, callerid=name
-            )
-            bag.image("/cam/image_raw", START_NS + ms * MS, IMAGE, "rgb8")
-        bag._topics["/points"] = bag.writer.add_connection("/points", "sensor_msgs/msg/Imu", typestore=bag.store)
-        bag.imu("/points", START_NS, (0.0, 0.0, 9.8))
-    recording = open_recording(bag.path)
-    assert any("/cam/image_raw has 3 publishers" in note for note in recording.notes)
-    told = "the topic /points has messages of several types: sensor_msgs/Imu, sensor_msgs/PointCloud2"
-    assert told in recording.notes and len(recording) == 3
 
 
 def test_a_broken_message_affects_only_its_frame(tmp_path: Path):
@@ -476,15 +424,3 @@ def test_a_real_realsense_recording(shared: Path):
     np.testing.assert_allclose(back[:, 2], expected_m, atol=1e-6)
     assert len(frame.cloud) > 100_000
     assert frame.depth_m is not None and frame.timestamp_ns == 360_713_523_000
-    listed = list_topics(recording.path, ReaderOptions()) or ()
-    used = {topic.name.removeprefix("/device_0/"): topic.use for topic in listed if topic.use}
-    assert used == {
-        "sensor_0/Depth_0/image/data": "depth",
-        "sensor_0/Depth_0/info": "rate of the depth",
-        "sensor_0/Depth_0/info/camera_info": "camera of the depth",
-        "sensor_0/Depth_0/tf/0": "transforms",
-        "sensor_0/option/Depth Units/value": "unit of the depth",
-        "sensor_1/Color_0/image/data": "image",
-        "sensor_1/Color_0/info/camera_info": "camera",
-        "sensor_1/Color_0/tf/0": "transforms",
-    }

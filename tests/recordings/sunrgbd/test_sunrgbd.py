@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 from scipy.spatial.transform import Rotation
-from sunrgbd_samples import DEPTH_MM, IMAGE, RTILT, WIDTH, A, K, png, upright_points, write_scene
+from small_recordings import sunrgbd_extracted
+from sunrgbd_samples import DEPTH_MM, IMAGE, WIDTH, A, png, upright_points, write_scene
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -22,21 +22,16 @@ from annotator.workflows.recorded.reading import has_truth, load_truth
 LABEL = "night_stand 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n\nbed 0 0 9 9 0 3 -0.5 1 1.2 0.5 -1 0\n"
 
 
+KEYS = ("000001", "000002")
+
+
 @pytest.fixture(params=["depth", "points"])
 def extracted(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Frames 000001 and 000002 of VoteNet's layout, clouds as .mat or .npz."""
-    for name in ("image", "calib", "label", request.param):
-        (tmp_path / name).mkdir()
-    xyz, rgb = upright_points()
-    for key in ("000001", "000002"):
-        (tmp_path / "image" / f"{key}.png").write_bytes(png(IMAGE[:, :, ::-1]))
-        columns = "\n".join(" ".join(f"{value:.9g}" for value in matrix.T.ravel()) for matrix in (RTILT, K))
-        (tmp_path / "calib" / f"{key}.txt").write_text(columns + "\n")
+    (tmp_path / "label").mkdir()
+    for key in KEYS:
         (tmp_path / "label" / f"{key}.txt").write_text(LABEL)
-        if request.param == "depth":
-            savemat(tmp_path / "depth" / f"{key}.mat", {"instance": np.c_[xyz, rgb / 255]}, do_compression=True)
-        else:
-            np.savez(tmp_path / "points" / f"{key}.npz", points=xyz, colors=rgb)
+    sunrgbd_extracted(tmp_path, KEYS, request.param)
     return tmp_path
 
 
