@@ -211,7 +211,7 @@ def readme_text(manifest: RcvManifest) -> str:
         _table("recording", "objects", counts.objects_by_recording),
         _table("detector", "name and fingerprint", {d.role: f"{d.name} {d.fingerprint}" for d in manifest.detectors}),
     ]
-    return README.read_text(encoding="utf-8").format(
+    return read_text_file(README).format(
         objects=amount(counts.objects, "object"),
         frames=amount(counts.frames, "frame"),
         generator=manifest.generator,

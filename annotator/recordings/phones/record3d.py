@@ -52,20 +52,21 @@ def decompress(data: bytes, expected_bytes: int) -> bytes:
         raise MissingExtraError("lzfse", "phones")
     if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
         raise ValueError(f"it has {len(data)} bytes, too many for an image of {expected_bytes}")
-    raw: bytes = fenced(f"{__name__}:unpack", data)
-    if len(raw) != expected_bytes:
-        raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
+    raw: bytes = fenced(f"{__name__}:unpack", data, expected_bytes)
     return raw
 
 
-def unpack(data: bytes) -> bytes:
-    """Decompresses a stream, in this process."""
+def unpack(data: bytes, expected_bytes: int) -> bytes:
+    """As `decompress`, in this process."""
     import lzfse
 
     try:
-        return bytes(lzfse.decompress(data))
+        raw = bytes(lzfse.decompress(data))
     except lzfse.error as error:
         raise ValueError("its compression (LZFSE) is damaged") from error
+    if len(raw) != expected_bytes:
+        raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
+    return raw
 
 
 @lru_cache(maxsize=4)
