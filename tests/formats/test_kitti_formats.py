@@ -5,6 +5,7 @@ tests/benchmarks/test_golden.py has the reference numbers.
 
 from __future__ import annotations
 
+import json
 import math
 import unicodedata
 import zipfile
@@ -89,6 +90,22 @@ def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
     with pytest.raises(FormatError) as caught:
         read_tracking_labels(path, None)
     assert str(caught.value).startswith(f"{path}:2: ")
+
+
+@pytest.mark.shared
+def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path) -> None:
+    for golden in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
+        P2 = np.array(golden["P2"]).reshape(3, 4)
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+        (tmp_path / "a.txt").write_text(golden["label"] + "\n")
+        (truth,) = read_object_labels(tmp_path / "a.txt", RigidTransform.from_translation(shift))
+        expected, center = np.array(golden["expected"]["corners_rect"]), truth.box.center_m - shift
+        gaps = np.linalg.norm((box_corners(truth.box) - shift)[:, None] - expected, axis=2)
+        assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-6
+        # the devkit's corners 0 to 3 are at the bottom, 0 and 1 at the front
+        bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
+        np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
+        np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
 
 
 @pytest.mark.parametrize(("label", "calibration"), [("NFC", "NFD"), ("NFD", "NFC")])

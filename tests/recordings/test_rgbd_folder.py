@@ -225,3 +225,10 @@ def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth:
     frame = open_recording(folder).frame(1)
     assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
     np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
+
+
+def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
+    (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
+    with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
+        open_recording(folder).frame(0)
+    assert open_recording(folder).frame(1).key == "000001"

@@ -271,3 +271,14 @@ def test_damage_is_an_error_that_names_the_file(
     with pytest.raises(RecordingError, match=complaint) as caught:
         open_recording(path).frame(0)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
+    path = tmp_path / "take.r3d"
+    path.write_bytes(b"RED1" + bytes(100))
+    with pytest.raises(RecordingError, match=r"take\.r3d: not a complete zip archive .*; export"):
+        open_recording(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("rgbd/0.jpg", b"")
+    with pytest.raises(RecordingError, match="has no file metadata"):
+        open_recording(path)

@@ -18,7 +18,7 @@ from annotator.recordings.ros import messages, pairing, pictures
 from annotator.recordings.ros.bag import Topic, open_bag
 from annotator.recordings.ros.bag_files import KEPT, Chunk, ChunkedFile
 from annotator.recordings.ros.pictures import lost_before
-from annotator.types.errors import MissingExtraError, RecordingError, UnknownFormatError
+from annotator.types.errors import FrameError, MissingExtraError, RecordingError, UnknownFormatError
 
 
 def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
@@ -119,6 +119,34 @@ def test_a_ros1_bag_without_its_index_is_refused_with_the_command_that_restores_
     cut(bag.path, 0.6)
     with pytest.raises(RecordingError, match=r"has no index, or is damaged .*; run rosbag reindex take\.bag"):
         open_recording(bag.path)
+
+
+def test_files_of_another_content_are_not_bags(tmp_path: Path):
+    for name in ("a.bag", "a.mcap", "a.db3"):
+        (tmp_path / name).write_bytes(b"no bag")
+        assert detect_format(tmp_path / name) is None
+    (tmp_path / "b.db3").write_bytes(b"SQLite format 3\0" + bytes(100))
+    with pytest.raises(RecordingError, match=r"b\.db3: "):
+        open_recording(tmp_path / "b.db3")
+
+
+@pytest.mark.parametrize(("container", "compression"), [("ros1", "lz4"), ("mcap", "storage")])
+def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path, container: str, compression: str):
+    with BagWriter(tmp_path, container, compression) as bag:
+        if container == "ros1":
+            bag.writer.chunk_threshold = 5000
+        write_take(bag, 400 if container == "mcap" else 100)
+    file = bag.path if bag.path.is_file() else next(bag.path.glob("*.mcap"))
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 400] = bytes(400)
+    file.write_bytes(content)
+    recording, readable = open_recording(bag.path), 0
+    for i in range(len(recording)):
+        try:
+            readable += len(recording.frame(i).cloud) > 0
+        except FrameError as error:
+            assert str(error).startswith(str(bag.path))
+    assert readable > 30
 
 
 @pytest.mark.parametrize("how", WRITERS)
