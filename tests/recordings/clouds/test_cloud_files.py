@@ -172,6 +172,8 @@ def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path)
     np.savez(tmp_path / "a.npz", weights=XYZ)
     with pytest.raises(FrameError, match=r"has no array points or .* \(its arrays: weights\)"):
         read_cloud(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=XYZ, cloud=np.array(["other arrays are not read"]))
+    assert len(read_cloud(tmp_path / "a.npz").xyz_m) == len(XYZ)
     np.savez(tmp_path / "a.npz", points=XYZ, colors=RGB[:-1])
     with pytest.raises(FrameError, match="for 500 points"):
         read_cloud(tmp_path / "a.npz")

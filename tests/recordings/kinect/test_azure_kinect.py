@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from annotator.recordings import detect_format, open_recording
+from annotator.recordings.kinect import matroska
 from annotator.recordings.kinect.matroska import Block, element_head, read_index
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import FrameError, RecordingError
@@ -265,3 +266,11 @@ def test_unknown_and_huge_sizes_are_handled(tmp_path: Path):
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
+
+
+def test_too_many_blocks_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
+    head, block = b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff", b"\xa3\x84\x81\x00\x00\x80"
+    (tmp_path / "x.mkv").write_bytes(head + block * 11)
+    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
+        read_index(tmp_path / "x.mkv")
