@@ -143,6 +143,7 @@ FALSE_HEADERS = [
     ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
     ("a.pcd", pcd(PLAIN, "gzip", b" ", 10), "encoding 'gzip' is unknown"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n", "the PCD header is damaged"),
+    ("a.pcd", pcd(PLAIN, "binary", bytes(120), -1), "the PCD header is damaged .-1 points"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has neither POINTS nor"),
     ("a.npy", npy_header((HUGE, 3)) + bytes(36), "too large"),
     ("a.npy", npy_header((3, 3)) + bytes(35), "its array is damaged"),
