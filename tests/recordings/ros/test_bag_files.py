@@ -130,13 +130,10 @@ def test_files_of_another_content_are_not_bags(tmp_path: Path):
         open_recording(tmp_path / "b.db3")
 
 
-@pytest.mark.parametrize(("container", "compression"), [("ros1", "lz4"), ("mcap", "storage")])
-def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path, container: str, compression: str):
-    with BagWriter(tmp_path, container, compression) as bag:
-        if container == "ros1":
-            bag.writer.chunk_threshold = 5000
-        write_take(bag, 400 if container == "mcap" else 100)
-    file = bag.path if bag.path.is_file() else next(bag.path.glob("*.mcap"))
+def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap", "storage") as bag:
+        write_take(bag, 400)
+    file = next(bag.path.glob("*.mcap"))
     content = bytearray(file.read_bytes())
     content[len(content) // 2 : len(content) // 2 + 400] = bytes(400)
     file.write_bytes(content)
@@ -146,7 +143,7 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path, container: st
             readable += len(recording.frame(i).cloud) > 0
         except FrameError as error:
             assert str(error).startswith(str(bag.path))
-    assert readable > 30
+    assert 200 < readable < len(recording) == 400
 
 
 @pytest.mark.parametrize("how", WRITERS)
