@@ -66,7 +66,7 @@ def load(data: bytes, names: list[str]) -> tuple[list[str], dict[str, np.ndarray
     try:
         options = pyarrow.ipc.IpcReadOptions(use_threads=False)
         table = pyarrow.ipc.open_file(pyarrow.py_buffer(data), options=options).read_all()
-        if problem := memory_problem(points=table.num_rows):
+        if problem := memory_problem(points=table.num_rows, more_bytes=table.nbytes):
             raise FeatherError(problem)
         table.validate(full=True)
         found = {name: table.column(name) for name in names if name in table.column_names}

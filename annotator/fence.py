@@ -109,7 +109,6 @@ def serve() -> None:
     out = os.fdopen(os.dup(1), "wb")
     # what libraries print must not be taken for an answer
     os.dup2(2, 1)
-    answer: Any
     while True:
         try:
             function, values = pickle.load(sys.stdin.buffer)
@@ -117,13 +116,16 @@ def serve() -> None:
             return
         module, _, name = function.partition(":")
         try:
-            answer = getattr(import_module(module), name)(*values)
+            packed = pickle.dumps(getattr(import_module(module), name)(*values), pickle.HIGHEST_PROTOCOL)
+            if len(packed) > frame_memory():
+                raise MemoryError
         except MemoryError:
-            answer = FenceError(f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)")
+            said = f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)"
+            packed = pickle.dumps(FenceError(said))
         except ValueError as error:
-            answer = error
+            packed = pickle.dumps(error)
         # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
         except BaseException as error:
-            answer = FenceError(f"cannot be decoded ({str(error)[:100]})")
-        pickle.dump(answer, out, pickle.HIGHEST_PROTOCOL)
+            packed = pickle.dumps(FenceError(f"cannot be decoded ({str(error)[:100]})"))
+        out.write(packed)
         out.flush()

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import errno
 import io
+import struct
+import zlib
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +15,11 @@ import numpy as np
 
 from annotator.fence import FenceError, fenced
 from annotator.files import read_file
+
+HEAD_BYTES, COMPRESSED = 128, 15
+# Elements of cells and structs, each of which becomes an object; SUN RGB-D's table has about 700,000.
+MOST_OBJECTS = 2**21
+STEP_BYTES = 2**20
 
 
 class MatFileError(ValueError):
@@ -28,20 +37,42 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
     several lines.
 
     Args:
-        most_bytes: size limit of the file.
+        most_bytes: size limit of the file, also after decompression.
 
     Raises:
         MatFileError: too large, damaged, of another version, or no such variable.
         OSError: the file cannot be read.
     """
     try:
-        return fenced(f"{__name__}:load", read_file(path, most_bytes), name)
+        data = read_file(path, most_bytes)
+        if not _fits(data, most_bytes):
+            raise MatSizeError(f"is larger than {most_bytes // 2**20} MiB")
+        return fenced(f"{__name__}:load", data, name)
     except FenceError as error:
         raise MatFileError(str(error)) from error
     except OSError as error:
         if error.errno == errno.EFBIG:
             raise MatSizeError(f"is larger than {most_bytes // 2**20} MiB") from error
         raise
+
+
+def _fits(data: bytes, most_bytes: int) -> bool:
+    """Counts the bytes after decompression, without keeping them."""
+    order, at = ">" if data[126:128] == b"MI" else "<", HEAD_BYTES
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from(order + "II", data, at)
+        packed, at = data[at + 8 : at + 8 + length], at + 8 + length
+        if kind == COMPRESSED:
+            unpacking = zlib.decompressobj()
+            try:
+                while packed and not unpacking.eof:
+                    most_bytes -= len(unpacking.decompress(packed, STEP_BYTES))
+                    if most_bytes < 0:
+                        return False
+                    packed = unpacking.unconsumed_tail
+            except zlib.error:
+                return True  # scipy says what is wrong
+    return True
 
 
 def load(data: bytes, name: str) -> object:
@@ -58,16 +89,19 @@ def load(data: bytes, name: str) -> object:
         raise MatFileError(f"is damaged ({str(error)[:80]})") from error
     if name not in found:
         raise MatFileError(f"has no variable {name}")
-    return _plain(found[name])
+    return _plain(found[name], count())
 
 
-def _plain(value: Any) -> object:
+def _plain(value: Any, objects: Iterator[int]) -> object:
+    if next(objects) > MOST_OBJECTS:
+        raise MatFileError(f"has more than {MOST_OBJECTS} elements of cells and structs")
     if not isinstance(value, np.ndarray):
         return None
     if value.dtype.names is not None:
-        return [{field: _plain(row[field]) for field in value.dtype.names} for row in value.ravel(order="F")]
+        fields = value.dtype.names
+        return [{field: _plain(row[field], objects) for field in fields} for row in value.ravel(order="F")]
     if value.dtype.kind == "O":
-        return [_plain(each) for each in value.ravel(order="F")]
+        return [_plain(each, objects) for each in value.ravel(order="F")]
     if value.dtype.kind == "U":
         return "".join(value.ravel()) if value.size < 2 else None
     return value if value.dtype.kind in "biufc" else None

@@ -4,19 +4,20 @@ KITTI raw devkit, `cpp/tracklets.h` (fields, their values) and `matlab/run_demoT
 in the LiDAR's frame (x forward, y left, z up), tx ty tz is the middle of the bottom face, rz turns about z, 0 if the
 object faces +x; l w h are the sizes along its own x y z. Pose number k belongs to frame first_frame + k of the drive.
 
-The file is a serialised C++ object. External entities are never loaded, and expat limits how far others expand.
+The file is a serialised C++ object, which defines no entities. Those of other files are refused: they may expand to
+gigabytes, and long chains of them crash expat before version 2.7.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.files import DOCUMENT_BYTES, open_file
+from annotator.files import read_file
 from annotator.formats.reading import finite_number
 from annotator.formats.units import Angles
 from annotator.types import OrientedBox, Truth
@@ -58,18 +59,31 @@ def read_tracklets(path: Path) -> dict[int, list[Truth]]:
 
 def _tracklets(path: Path) -> list[Element]:
     try:
-        with open_file(path, DOCUMENT_BYTES) as file:
-            tracklets = ElementTree.parse(file).getroot().find("tracklets")
+        tracklets = _root(path, read_file(path)).find("tracklets")
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except ElementTree.ParseError as error:
-        raise FormatError(path, f"is not valid XML, or truncated ({error.msg})", error.position[0]) from error
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code)
+        raise FormatError(path, f"is not valid XML, or truncated ({reason})", error.lineno) from error
     except (LookupError, ValueError) as error:
         # expat looks up unknown encodings in Python
         raise FormatError(path, f"declares an encoding that cannot be read ({error}); save it as UTF-8", 1) from error
     if tracklets is None:
         raise FormatError(path, "is XML, but contains no tracklets")
     return tracklets.findall("item")
+
+
+def _root(path: Path, data: bytes) -> Element:
+    parser, tree = expat.ParserCreate(), TreeBuilder()
+
+    def refuse(*_: object) -> None:
+        raise FormatError(path, "defines entities (<!ENTITY), which tracklets have none of", parser.CurrentLineNumber)
+
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = tree.start, tree.end
+    parser.CharacterDataHandler, parser.EntityDeclHandler = tree.data, refuse
+    parser.Parse(data, True)
+    return tree.close()
 
 
 def _values(item: Element) -> dict[str, str]:

@@ -27,11 +27,13 @@ if TYPE_CHECKING:
 
 
 LAUGHS = "".join(f'<!ENTITY l{n} "{"".join([f"&l{n - 1};"] * 10)}">' for n in range(1, 12))
+CHAIN = "".join(f"<!ENTITY l{n + 1} '&l{n};'>" for n in range(400_000))
 XML = {
     "entities": f'<?xml version="1.0"?><!DOCTYPE l [<!ENTITY l0 "lol">{LAUGHS}]><b>&l11;</b>',
     "quadratic": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "' + "a" * 100_000 + '">]><b>'
     + "&a;" * 100_000 + "</b>",
     "outside": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY x SYSTEM "file:///etc/passwd">]><b>&x;</b>',
+    "chain": f"<!DOCTYPE l [<!ENTITY l0 'x'>{CHAIN}]><b>&l400000;</b>",
     "deep": "<a>" * 100_000,
     "attributes": "<a " + " ".join(f'a{n}="1"' for n in range(100_000)) + "/>",
 }  # fmt: skip

@@ -128,6 +128,7 @@ POLYGONS = [[30, 20, 50, 20, 40, 45], [38, 44, 42, 44, 40, 60]]
         (turned("90", (20, 30, 40, 10)), (35, 15, 45, 55), 1),
         # no angle, but somebody's own attribute
         (turned("left", (20, 30, 40, 10)), (20, 30, 60, 40), 0),
+        (turned(0, (-5, 30, 40, 10)), (0, 30, 35, 40), 0),
         # the rectangle around a turned box may reach beyond the picture
         (turned(90, (0, 0, 40, 10)), (15, 0, 25, 25), 1),
         # polygons without a box, and with one

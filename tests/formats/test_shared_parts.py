@@ -46,6 +46,11 @@ def test_a_spreadsheet_runs_no_cell(name: str) -> None:
     assert read == FrameOrigin("a", name, name, name)
 
 
+@pytest.mark.parametrize("name", ["-5", "+0.5e-3", "12", "a=b", "'a", "a-1"])
+def test_numbers_and_other_texts_stay_as_they_are(name: str) -> None:
+    assert dump_frames([FrameOrigin(name, name, name)]).endswith(f"{name},{name},{name},\r\n")
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -169,6 +174,23 @@ def test_sizes_of_ships_are_doubted_and_read() -> None:
     assert (lengths.problem() or "").startswith(
         "2 of 3 boxes are longer than 100 m (the median is 400 m), so they look"
     )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ([(0.19, 0.08, 0.03)], None),
+        ([(4, 2, 1.6), (4000, 2000, 1600), (5, 2, 2)], None),
+        ([(0.004, 0.002, 0.0016)] * 2, r"2 of 2 boxes are shorter than 5 mm .* kilometres"),
+    ],
+)
+def test_sizes_of_most_boxes_that_no_scene_has_are_no_metres(sizes: list[tuple[float, ...]], said: str | None) -> None:
+    lengths = Lengths(np.array(size, float) for size in sizes)
+    if said is None:
+        lengths.require(FILE)
+    else:
+        with pytest.raises(UnitError, match=said):
+            lengths.require(FILE)
 
 
 HEAD = "image,class,cx,cy,cz,l,w,h,yaw,score"

@@ -190,3 +190,10 @@ def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
         camera = json.dumps(INTRINSICS | {"depth_encoding": encoding})
         (folder / "camera_intrinsic.json").write_text(camera)
         np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
+
+
+def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
+    (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
+    with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
+        open_recording(folder).frame(0)
+    assert open_recording(folder).frame(1).key == "000001"

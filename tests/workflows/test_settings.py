@@ -64,9 +64,19 @@ def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_pat
     assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, fit=FitConfig(edge_noise=0.05))
 
 
+def test_only_changed_settings_are_stored(project: Project) -> None:
+    keep(project, max_steps=7)
+    assert json.loads((project.path / "project.json").read_text())["settings"]["rcv"] == {"max_steps": 7}
+
+
+TYPICAL = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1]}
 WRONG = [
     ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
     ({"fit": {"edgenoise": 3}}, "fit.edgenoise: there is no such setting; did you mean 'edge_noise'?"),
+    (
+        {"typical_sizes": [TYPICAL | {"sprad": 1}]},
+        "typical_sizes.0.sprad: there is no such setting; did you mean 'spre",
+    ),
     ({"view": {"size_px": 9999}}, "view.size_px: must be less than or equal to 2048, not 9999"),
     ({"strategy": "magic"}, "strategy: must be 'camera', 'eigenvectors', 'normals' or 'consensus', not 'magic'"),
     ({"orientation": "free"}, "orientation: cannot be set: it follows from the rotation"),

@@ -47,19 +47,18 @@ def parse_npz(data: bytes) -> RawCloud:
     try:
         with open_archive(io.BytesIO(data)) as archive:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            # of an archive, the sizes are read before the values are unpacked
-            arrays = {
-                name: read_array(archive.open(infos[name])) for name in (*POINT_NAMES, *COLOR_NAMES) if name in infos
-            }
+            # other arrays may be of any kind, and large
+            points, colors = (next((n for n in names if n in infos), "") for names in (POINT_NAMES, COLOR_NAMES))
+            # sizes are read before the values are unpacked
+            arrays = [read_array(archive.open(infos[name])) for name in (points, colors) if points and name]
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"its archive cannot be read ({error})") from error
-    points, colors = (next((name for name in names if name in arrays), None) for names in (POINT_NAMES, COLOR_NAMES))
-    if points is None:
+    if not arrays:
         present = ", ".join(sorted(infos)[:5]) or "none"
         raise ValueError(f"has no array {' or '.join(POINT_NAMES)} (its arrays: {present})")
-    columns = _columns(arrays[points])
-    if colors is not None:
-        columns |= _color_columns(arrays[colors], len(columns["x"]))
+    columns = _columns(arrays[0])
+    for each in arrays[1:]:
+        columns |= _color_columns(each, len(columns["x"]))
     return from_columns(columns)
 
 

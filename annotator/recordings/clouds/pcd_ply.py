@@ -88,6 +88,8 @@ def parse_pcd(data: bytes) -> RawCloud:
     header, offset = _pcd_header(data)
     try:
         dtype, count = _pcd_dtype(header), _pcd_count(header)
+        if count < 0:
+            raise ValueError(f"{count} points")
     except (ValueError, TypeError, LookupError) as error:
         raise ValueError(f"the PCD header is damaged ({error})") from error
     encoding = header["DATA"][0] if header["DATA"] else ""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from annotator.files import open_file
+from annotator.types.errors import RecordingError
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 TRACK_ENTRY, VIDEO = 0xAE, 0xE0
@@ -34,6 +35,8 @@ LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
 # A century; sums and differences of two such times fit into 64 bits.
 MOST_NS = 1 << 62
+# Several hours of recording; a block of six bytes takes 200 in memory.
+MOST_BLOCKS = 4_000_000
 # Chunk sizes for the search after a damaged part: they grow, so that many small damaged parts stay cheap.
 FIRST_CHUNK, LARGEST_CHUNK = 1 << 12, 1 << 20
 
@@ -145,6 +148,8 @@ class _IndexReader:
             return
         is_laced = bool(head[length + 2] & LACING_BITS)
         before = length + 3
+        if len(self.blocks) == MOST_BLOCKS:
+            raise RecordingError(f"{self.path}: has more than {MOST_BLOCKS} blocks; cut the recording into parts")
         self.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
 
     def _next_cluster(self, at: int, end: int) -> int:

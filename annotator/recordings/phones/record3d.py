@@ -28,7 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from annotator.fence import fenced
-from annotator.files import ARCHIVE_ERRORS, check_file
+from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
@@ -52,26 +52,28 @@ def decompress(data: bytes, expected_bytes: int) -> bytes:
         raise MissingExtraError("lzfse", "phones")
     if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
         raise ValueError(f"it has {len(data)} bytes, too many for an image of {expected_bytes}")
-    raw: bytes = fenced(f"{__name__}:unpack", data)
+    raw: bytes = fenced(f"{__name__}:unpack", data, expected_bytes)
+    return raw
+
+
+def unpack(data: bytes, expected_bytes: int) -> bytes:
+    """As `decompress`, in this process."""
+    import lzfse
+
+    try:
+        raw = bytes(lzfse.decompress(data))
+    except lzfse.error as error:
+        raise ValueError("its compression (LZFSE) is damaged") from error
     if len(raw) != expected_bytes:
         raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
     return raw
 
 
-def unpack(data: bytes) -> bytes:
-    """Decompresses a stream, in this process."""
-    import lzfse
-
-    try:
-        return bytes(lzfse.decompress(data))
-    except lzfse.error as error:
-        raise ValueError("its compression (LZFSE) is damaged") from error
-
-
 @lru_cache(maxsize=4)
 def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
     """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
-    check_file(path)
+    with open_file(path) as file:
+        open_archive(file).close()
     return zipfile.ZipFile(path)
 
 
@@ -96,9 +98,12 @@ def read_entry(path: Path, name: str) -> bytes:
     if path.is_dir():
         return read_frame_file(path / name)
     archive = _opened(path)
-    require_memory(more_bytes=archive.getinfo(name).file_size)
+    size = archive.getinfo(name).file_size
+    require_memory(more_bytes=size)
     try:
-        return archive.read(name)
+        with archive.open(name) as file:
+            # without a number, it unpacks up to 2 GiB of what follows, whatever the archive declares
+            return file.read(size)
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"the archive is damaged here ({error})") from error
 

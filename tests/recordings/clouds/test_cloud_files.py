@@ -140,6 +140,7 @@ FALSE_HEADERS = [
     ("a.pcd", pcd(PLAIN, "binary_compressed", lzf(bytes(120))[:50], 10), "compressed bytes but has"),
     ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
     ("a.pcd", b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4\nTYPE F F F\nPOINTS 1\nDATA binary\n", "the PCD header is damaged"),
+    ("a.pcd", pcd(PLAIN, "binary", bytes(120), -1), "the PCD header is damaged .-1 points"),
     ("a.npy", npy_header((HUGE, 3)) + bytes(36), "too large"),
     ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
     ("a.npz", b"PK\x03\x04 no archive", "archive cannot be read"),
@@ -159,6 +160,17 @@ def test_a_false_header_is_an_error_before_memory_is_allocated(
     assert "; " in str(caught.value)
     grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert sys.platform != "linux" or grown_kb < 100_000
+
+
+def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path):
+    np.savez(tmp_path / "a.npz", weights=XYZ)
+    with pytest.raises(FrameError, match=r"has no array points or .* \(its arrays: weights\)"):
+        read_cloud(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=XYZ, cloud=np.array(["other arrays are not read"]))
+    assert len(read_cloud(tmp_path / "a.npz").xyz_m) == len(XYZ)
+    np.savez(tmp_path / "a.npz", points=XYZ, colors=RGB[:-1])
+    with pytest.raises(FrameError, match="for 500 points"):
+        read_cloud(tmp_path / "a.npz")
 
 
 @settings(deadline=None)

@@ -103,6 +103,23 @@ DAMAGES = [
 ]
 
 
+def test_invalid_points_are_left_out(folder: Path, scan: np.ndarray):
+    broken = scan.copy()
+    broken[::7, 1], broken[1::7, 3] = np.nan, np.inf
+    scan_path(folder).write_bytes(broken.tobytes())
+    inside = by_formula(scan)[1] & np.isfinite(broken).all(axis=1)
+    assert len(open_recording(folder).frame(0).cloud) == inside.sum()
+
+
+def test_a_missing_scan_affects_only_its_frame(folder: Path):
+    scan_path(folder).unlink()
+    recording = open_recording(folder)
+    assert recording.keys == ("000003", "000005")
+    with pytest.raises(FrameError, match=r"velodyne/000003\.bin: missing; put 000003\.bin beside the image 000003"):
+        recording.frame(0)
+    assert recording.frame(1).key == "000005"
+
+
 def test_a_missing_calibration_is_an_error_of_its_frame_or_of_the_recording(folder: Path):
     path = calib_path(folder)
     path.unlink()

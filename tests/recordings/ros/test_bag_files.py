@@ -13,11 +13,11 @@ from bag_writer import BagWriter
 from foxglove_takes import WRITERS, foxglove_take, picture_take, write_mcap
 from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 
-from annotator.recordings import open_recording
+from annotator.recordings import detect_format, open_recording
 from annotator.recordings.ros import pairing, pictures
 from annotator.recordings.ros.bag import Topic, open_bag
 from annotator.recordings.ros.pictures import lost_before
-from annotator.types.errors import RecordingError, UnknownFormatError
+from annotator.types.errors import FrameError, RecordingError, UnknownFormatError
 
 
 def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
@@ -95,6 +95,31 @@ def test_a_ros1_bag_without_its_index_is_refused_with_the_command_that_restores_
     cut(bag.path, 0.6)
     with pytest.raises(RecordingError, match=r"has no index, or is damaged .*; run rosbag reindex take\.bag"):
         open_recording(bag.path)
+
+
+def test_files_of_another_content_are_not_bags(tmp_path: Path):
+    for name in ("a.bag", "a.mcap", "a.db3"):
+        (tmp_path / name).write_bytes(b"no bag")
+        assert detect_format(tmp_path / name) is None
+    (tmp_path / "b.db3").write_bytes(b"SQLite format 3\0" + bytes(100))
+    with pytest.raises(RecordingError, match=r"b\.db3: "):
+        open_recording(tmp_path / "b.db3")
+
+
+def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap", "storage") as bag:
+        write_take(bag, 400)
+    file = next(bag.path.glob("*.mcap"))
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 400] = bytes(400)
+    file.write_bytes(content)
+    recording, readable = open_recording(bag.path), 0
+    for i in range(len(recording)):
+        try:
+            readable += len(recording.frame(i).cloud) > 0
+        except FrameError as error:
+            assert str(error).startswith(str(bag.path))
+    assert 200 < readable < len(recording) == 400
 
 
 @pytest.mark.parametrize("how", WRITERS)

@@ -187,6 +187,19 @@ def test_unreadable_frames_are_left_out_on_request(
     assert not (tmp_path / "none").exists()
 
 
+def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder, place = own_copy("people"), tmp_path / "place"
+    project = make_project(folder)
+    label_all(project, (0, 3))
+    (folder / "depth" / "000003.png").write_bytes(b"\x89PNG")
+    place.mkdir()
+    with pytest.raises(FrameError, match=r"depth/000003\.png"):
+        exported(project, place / "out")
+    assert list(place.iterdir()) == []
+
+
 def test_missing_frames_with_labels_fail_the_export(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -337,6 +350,28 @@ def test_several_recordings_are_one(make_project: MakeProject, generated: Path, 
         assert len(recording) == len(set(recording.keys)) == report.frames
         sizes = {recording.frame(i).rgb.shape for i in range(len(recording))}
         assert len(sizes) == len({FrameSource(project).read(each).rgb.shape for each in project.frames.of()})
+
+
+def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(
+    labelled_people: Project, tmp_path: Path
+) -> None:
+    export_project(labelled_people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
+    recording, source = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP"), FrameSource(labelled_people)
+    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
+    known = [np.sort(np.linalg.norm(source.read(each).cloud.xyz_m, axis=1)) for each in labelled_people.frames.of()]
+    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
+
+
+@pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.OPENLABEL])
+def test_rejected_boxes_of_an_export_are_no_labels(
+    labelled_people: Project, tmp_path: Path, format: ExportFormat
+) -> None:
+    stored = labelled_people.frames.of()[0]
+    (uid, *kept) = (label.uid for label in labelled_people.labels.of_frame(stored.id))
+    labelled_people.labels.reject(stored.id, uid, WriteContext(stored.revision, "me"))
+    export_project(labelled_people, tmp_path / "out", format, choose=ExportFilter(empty_frames=True, states=STATES))
+    recording = open_recording(tmp_path / "out")
+    assert len(load_truth(recording, 0, recording.frame(0))) == len(kept) == 2
 
 
 def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:

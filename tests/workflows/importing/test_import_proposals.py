@@ -197,6 +197,16 @@ def test_a_later_file_of_a_source_keeps_the_ids_that_its_tracks_got(people: Proj
     assert tracks_by_place(people) == {0.0: {2}, 5.0: {3}}
 
 
+def test_a_track_that_needs_another_id_does_not_get_one_of_the_same_file(people: Project, tmp_path: Path) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel("person", box(30.0), track_id=1)], WriteContext(0, "me"))
+    frames = {first.key: [(0.0, 1), (10.0, 2)], second.key: [(0.0, 1), (10.0, 2), (20.0, 3)]}
+    for name in ("one", "one", "two"):
+        import_proposals(people, read_labels(BoxFormat.BOXES, tracked(tmp_path / f"{name}.json", frames)))
+        ids = [track for tracks in tracks_by_place(people).values() for track in tracks]
+        assert len(ids) == len({*ids}) == 3 and 1 not in ids
+
+
 def test_ids_that_other_sources_use_are_not_used_again_although_both_see_the_object(
     people: Project, tmp_path: Path
 ) -> None:

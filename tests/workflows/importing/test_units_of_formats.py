@@ -22,6 +22,7 @@ from annotator.workflows.importing import (
     BoxFormat,
     Note,
     format_of,
+    import_image_boxes,
     import_labels,
     import_proposals,
     read_labels,
@@ -147,6 +148,17 @@ def test_angles_that_contradict_labelclouds_classes_are_refused(
         read_labels(BoxFormat.LABELCLOUD, labelcloud(tmp_path, angle, form))
 
 
+@pytest.mark.parametrize(("angle", "said"), [(1.5, "may be radians or degrees"), (-90.0, "are neither radians in")])
+def test_ambiguous_angles_need_the_option(tmp_path: Path, angle: float, said: str) -> None:
+    path = labelcloud(tmp_path, angle)
+    (path / "labels/_classes.json").unlink()
+    with pytest.raises(UnitError, match=f"{said}.*--angles radians or --angles degrees"):
+        read_labels(BoxFormat.LABELCLOUD, path)
+    for unit in AngleUnit:
+        turn = Rotation.from_rotvec([0, 0, angle], degrees=unit is AngleUnit.DEGREES).as_matrix()
+        np.testing.assert_allclose(boxes(BoxFormat.LABELCLOUD, path, unit)[0].rotation, turn, atol=1e-12)
+
+
 def test_a_format_without_angles_refuses_the_option(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nuscenes has no angles; leave out --angles"):
         read_labels(BoxFormat.NUSCENES, tmp_path, AngleUnit.DEGREES)
@@ -180,6 +192,41 @@ def test_quaternions_in_the_other_order_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnitError, match="as x y z w, 1 of 1 box is tilted, and as w x y z 0"):
         read_labels(BoxFormat.OPENLABEL, path)
     assert check_datasets(path.parent).by_rule == {"quaternion-order": 1}
+
+
+TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=True).tolist()
+
+
+@pytest.mark.parametrize("rotations", [[[0.0, 0.0, 0.0, 1.0]], TILTED], ids=["half a turn", "tilted in both orders"])
+def test_quaternions_that_may_be_right_are_read(tmp_path: Path, rotations: list[list[float]]) -> None:
+    assert len(list(read_labels(BoxFormat.NUSCENES, results(tmp_path, *rotations)).sizes_m)) == len(rotations)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ({"a": 1}, "results.a: must be a list of boxes"),
+        ({"a": [{"size": [1, 2, 3]}]}, "results.a.0.translation: Field required"),
+        ({"a": [{"size": [1, 2, 3], "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]}]}, "detection_name"),
+        ([], "must be a JSON object"),
+    ],
+)
+def test_damaged_results_are_refused_with_their_place(tmp_path: Path, content: Any, problem: str) -> None:
+    with pytest.raises(FormatError, match=r"results\.json") as raised:
+        read_labels(BoxFormat.NUSCENES, put(tmp_path / "results.json", {"results": content}))
+    assert problem in str(raised.value)
+
+
+def test_turned_2d_boxes_are_counted(make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> None:
+    project = make_project(generated / "people")
+    turned = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [100, 80, 40, 20], "attributes": {"rotation": 90.0}}
+    content = {
+        "images": [{"id": 1, "file_name": f"{project.frames.of()[0].key}.png", "width": 320, "height": 240}],
+        "annotations": [turned],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    done = import_image_boxes(project, put(tmp_path / "coco.json", content), None)
+    assert (done.boxes, done[Note.AROUND]) == ({"person": 1}, 1)
 
 
 def test_left_handed_axes_are_refused_by_that_word(tmp_path: Path) -> None:

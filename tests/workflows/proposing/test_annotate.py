@@ -283,6 +283,22 @@ def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) ->
     monkeypatch.setattr(type(project.proposals), "replace", interrupted)
 
 
+def test_finalised_frames_and_reviewed_labels_stay_and_are_not_proposed_again(
+    people: Project, knowing: Knowing
+) -> None:
+    recording = open_recording(people.recordings.all()[0].path)
+    truth = load_truth(recording, 0, recording.frame(0))[0]
+    first, second = people.frames.of()[:2]
+    (uid,) = people.labels.create(first.id, [NewLabel(truth.label, truth.box)], WriteContext(0, "me")).uids
+    people.frames.finalise(second.id, WriteContext(0, "me"))
+    done = annotate(people, knowing("people"), CONFIG, limit=1)
+    assert (done.frames, done.skipped) == (1, 1)
+    states = {label.uid: label.state for label in people.labels.of_frame(first.id)}
+    assert states.pop(uid) is ReviewState.ACCEPTED
+    assert list(states.values()) == [ReviewState.PROPOSED] * 2
+    assert people.labels.of_frame(second.id) == () and people.frames.get(second.id).revision == 1
+
+
 def test_a_frame_finalised_during_processing_is_not_changed(people: Project, knowing: Knowing) -> None:
     stored = people.frames.of()[1]
     image = Interfering(knowing("people"), stored.key, lambda: people.frames.finalise(stored.id, WriteContext(0, "me")))

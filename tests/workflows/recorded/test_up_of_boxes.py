@@ -176,3 +176,19 @@ def test_an_estimate_uses_the_boxes_if_the_frames_do_not_tell(project: Project) 
     assert np.degrees(np.arccos(np.dot(found.up, UP))) < 4
     assert found.reason == "10 reviewed boxes stand along it and are turned about it"
     assert up_of(project) is None
+
+
+def test_boxes_of_another_class_that_lean_keep_the_rotation_free(project: Project) -> None:
+    review(project, TURNING)
+    review(project, TURNING, up=np.array([0.6, -0.6, 0.5]) / np.linalg.norm([0.6, -0.6, 0.5]), label="hand")
+    assert learn_up(project) == ()
+
+
+def test_a_direction_that_the_files_give_stays(tmp_path: Path, wall: Path) -> None:
+    folder = shutil.copytree(wall, tmp_path / "wall")
+    (folder / "gravity.json").write_text('{"up": [0, -1, 0]}')
+    with create_project(tmp_path, "known", ("person",)) as project:
+        register_recording(project, open_recording(folder))
+        review(project, TURNING)
+        assert learn_up(project) == ()
+        assert up_of(project) == pytest.approx([0, -1, 0])
