@@ -18,8 +18,6 @@ from annotator.workflows.recorded.reading import load_truth
 from benchmarks.review import Arguments, run
 from benchmarks.review_moves import (
     Bill,
-    peers,
-    steady,
 )
 from benchmarks.review_operator import Operator
 
@@ -76,17 +74,6 @@ def test_wrong_proposals_are_corrected_missing_ones_drawn_others_rejected(room: 
     assert sum(bill.actions[kind] for kind in ("drag box", "drag edge", "drag corner", "refit", "draw on view")) >= 1
     drawn = room.labels.of_frame(room.frames.of()[1].id)
     assert max(iou_3d(label.box, missing) for label in drawn) >= QUALITY
-
-
-def test_peers_pay_for_each_box() -> None:
-    points = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)) * BOX.size_m @ BOX.rotation.T + BOX.center_m
-    figures = peers([(BOX, points)], QUALITY, steady)
-    assert set(figures) == {"SUSTechPOINTS", "CVAT", "labelCloud"}
-    # the points fill the box, so that the fit is right
-    assert figures["SUSTechPOINTS"]["actions_per_box"] == 1
-    assert figures["labelCloud"]["actions_per_box"] == 5
-    assert figures["CVAT"]["actions_per_box"] > 5, "a cube is no car"
-    assert all(row["failures"] == 0 for row in figures.values())
 
 
 def test_bad_arguments_say_what_is_possible(people: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -186,65 +185,3 @@ def test_without_the_option_the_report_names_it(folder: Path, capsys: pytest.Cap
     assert "`annotator import PROJECT PATH --add-attributes` gives it those of a file, and its labels" in out
     assert main([*words, "--as", "2d", "--add-attributes"]) == 2
     assert "--add-attributes is for labels and proposals" in capsys.readouterr().err
-
-
-def test_labels_that_came_with_a_recording_get_the_values_too(
-    tmp_path: Path, generated: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, words = tmp_path / "take", ["--projects", str(tmp_path)]
-    shutil.copytree(generated / "people", folder)
-    (file,) = folder.rglob("boxes.json")
-    content = json.loads(file.read_text())
-    for boxes in content.values():
-        for number, box in enumerate(boxes):
-            box["attributes"] = {"pose": "sitting" if number % 2 else "standing", "age": number}
-    file.write_text(json.dumps(content))
-    assert main(["new", "rooms", "--classes", "person", *words]) == 0
-    assert main(["add", "rooms", str(folder), *words]) == 0
-    assert "annotator import PROJECT PATH --add-attributes" in capsys.readouterr().out
-    with open_project(tmp_path / "rooms") as project:
-        finalised, *rest = project.frames.of()
-        project.frames.finalise(finalised.id, WriteContext(finalised.revision, "me"))
-        first = project.labels.of_frame(rest[0].id)[0]
-        assert main(["classes", "attribute", "rooms", "age", "--kind", "integer", *words]) == 0
-        revision = project.frames.get(rest[0].id).revision
-        project.labels.set_attributes(rest[0].id, first.uid, {"age": 77}, WriteContext(revision, "me"))
-    again = ["import", "rooms", str(file), *words]
-    assert main(again) == 0
-    assert "attributes:" not in capsys.readouterr().out
-    assert main([*again, "--add-attributes"]) == 0
-    boxes = sum(map(len, content.values())) - len(content[finalised.key])
-    assert f"attributes: {2 * boxes - 1} values for labels and frames that had none" in capsys.readouterr().out
-    with open_project(tmp_path / "rooms") as project:
-        assert [dict(each.attributes) for each in project.labels.of_frame(finalised.id)] == [{}] * 3
-        assert project.labels.get(first.uid).label.attributes == {"pose": "standing", "age": 77}
-        for frame in rest[1:]:
-            given = [box["attributes"] for box in content[frame.key]]
-            assert [dict(each.attributes) for each in project.labels.of_frame(frame.id)] == given
-    assert main([*again, "--add-attributes"]) == 0
-    assert "attributes:" not in capsys.readouterr().out
-
-
-def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--projects", str(folder)]
-    assert main(["import", "rooms", str(folder / "theirs.json"), "--add-attributes", *words]) == 0
-    assert main(["classes", "attribute", "rooms", "night", "--kind", "boolean", "--of", "frame", *words]) == 0
-    with open_project(folder / "rooms") as project:
-        frame = project.frames.of()[0]
-        project.frames.set_attributes(frame.id, {"night": True}, WriteContext(frame.revision, "me"))
-    assert main(["export", "rooms", str(folder / "out"), "--format", "coco", *words]) == 0
-    with open_project(folder / "rooms") as project:
-        frames = project.frames.of()
-        with project.store.write() as connection:
-            connection.exec_driver_sql("UPDATE labels SET attributes = '{}'")
-            connection.exec_driver_sql("DELETE FROM frame_attributes")
-        content = json.loads((project.path / "project.json").read_text())
-        del content["attributes"]
-        (project.path / "project.json").write_text(json.dumps(content))
-    capsys.readouterr()
-    assert main(["import", "rooms", str(folder / "out"), "--add-attributes", *words]) == 0
-    out = capsys.readouterr().out
-    assert "added: attribute night of a frame: true or false" in out
-    assert "attributes: 22 values for the 3D labels and frames that these images show" in out
-    with open_project(folder / "rooms") as project:
-        assert project.frames.attributes() == {frames[0].id: {"night": True}}

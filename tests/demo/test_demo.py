@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
@@ -16,12 +15,8 @@ from annotator.demo import (
     GOOD_IOU,
     SAME_IOU,
     FirstDragPlan,
-    Reviewed,
     SimulatedOperator,
     TrainedPlan,
-    add_recording,
-    generate,
-    new_project,
     run_first_drag,
     run_trained,
 )
@@ -29,10 +24,9 @@ from annotator.detection import pretrained
 from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, BoxRotation, NewLabel, Project, WriteContext, open_project
-from annotator.project.log.event_types import LabelDeleted, LabelProposed
-from annotator.project.log.records import BoxRecord
+from annotator.project.log.event_types import LabelDeleted
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState, Source
+from annotator.types import BoxKind, DetectorKind, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import AUTHOR
 from annotator.workflows.training.train import TrainPlan
@@ -84,38 +78,6 @@ def test_one_drawn_box_per_object_becomes_reviewed_boxes_in_all_frames(tmp_path:
 
 def _labels(project: Project, *states: ReviewState) -> list:  # type: ignore[type-arg]
     return [stored.label for stored in project.labels.select(states=states)]
-
-
-def test_what_a_viewer_changes_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    generate(tmp_path, "hands", 2, 0, lambda *_: None)
-    with new_project(tmp_path, "hands") as project:
-        operator = SimulatedOperator(project, add_recording(project, tmp_path))
-        frame = project.frames.of()[0]
-        truth = operator.missing(frame)[0]
-
-        def propose(size: float) -> str:
-            uid = uuid.uuid4().hex
-            box = OrientedBox.from_parts(truth.box.center_m, truth.box.rotation, truth.box.size_m * size)
-            payload = LabelProposed(uid=uid, label=truth.label, box=BoxRecord.of(box), track_id=7)
-            revision = project.frames.get(frame.id).revision
-            project.log.append(frame.id, [payload], WriteContext(revision, "program"))
-            return uid
-
-        uid, stale = propose(0.6), iter([True])
-        real = SimulatedOperator._labels
-
-        def viewer_is_faster(self: SimulatedOperator, *given: Any) -> object:
-            labels = real(self, *given)
-            if next(stale, False):
-                revision = project.frames.get(frame.id).revision
-                project.labels.delete(frame.id, uid, WriteContext(revision, "viewer"))
-            return labels
-
-        monkeypatch.setattr(SimulatedOperator, "_labels", viewer_is_faster)
-        assert operator.review(frame) == []
-        assert project.labels.of_frame(frame.id) == ()
-        assert operator.done == Reviewed(), "nothing is counted twice"
-        assert operator.reviewed_of([7]) == []
 
 
 @pytest.mark.usefixtures("clusters")

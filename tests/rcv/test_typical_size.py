@@ -14,7 +14,6 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv import finish
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
-from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
@@ -61,28 +60,6 @@ def evidence_of(
 def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
     parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
     return Candidates.of(parts)
-
-
-def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
-    evidence = evidence_of(BOX)
-    candidates = moved(BOX, (0, 0, 0), (0, 0, 0.2), (0, 0, 0.4))
-    axes, half = BOX.rotation.T, BOX.size_m / 2
-    center = BOX.center_m + np.array([0, 0, 0.4])
-    ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
-    sigma = np.full((3, 2), 0.01)
-    sigma[0, 0] = np.inf  # an unknown end has no say
-    ends[0, 0] = 99.0
-    change = evidence.score(candidates, [Intervals(axes, ends, sigma)]) - evidence.score(candidates)
-    assert change[2] == pytest.approx(0, abs=1e-9)
-    assert max(change[:2]) < change[2]
-    # of several rivals, the nearest counts
-    far = Intervals(axes, ends + 5.0, sigma)
-    both = evidence.score(candidates, [far, Intervals(axes, ends, sigma)]) - evidence.score(candidates)
-    assert both == pytest.approx(change)
-    # a less accurate detector counts less
-    rough = evidence.score(candidates, [Intervals(axes, ends, sigma * 20)]) - evidence.score(candidates)
-    assert rough[0] < rough[1] < rough[2]
-    assert (rough >= change - 1e-9).all()
 
 
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])

@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import SILHOUETTE_ROOM, Outline, depth_crops, expected_outline, image_planes
+from annotator.rcv.first_look import depth_crops
 from annotator.rcv.propose import propose, propose_from_boxes
 from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
 from annotator.recordings import open_recording
@@ -107,7 +106,6 @@ def test_a_tilted_start_box_gives_an_upright_box_from_silhouettes() -> None:
 
 
 SQUARE_CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
-DRAWN_BOX = OrientedBox.from_parts(np.array([0.1, -0.05, 2.0]), np.eye(3), np.array([0.4, 0.5, 0.3]))
 
 
 class AnyClass:
@@ -144,28 +142,6 @@ def test_each_layer_of_depth_gets_a_crop() -> None:
     assert depth_crops(SQUARE_CAMERA, xyz, image_box, len(xyz)) == []
 
 
-def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
-    outline = box_on_image(SQUARE_CAMERA, DRAWN_BOX, "object")
-    planes = image_planes(SQUARE_CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
-    heights = box_corners(DRAWN_BOX) @ planes.directions.T
-    assert len(planes.directions) == 4
-    assert heights.max(axis=0) == pytest.approx(0, abs=1e-9)
-    assert np.isinf(planes.sigma_m[:, 0]).all()
-    assert planes.sigma_m[:, 1] == pytest.approx(2 * 2.0 / 260, rel=0.1)
-
-
-def test_the_outline_of_a_whole_box_lies_outside_what_is_seen() -> None:
-    config, image_box = RcvConfig(), Box2D("object", 100.0, 50.0, 200.0, 239.0)
-    for image_kind, kind in ((BoxKind.BOX, BoxKind.BOX), (BoxKind.SILHOUETTE, BoxKind.SILHOUETTE)):
-        same = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(kind, True, image_kind))
-        assert same.box is image_box and same.sigma_px == pytest.approx(2.0)
-    whole = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(BoxKind.BOX, True, BoxKind.SILHOUETTE))
-    room = SILHOUETTE_ROOM
-    # the object may go on beyond the lower border of the image
-    assert whole.box.xyxy == pytest.approx((100 - 100 * room, 50 - 189 * room, 200 + 100 * room, 239.0))
-    assert (whole.sigma_px > 2).all()
-
-
 @pytest.mark.parametrize(("name", "least"), [("people", 0.85), ("hands", 0.75)])
 def test_objects_of_any_class_are_measured(
     generated, knowing: Callable[..., Detectors], name: str, least: float
@@ -188,18 +164,6 @@ def test_objects_of_any_class_are_measured(
     (none,) = propose_from_boxes([frame], [boxes], AnyClass(knowing(name).view, BoxKind.SILHOUETTE), config)
     assert none.proposals == ()
     assert len(none.lost) == len(truths)
-
-
-def test_a_detector_of_the_class_sees_no_crops(generated, knowing: Callable[..., Detectors]) -> None:
-    recording = open_recording(generated / "people")
-    frame = recording.frame(0)
-    truths = load_truth(recording, 0, frame)
-    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
-    for class_agnostic in (False, True):
-        config = RcvConfig(orientation=Orientation.UPRIGHT).for_detector(BoxKind.BOX, class_agnostic)
-        counting = Counting(knowing("people").view)
-        propose_from_boxes([frame], [boxes], counting, config)
-        assert (counting.calls[0] == 2 * len(boxes)) is not class_agnostic
 
 
 def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Callable[..., Detectors]) -> None:
