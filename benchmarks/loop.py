@@ -149,10 +149,8 @@ class Arguments(BoxOptions):
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """The project's settings, changed by the arguments."""
-        consensus = config.consensus
-        if self.refine_steps is not None:
-            consensus = consensus.model_copy(update={"refine_steps": self.refine_steps})
-        return config.model_copy(update={"strategy": self.axes, "consensus": consensus})
+        steps = config.refine_steps if self.refine_steps is None else self.refine_steps
+        return config.model_copy(update={"strategy": self.axes, "refine_steps": steps})
 
 
 def run(args: Arguments) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from annotator.types.errors import ConfigError, DetectionError
 FOLDER = Path(__file__).parent / "base"
 NAME = "base detector"
 TITLE = f"{NAME}, not trained on this project's classes"
+DOWNLOAD_TIMEOUT_S = 60.0
 
 
 def base_weights() -> Path:
@@ -63,7 +64,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
             None, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
         )
     try:
-        path = within(config.download_timeout_s, lambda: download(f"{name}.pt"))
+        path = within(DOWNLOAD_TIMEOUT_S, lambda: download(f"{name}.pt"))
     except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(

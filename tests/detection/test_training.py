@@ -178,10 +178,10 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
 
     config = TrainingConfig(
         image_size_px=96,
-        augmentation=Augmentation(flip_horizontal=0.5, flip_vertical=0.5, quarter_turns=True, shift=0.1, scale=0.3),
+        augmentation=Augmentation(flip_horizontal=0.5, shift=0.1, scale=0.3),
     )
     hooks = TrainerHooks(
-        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, True, lambda _: None, lambda _: None
+        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, lambda _: None, lambda _: None
     )
     settings = trainer_settings(config, DetectorKind.VIEW, 1, "cpu", tmp_path / "run")
     settings |= {"model": "yolo11n.yaml", "data": str(tiny_dataset / "data.yaml")}

@@ -23,7 +23,7 @@ from annotator.rcv.pseudo_view import (
 from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, PointCloud
 
-VIEW = ViewConfig(size_px=100, padding=0.05)
+VIEW = ViewConfig(size_px=100)
 
 
 def cloud_of(points: list[list[float]], colors: list[list[int]] | None = None) -> PointCloud:

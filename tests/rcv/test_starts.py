@@ -21,7 +21,7 @@ FREE, UPRIGHT = Orientation.FREE, Orientation.UPRIGHT
 def config_for(orientation: Orientation, sizes: Sequence[TypicalSize], trained: bool, deep: bool = False) -> RcvConfig:
     view = ViewConfig(deep=1e-3 if deep else 100.0)
     config = RcvConfig(orientation=orientation, typical_sizes=tuple(sizes), view=view)
-    config = config.model_copy(update={"consensus": config.consensus.model_copy(update={"refine_steps": 0})})
+    config = config.model_copy(update={"refine_steps": 0})
     return config.for_detector(BoxKind.BOX, class_agnostic=True, trained=trained)
 
 
