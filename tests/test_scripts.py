@@ -218,16 +218,3 @@ def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:
         {**package.get("dependencies", {}), **package.get("optionalDependencies", {})} for package in packages.values()
     ]
     assert [name for names in needed for name in names if f"node_modules/{name}" not in packages] == []
-
-
-def test_lines_of_javascript_and_css_are_short_enough() -> None:
-    files = [*(ROOT / "web_assets").rglob("*.js"), *(ROOT / "web_assets").rglob("*.css")]
-    assert len(files) > 50
-    long = [
-        f"{path.relative_to(ROOT)}:{number}"
-        for path in files
-        for number, line in enumerate(path.read_text().splitlines(), 1)
-        if len(line) >= 120
-    ]
-    # the formatter does not wrap comments and strings
-    assert long == []

@@ -175,13 +175,3 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
         "pose": "standing", "helmet": False, "age": 8.0, "mass": 80.5, "remark": "second", "plate": "13"
     }  # fmt: skip
     assert labels[2].attributes["mixed"] == "true"
-
-
-def test_without_the_option_the_report_names_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["import", "rooms", str(folder / "theirs.json"), "--projects", str(folder)]
-    assert main(words) == 0
-    out = capsys.readouterr().out
-    assert "skipped: 4 values of attribute pose (not an attribute of the project)" in out
-    assert "`annotator import PROJECT PATH --add-attributes` gives it those of a file, and its labels" in out
-    assert main([*words, "--as", "2d", "--add-attributes"]) == 2
-    assert "--add-attributes is for labels and proposals" in capsys.readouterr().err

@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +25,7 @@ from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
-from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, FormatError, MissingExtraError
+from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
 
 pytestmark = pytest.mark.slow
 
@@ -235,20 +234,6 @@ def test_an_export_beside_the_weights_is_never_used(own_weights: Path, exports: 
     opened_onnx(own_weights)
     assert len(exports) == 2
     assert {path.name for path in own_weights.parent.iterdir()} == {own_weights.name, sent.name}
-
-
-def test_without_a_writable_cache_an_export_is_repeated(
-    own_weights: Path, exports: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(out: Path, may_replace: Callable[[Path], bool]) -> Any:
-        # Permissions of folders do not apply to the superuser, so the refusal is simulated.
-        raise FormatError(out, "cannot be requested (Permission denied)")
-
-    monkeypatch.setattr(export_module, "new_folder", refuse)
-    for _ in range(2):
-        opened_onnx(own_weights)
-    assert len(exports) == 2
-    assert "Permission denied" in caplog.text
 
 
 def test_only_one_of_several_workers_exports(
