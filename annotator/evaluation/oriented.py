@@ -17,7 +17,6 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
-from annotator.types import OrientedBox
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,46 +193,6 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class FrameResult:
-    """Detections and truth of one class in one frame.
-
-    Attributes:
-        boxes, scores: detections.
-        truth: true boxes.
-    """
-
-    boxes: Sequence[OrientedBox]
-    scores: Sequence[float]
-    truth: Sequence[OrientedBox]
-
-
-def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
-    """The exact IoU of each true box with its detection; 0 without one.
-
-    Detections are assigned to true boxes one to one, with the largest total IoU.
-    """
-    ious = np.zeros(len(result.truth))
-    pairs = assigned(overlapping(_table([result.boxes]), _table([result.truth])), np.zeros(len(ious), np.int64))
-    ious[pairs.truth] = pairs.iou
-    return ious
-
-
-def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> float:
-    """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.oriented`.
-
-    Returns:
-        0..1; NaN without true boxes.
-    """
-    detections = _table([result.boxes for result in results])
-    true_boxes = _table([result.truth for result in results])
-    if not len(true_boxes):
-        return float("nan")
-    scores = np.array([score for result in results for score in result.scores], np.float64)
-    pairs = overlapping(detections, true_boxes)
-    return precision_recall(scores, pairs, len(true_boxes), iou_threshold).area
-
-
 def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
     """The pairs of the one-to-one assignment with the largest total IoU, per frame.
 
@@ -253,8 +212,3 @@ def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
         matched = pair[linear_sum_assignment(-iou)]
         chosen.append(matched[matched >= 0])
     return pairs.take(np.concatenate(chosen))
-
-
-def _table(boxes: Sequence[Sequence[OrientedBox]]) -> BoxTable:
-    """A table of each frame's boxes, of one class."""
-    return BoxTable.of((frame, "", box, 0.0) for frame, in_frame in enumerate(boxes) for box in in_frame)

@@ -107,16 +107,6 @@ def test_what_cannot_be_done_is_refused_with_the_way_out(cars: Path, capsys: pyt
         assert (cars / "project.json").read_text() == before
 
 
-def test_settings_of_an_attribute_change_together_and_are_unset(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words, shown in (
-        ("--kind number --minimum 0 --maximum 9 --default 5", "a number from 0 to 9; default 5.0"),
-        ("--maximum 3 --default 2 --drop", "a number from 0 to 3; default 2.0"),
-        ("--unset maximum default", "a number from 0"),
-    ):
-        assert main(["classes", "attribute", "cars", "age", *words.split()]) == 0
-        assert capsys.readouterr().out.splitlines()[-1] == f"attribute age: {shown}"
-
-
 @pytest.mark.parametrize("words", ["merge cars car --into van", "remove cars car --with-boxes"])
 def test_the_printed_command_brings_back_what_was_merged_or_removed(
     cars: Path, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

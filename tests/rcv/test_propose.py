@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,13 +11,10 @@ from scenes import Counting, frame_with, some_box
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.geometry.outline import box_on_image
 from annotator.rcv import recursion
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.finish import finish
 from annotator.rcv.propose import propose
-from annotator.rcv.recursion import ObjectState
-from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReason
+from annotator.types import Box2D, BoxKind, Image, StopReason
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
@@ -152,46 +148,3 @@ def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=BoxKind.SILHOUETTE)
     (found,) = propose([frame], perfect, OneSmall(perfect), config)[0].proposals
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
-
-
-# The selection of a frame's final boxes by their agreement with the image boxes.
-
-
-OWN = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
-OTHER = some_box([0.9, 0.0, 3.0], [0, 0.2, 0], [0.4, 0.5, 0.3])
-
-
-def seen(frame: Frame, box: OrientedBox) -> Box2D:
-    found = box_on_image(frame.camera, box, "thing")
-    assert found is not None
-    return found
-
-
-def ended(frame: Frame, image_box: Box2D, box: OrientedBox, points: slice = slice(0, 800)) -> ObjectState:
-    mask = np.zeros(len(frame.cloud), bool)
-    mask[points] = True
-    stop = StopReason.BOX_CONVERGED
-    cloud = frame.cloud.select(mask)
-    return ObjectState(0, image_box, cloud, None, np.eye(3), box=box, view_score=0.9, stop=stop)
-
-
-@pytest.fixture
-def frame() -> Frame:
-    return frame_with([OWN, OTHER])[0]
-
-
-def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame) -> None:
-    image_box = seen(frame, OWN)
-    both = [ended(frame, image_box, OTHER), ended(frame, image_box, OWN)]
-    (kept,) = finish(frame, both, RcvConfig()).proposals
-    assert kept.box is OWN
-    assert len(finish(frame, both[:1], RcvConfig()).proposals) == 1, "the only object of its frustum is kept"
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame, order: int) -> None:
-    own, neighbours = seen(frame, OWN), seen(frame, OTHER)
-    better = ended(frame, own, OWN)
-    worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.pose, OWN.size_m * 0.9))
-    (found,) = finish(frame, [worse, better][::order], RcvConfig()).proposals
-    assert found.image_box == own

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from test_warm_start import AnyClass
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.rcv import finish
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.rcv.typical_size import BY_SCORE, Candidates, Evidence, place
 from annotator.recordings import open_recording
@@ -129,23 +126,6 @@ def test_an_object_of_typical_size_needs_no_detection() -> None:
     for config in (config_for(), config_for(TYPICAL, use=False)):
         (result,) = propose_from_boxes([frame], [[image_box]], Blind(), config)
         assert result.proposals == () and len(result.lost) == 1
-
-
-def test_two_objects_do_not_get_the_same_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The object with the higher score is chosen first; the other one then prefers a place that is still free."""
-    cloud, image_box = frame_with(BOX).cloud, box_on_image(CAMERA, BOX, "crate")
-    states = [start(0, replace(image_box), cloud, UP, config_for(TYPICAL)) for _ in range(2)]
-    places = moved(BOX, (0, 0, 0), (0, 0, 1.0))
-    choices = [
-        finish._Choice(states[0], places, np.array([0.9, 0.6])),
-        finish._Choice(states[1], places, np.array([1.2, 0.0])),
-    ]
-    second, first = (state.box for state in finish._of_typical_sizes(choices))
-    assert first is not None and second is not None
-    assert (first.center_m[2], second.center_m[2]) == pytest.approx((3.0, 4.0))
-    monkeypatch.setattr(finish, "OVERLAP_WEIGHT", 0.0)
-    alone, _ = (state.box for state in finish._of_typical_sizes(choices))
-    assert alone is not None and alone.center_m[2] == pytest.approx(3.0)
 
 
 def test_views_correct_the_placed_box(generated, knowing: Callable[..., Detectors]) -> None:

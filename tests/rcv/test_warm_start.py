@@ -14,11 +14,10 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import depth_crops
 from annotator.rcv.propose import propose, propose_from_boxes
 from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, Proposal
+from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, Proposal
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 
@@ -105,9 +104,6 @@ def test_a_tilted_start_box_gives_an_upright_box_from_silhouettes() -> None:
 # The first look of a class-agnostic detector: crops along the depth, bounds from the image box, choice of a rival.
 
 
-SQUARE_CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
-
-
 class AnyClass:
     """A class-agnostic detector that gives the boxes of another detector under the names of what they measure."""
 
@@ -125,21 +121,6 @@ class AnyClass:
 def first_look(orientation: Orientation) -> RcvConfig:
     """Settings with which no class has a typical size."""
     return RcvConfig(orientation=orientation, use_typical_sizes=False).for_detector(BoxKind.BOX, class_agnostic=True)
-
-
-def points_at(depths_m: Sequence[float], count: int = 200) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    layers = [np.column_stack([rng.uniform(-0.1, 0.1, (count, 2)) * z, np.full(count, z)]) for z in depths_m]
-    return np.concatenate(layers).astype(np.float32)
-
-
-def test_each_layer_of_depth_gets_a_crop() -> None:
-    image_box = Box2D("object", 130.0, 90.0, 190.0, 150.0)
-    layers = (1.0, 2.0, 3.0, 5.0)
-    xyz = points_at(layers)
-    crops = depth_crops(SQUARE_CAMERA, xyz, image_box, 5)
-    assert [sorted(set(xyz[crop, 2].tolist())) for crop in crops] == [[depth] for depth in layers]
-    assert depth_crops(SQUARE_CAMERA, xyz, image_box, len(xyz)) == []
 
 
 @pytest.mark.parametrize(("name", "least"), [("people", 0.85), ("hands", 0.75)])
