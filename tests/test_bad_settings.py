@@ -46,11 +46,6 @@ def test_invalid_arguments_are_errors_and_change_nothing(
     assert sorted(project.parent.parent.iterdir()) == before
 
 
-def test_a_path_is_not_a_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stats", str(project)]) == 2
-    assert "is not a valid project name" in capsys.readouterr().err
-
-
 def test_the_error_of_a_missing_extra_names_both_ways_to_install_it() -> None:
     message = str(MissingExtraError("pywebview", "desktop"))
     assert "scripts/setup desktop" in message
