@@ -15,7 +15,6 @@ import pytest
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.types import Box2D, Image
-from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors
 from benchmarks import cold_start, follow
 
@@ -76,8 +75,3 @@ def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> N
     assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
     assert result["mean_iou"] > 0.6
     assert result["silent_errors"] == 0
-
-
-def test_unusable_arguments_are_refused(generated: Path) -> None:
-    with pytest.raises(ConfigError, match="--taught takes numbers of objects from 0 on"):
-        cold_start.run(cold_start.Arguments(generated / "people", taught=(0, -1)))

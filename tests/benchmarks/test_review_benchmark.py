@@ -12,10 +12,8 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source, Truth
-from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.review import Arguments, run
 from benchmarks.review_moves import (
     Bill,
 )
@@ -74,10 +72,3 @@ def test_wrong_proposals_are_corrected_missing_ones_drawn_others_rejected(room: 
     assert sum(bill.actions[kind] for kind in ("drag box", "drag edge", "drag corner", "refit", "draw on view")) >= 1
     drawn = room.labels.of_frame(room.frames.of()[1].id)
     assert max(iou_3d(label.box, missing) for label in drawn) >= QUALITY
-
-
-def test_bad_arguments_say_what_is_possible(people: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown word 'all'; choose from proposals, base_detector"):
-        run(Arguments(people, only="all"))
-    with pytest.raises(ConfigError, match="has 5 frames; 10 of them teach"):
-        run(Arguments(people))

@@ -84,12 +84,6 @@ def test_completion_offers_all_commands_and_options(tmp_path: Path, capsys: pyte
     assert "-o default" in completed("annotator", "inspect", "x")[1]
 
 
-def test_an_invalid_command_line_gives_exit_code_2() -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["new"])
-    assert end.value.code == 2
-
-
 ENDINGS = [
     (None, 0, ""),
     (1, 1, ""),
