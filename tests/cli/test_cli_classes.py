@@ -165,3 +165,28 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
         "pose": "standing", "helmet": False, "age": 8.0, "mass": 80.5, "remark": "second", "plate": "13"
     }  # fmt: skip
     assert labels[2].attributes["mixed"] == "true"
+
+
+def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--projects", str(folder)]
+    assert main(["import", "rooms", str(folder / "theirs.json"), "--add-attributes", *words]) == 0
+    assert main(["classes", "attribute", "rooms", "night", "--kind", "boolean", "--of", "frame", *words]) == 0
+    with open_project(folder / "rooms") as project:
+        frame = project.frames.of()[0]
+        project.frames.set_attributes(frame.id, {"night": True}, WriteContext(frame.revision, "me"))
+    assert main(["export", "rooms", str(folder / "out"), "--format", "coco", *words]) == 0
+    with open_project(folder / "rooms") as project:
+        frames = project.frames.of()
+        with project.store.write() as connection:
+            connection.exec_driver_sql("UPDATE labels SET attributes = '{}'")
+            connection.exec_driver_sql("DELETE FROM frame_attributes")
+        content = json.loads((project.path / "project.json").read_text())
+        del content["attributes"]
+        (project.path / "project.json").write_text(json.dumps(content))
+    capsys.readouterr()
+    assert main(["import", "rooms", str(folder / "out"), "--add-attributes", *words]) == 0
+    out = capsys.readouterr().out
+    assert "added: attribute night of a frame: true or false" in out
+    assert "attributes: 22 values for the 3D labels and frames that these images show" in out
+    with open_project(folder / "rooms") as project:
+        assert project.frames.attributes() == {frames[0].id: {"night": True}}
