@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from scipy.optimize import linear_sum_assignment
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.evaluation.oriented import FrameResult, matched_ious
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.oriented_box import contains
 from annotator.rcv.config import RcvConfig, Strategy
@@ -66,8 +66,12 @@ def measure(
     seconds_per_object = (time.perf_counter() - begin) / len(truths)
     for label in sorted({t.label for t in truths}):
         found, true = [p for p in proposals if p.label == label], [t for t in truths if t.label == label]
-        ious = matched_ious(FrameResult([p.box for p in found], [p.score for p in found], [t.box for t in true]))
-        tallies[label].ious.extend(ious)
+        ious = np.zeros(len(true))
+        if found:
+            overlap = iou_3d_matrix([p.box for p in found], [t.box for t in true])
+            rows, columns = linear_sum_assignment(-overlap)
+            ious[columns] = overlap[rows, columns]
+        tallies[label].ious.extend(ious.tolist())
         tallies[label].steps.extend(len(p.trace) for p in found)
         tallies[label].seconds.extend([seconds_per_object] * len(ious))
         tallies[label].best_ious.extend(best_ious(found, true))

@@ -12,7 +12,6 @@ masks only; there are then no whole boxes, and the scores that need true boxes a
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -24,13 +23,14 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend
-from annotator.evaluation.oriented import FrameResult, average_precision, matched_ious
+from annotator.evaluation.boxes import BoxTable
+from annotator.evaluation.oriented import evaluate_oriented
 from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording, open_recording
-from annotator.types import BoxKind, DetectorKind, Frame
+from annotator.types import BoxKind, DetectorKind, Frame, OrientedBox
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
@@ -52,36 +52,31 @@ class Scores:
     frame only counts as a frame without a proposal, since its number of objects is unknown. Without true boxes, masks
     are used instead, and IoU and average precision are NaN.
 
-    `frames` counts those with an object and the unreadable ones, `with_proposal` those of them with a proposal. `ious`
-    has a value for each true object; `recalls` (share of an object's points inside proposals) and `precisions` (share
-    of the points inside proposals that belong to an object) one for each frame with a mask.
+    `frames` counts those with an object and the unreadable ones, `with_proposal` those of them with a proposal. `found`
+    and `true` are rows of `BoxTable`. `recalls` (share of an object's points inside proposals) and `precisions` (share
+    of the points inside proposals that belong to an object) have one value for each frame with a mask.
     """
 
     recording: Recording
     labels: Sequence[str]
     frames: int = 0
     with_proposal: int = 0
-    ious: list[float] = field(default_factory=list)
     recalls: list[float] = field(default_factory=list)
     precisions: list[float] = field(default_factory=list)
-    results: dict[str, list[FrameResult]] = field(default_factory=lambda: defaultdict(list))
+    found: list[tuple[int, str, OrientedBox, float]] = field(default_factory=list)
+    true: list[tuple[int, str, OrientedBox, float]] = field(default_factory=list)
 
     def add(self, index: int, frame: Frame, proposed: FrameProposals) -> None:
         """Counts the proposals of one test frame."""
         mask = load_mask(self.recording, frame)
         boxed = mask is None or has_truth(self.recording)
         truths = [t for t in load_truth(self.recording, index, frame) if t.label in self.labels] if boxed else []
-        results = []
-        for label in self.labels:
-            of_class = [p for p in proposed.proposals if p.label == label]
-            true_boxes = [t.box for t in truths if t.label == label]
-            results.append(FrameResult([p.box for p in of_class], [p.score for p in of_class], true_boxes))
-            self.results[label].append(results[-1])
+        self.found += [(index, p.label, p.box, p.score) for p in proposed.proposals]
+        self.true += [(index, t.label, t.box, 1.0) for t in truths]
         if not (truths or (not boxed and mask is not None and mask.any())):
             return
         self.frames += 1
         self.with_proposal += bool(proposed.proposals)
-        self.ious.extend(float(iou) for result in results for iou in matched_ious(result))
         if mask is not None and frame.cloud.pixel_index is not None:
             of_object = mask.ravel()[frame.cloud.pixel_index] > 0
             inside = np.zeros(len(frame.cloud), bool)
@@ -93,15 +88,15 @@ class Scores:
 
     def summary(self) -> dict[str, object]:
         """The mean scores, by name; NaN without measurements."""
-        ap = {t: [average_precision(r, t) for r in self.results.values()] for t in (0.25, 0.5)}
+        result = evaluate_oriented(BoxTable.of(self.found), BoxTable.of(self.true))
         return {
             "frames": self.frames,
             "share_with_proposal": self.with_proposal / max(self.frames, 1),
             "mask_recall": _mean(self.recalls),
             "mask_precision": _mean(self.precisions),
-            "mean_iou": _mean(self.ious),
-            "ap25": _mean([a for a in ap[0.25] if np.isfinite(a)]),
-            "ap50": _mean([a for a in ap[0.5] if np.isfinite(a)]),
+            "mean_iou": _mean([c.mean_iou for c in result.classes.values() for _ in range(c.objects)]),
+            "ap25": result.mean(0.25),
+            "ap50": result.mean(0.5),
         }
 
 
@@ -149,10 +144,8 @@ class Arguments(BoxOptions):
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """The project's settings, changed by the arguments."""
-        consensus = config.consensus
-        if self.refine_steps is not None:
-            consensus = consensus.model_copy(update={"refine_steps": self.refine_steps})
-        return config.model_copy(update={"strategy": self.axes, "consensus": consensus})
+        steps = config.refine_steps if self.refine_steps is None else self.refine_steps
+        return config.model_copy(update={"strategy": self.axes, "refine_steps": steps})
 
 
 def run(args: Arguments) -> dict[str, Any]:

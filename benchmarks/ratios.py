@@ -114,7 +114,7 @@ def cpu_ratios() -> list[Ratio]:
     cloud, view = frustum(POINTS, rng), ViewConfig(size_px=VIEW_PX)
     config = RcvConfig(view=view)
     true = OrientedBox.from_parts(np.array([0.1, 0.0, 2.0]), np.eye(3), np.array([0.6, 0.4, 0.3]))
-    intervals = _measured_intervals(true, [*wide_axes(None, config), *near_axes(true.rotation, None)], rng)
+    intervals = _measured_intervals(true, [*wide_axes(None), *near_axes(true.rotation, None)], rng)
     axes = near_axes(true.rotation, None)
     agnostic = config.for_detector(BoxKind.BOX, class_agnostic=True)
     sized = agnostic.model_copy(update={"typical_sizes": (TYPICAL,)})

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import re
-import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from annotator.cli.main import main
 from annotator.types.errors import MissingExtraError
-from benchmarks import axes
-from benchmarks.report import guarded
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -48,42 +44,6 @@ def test_invalid_arguments_are_errors_and_change_nothing(
     assert main(words) == 2
     assert says in capsys.readouterr().err
     assert sorted(project.parent.parent.iterdir()) == before
-
-
-def test_a_path_is_not_a_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stats", str(project)]) == 2
-    assert "is not a valid project name" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("benchmark", "words", "says"),
-    [
-        (axes.main, "nowhere --jitter -1", "--jitter must be 0 or more, not -1"),
-        (axes.main, "nowhere --upright --free", "contradict each other"),
-    ],
-)
-def test_invalid_arguments_of_benchmarks_are_errors(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    benchmark: Callable[[], None],
-    words: str,
-    says: str,
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["benchmark", *words.split()])
-    with pytest.raises(SystemExit) as ended:
-        guarded(benchmark)
-    assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert says in said
-
-
-def test_a_bug_in_a_benchmark_is_not_hidden() -> None:
-    def fails() -> None:
-        raise ValueError("a fault")
-
-    with pytest.raises(ValueError, match="a fault"):
-        guarded(fails)
 
 
 def test_the_error_of_a_missing_extra_names_both_ways_to_install_it() -> None:

@@ -76,22 +76,6 @@ def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_pat
     assert len(log.read_text().splitlines()) == 3
 
 
-def test_third_party_readers_have_their_own_environment(clone: Path) -> None:
-    log = fake_environment(clone)
-    wanted = clone / "tests/interop/requirements.txt"
-    wanted.parent.mkdir(parents=True)
-    wanted.write_text("one==1\n")
-    for _ in range(2):
-        result = setup(clone, "test", "interop")
-        assert result.returncode == 0, result.stderr
-        assert [line.split()[-1] for line in log.read_text().splitlines()] == [".[test]", str(wanted).split()[-1]]
-    (site,) = (clone / ".venv-interop").rglob("annotator-packages.pth")
-    assert Path(site.read_text().strip()).is_dir()
-    wanted.write_text("one==2\n")
-    assert setup(clone, "interop").returncode == 0
-    assert len(log.read_text().splitlines()) == 3
-
-
 def test_a_failed_installation_is_repeated(clone: Path) -> None:
     log = fake_environment(clone, imports="echo 'ImportError: libX.so' >&2; exit 1")
     for count in (1, 2):
@@ -116,39 +100,6 @@ def test_a_moved_environment_is_created_again(clone: Path) -> None:
     assert ".venv no longer works" in result.stderr
     assert result.returncode == 1
     assert not (moved / ".venv").exists()
-
-
-def programs(folder: Path, *names: str, **scripts: str) -> Path:
-    """A folder for the PATH with only these programs of the machine, and fake programs."""
-    folder.mkdir()
-    for name in names:
-        found = shutil.which(name)
-        assert found is not None, name
-        (folder / name).symlink_to(found)
-    for name, text in scripts.items():
-        path = folder / name.replace("_", "-")
-        path.write_text(f"#!/bin/bash\n{text}\n")
-        path.chmod(0o755)
-    return folder
-
-
-NEEDED = ("bash", "env", "dirname", "uname", "sed", "tr", "sort", "paste", "mv", "rm", "tail", "cksum", "mkdir")
-NODE = {"node": "echo v20.0.0", "npm": "mkdir -p node_modules"}
-
-
-def test_a_missing_browser_is_installed_for_the_tests(clone: Path, tmp_path: Path) -> None:
-    fake_environment(clone)
-    log = tmp_path / "apt.log"
-    path = programs(tmp_path / "bin", *NEEDED, id="echo 0", apt_get=f'echo "$*" >>"{log}"', **NODE)
-    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
-    assert result.returncode == 0, result.stderr
-    assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends chromium"
-    log.unlink()
-    for extras, environment in [(["kinect"], {}), (["test"], {"ANNOTATOR_CHROMIUM": "/somewhere/chrome"})]:
-        assert setup(clone, *extras, **{"PATH": str(path), "ANNOTATOR_CHROMIUM": "", **environment}).returncode == 0
-    (path / "chromium").symlink_to("/bin/true")
-    assert setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="").returncode == 0
-    assert not log.exists()
 
 
 PROPERTY = """
@@ -184,26 +135,6 @@ def test_fuzzing_prints_the_command_that_reproduces_a_failure(clone: Path) -> No
     assert (over.returncode, over.stdout.strip()) == (0, "fuzz: 0 rounds from seed 7 found nothing")
 
 
-def test_fuzzing_needs_whole_numbers(clone: Path) -> None:
-    result = fuzz(clone, "--minutes", "soon")
-    assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.startswith("fuzz: --minutes needs a whole number")
-
-
-def test_the_javascript_checks_are_installed_once_for_each_lock_file(clone: Path) -> None:
-    fake_environment(clone)
-    log, lock = clone / "npm.log", clone / "scripts/javascript/package-lock.json"
-    assert setup(clone).returncode == 0  # Node.js is needed only for the tests
-    assert not log.exists()
-    for _ in range(2):
-        result = setup(clone, "test")
-        assert result.returncode == 0, result.stderr
-        assert log.read_text().splitlines() == ["ci --loglevel=error"]
-    lock.write_text(lock.read_text() + "\n")
-    assert setup(clone, "test").returncode == 0
-    assert len(log.read_text().splitlines()) == 2
-
-
 def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:
     folder = ROOT / "scripts/javascript"
     text = (folder / "package-lock.json").read_text()
@@ -218,16 +149,3 @@ def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:
         {**package.get("dependencies", {}), **package.get("optionalDependencies", {})} for package in packages.values()
     ]
     assert [name for names in needed for name in names if f"node_modules/{name}" not in packages] == []
-
-
-def test_lines_of_javascript_and_css_are_short_enough() -> None:
-    files = [*(ROOT / "web_assets").rglob("*.js"), *(ROOT / "web_assets").rglob("*.css")]
-    assert len(files) > 50
-    long = [
-        f"{path.relative_to(ROOT)}:{number}"
-        for path in files
-        for number, line in enumerate(path.read_text().splitlines(), 1)
-        if len(line) >= 120
-    ]
-    # the formatter does not wrap comments and strings
-    assert long == []

@@ -54,26 +54,20 @@ class Augmentation(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     flip_horizontal: float = Field(0.0, ge=0, le=1, description="probability of a left-right mirror image")
-    flip_vertical: float = Field(0.0, ge=0, le=1, description="probability of an upside-down mirror image")
-    quarter_turns: bool = Field(False, description="turn by a random multiple of 90 degrees")
     shift: float = Field(0.1, ge=0, le=0.5, description="largest shift, share of the image size")
     scale: float = Field(0.2, ge=0, lt=1, description="largest change of size, share")
     hue: float = Field(0.015, ge=0, le=0.5, description="largest change of hue, share of the colour circle")
     saturation: float = Field(0.2, ge=0, le=1, description="largest change of saturation, share")
     brightness: float = Field(0.2, ge=0, le=1, description="largest change of brightness, share")
     mosaic: float = Field(0.0, ge=0, le=1, description="probability of an image composed of four")
-    mosaic_off_epochs: int = Field(10, ge=0, description="number of epochs without mosaic at the end of training")
 
 
-def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentation:
-    """Default augmentation for a detector; docs/detector_training.md has the measurements.
-
-    Mirroring pseudo-views reduces overfitting on small sets, although real views are never mirrored. Views of objects
-    in free rotation may also be turned, because such objects occur in any rotation.
-    """
-    if role == "image":
-        return Augmentation(flip_horizontal=0.5, scale=0.3, saturation=0.5, brightness=0.4)
-    return Augmentation(flip_horizontal=0.5, flip_vertical=0.5 if free_rotation else 0.0, quarter_turns=free_rotation)
+# The default augmentation of each detector; docs/detector_training.md has the measurements. Mirroring pseudo-views
+# reduces overfitting on small sets, although real views are never mirrored.
+AUGMENTATION = {
+    DetectorKind.IMAGE: Augmentation(flip_horizontal=0.5, scale=0.3, saturation=0.5, brightness=0.4),
+    DetectorKind.VIEW: Augmentation(flip_horizontal=0.5),
+}
 
 
 class TrainingConfig(BaseModel):
@@ -96,34 +90,26 @@ class TrainingConfig(BaseModel):
     pictures_seen: int = Field(4000, ge=1, description="length of a run without `epochs` and `seconds`, in images")
     seconds: float | None = Field(None, gt=0, description="length of a run without `epochs`, seconds of training")
     batch: int = Field(16, ge=2, description="images per step")
-    patience: int = Field(0, ge=0, description="stop after this many epochs without improvement; 0: never")
     measure_every: int | None = Field(
         None, ge=1, description="epochs between validations; None: about 12 validations per run"
     )
 
-    optimizer: Literal["MuonSgd", "AdamW", "SGD"] = Field(
-        "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; the others are torch's"
+    optimizer: Literal["MuonSgd", "SGD"] = Field(
+        "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; SGD: torch's"
     )
-    learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")
+    learning_rate: float = Field(0.01, gt=0, description="peak learning rate")
     final_learning_rate: float = Field(0.01, gt=0, le=1, description="final learning rate, share of the peak")
     momentum: float = Field(0.9, ge=0, lt=1)
     weight_decay: float = Field(0.0005, ge=0)
     warmup_epochs: float = Field(1.0, ge=0, description="epochs over which the learning rate rises")
-    box_gain: float = Field(7.5, gt=0, description="weight of the box overlap loss")
-    class_gain: float = Field(0.5, gt=0, description="weight of the class loss")
-    edge_gain: float = Field(
-        1.5, gt=0, description="weight of the loss on the distance of each edge (distribution focal loss)"
-    )
 
-    free_rotation: bool = Field(False, description="objects rotate freely, so turned pseudo-views are realistic")
     augmentation: Augmentation | None = Field(None, description="None: the default for the detector's kind")
     seed: int = Field(0, ge=0)
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
-    download_timeout_s: float = Field(60.0, gt=0, description="timeout for downloading published weights, seconds")
 
     def augmentation_for(self, role: DetectorKind) -> Augmentation:
         """The configured augmentation, or the default for the detector's kind."""
-        return self.augmentation or default_augmentation(role, self.free_rotation)
+        return self.augmentation or AUGMENTATION[role]
 
     def epochs_for(self, images: int) -> int:
         """Epochs for a number of training images: `epochs` if set, else as `pictures_seen` needs, from 10 to 300.

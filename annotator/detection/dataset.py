@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -58,7 +57,6 @@ class DatasetManifest(BaseModel):
         kind: what the boxes measure; None for boxes on camera images.
         measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
             them too optimistic.
-        dropped_boxes: number of boxes that were dropped because they lie outside their image.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,9 +67,6 @@ class DatasetManifest(BaseModel):
     kind: BoxKind | None
     measured_on: Split
     images: dict[Split, int]
-    boxes_by_class: dict[Split, dict[str, int]]
-    images_by_origin: dict[Split, dict[str, int]]
-    dropped_boxes: int
     entries: tuple[ManifestEntry, ...]
 
 
@@ -99,7 +94,6 @@ def is_held_out(group: str, share: float = SHARE) -> bool:
     return number < share * 2**64
 
 
-JPEG_QUALITY = 95
 # Boxes whose part inside the image has a shorter side are dropped, pixels.
 MIN_SIDE_PX = 1.0
 # Origin of the boxes on views of generated frames.
@@ -147,7 +141,6 @@ def write_dataset(
     classes: Sequence[str],
     is_held_out: Callable[[str], bool] = is_held_out,
     kind: BoxKind | None = None,
-    image_format: Literal["png", "jpg"] = "png",
 ) -> DatasetManifest:
     """Writes a training set, with one image in memory at a time, and returns its manifest.
 
@@ -158,7 +151,6 @@ def write_dataset(
         is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
         kind: what the boxes measure; recorded in the manifest.
-        image_format: png is lossless; jpg (quality 95) suits large camera images.
 
     Raises:
         ConfigError: an invalid class list, or a box of an unknown class.
@@ -168,7 +160,7 @@ def write_dataset(
     _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder
         written = [
-            _write_sample(temporary, f"{index:06d}", sample, classes, is_held_out, image_format)
+            _write_sample(temporary, f"{index:06d}", sample, classes, is_held_out)
             for index, sample in enumerate(samples)
         ]
         manifest = _manifest(written, classes, kind)
@@ -197,7 +189,6 @@ class _Written:
     """A sample that has been written; `digest` is a hash of its image and labels."""
 
     entry: ManifestEntry
-    dropped: int
     digest: str
 
 
@@ -207,7 +198,6 @@ def _write_sample(
     sample: TrainingSample,
     classes: Sequence[str],
     is_held_out: Callable[[str], bool],
-    image_format: str,
 ) -> _Written:
     rgb = sample.load()
     height_px, width_px = rgb.shape[:2]
@@ -225,9 +215,8 @@ def _write_sample(
     split: Split = "val" if is_held_out(sample.group) else "train"
     for kind in ("images", "labels"):
         (folder / kind / split).mkdir(parents=True, exist_ok=True)
-    image = f"images/{split}/{stem}.{image_format}"
-    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if image_format == "jpg" else []
-    if not cv2.imwrite(str(folder / image), rgb[:, :, ::-1], quality):
+    image = f"images/{split}/{stem}.png"
+    if not cv2.imwrite(str(folder / image), rgb[:, :, ::-1]):
         raise DetectionError(f"{folder / image}: cannot be written; is the disk full?")
     text = "".join(lines)
     (folder / "labels" / split / f"{stem}.txt").write_text(text, encoding="ascii")
@@ -240,7 +229,7 @@ def _write_sample(
         boxes=tuple(names),
     )
     digest = hashlib.sha256(np.ascontiguousarray(rgb).tobytes() + str(rgb.shape).encode() + text.encode()).hexdigest()
-    return _Written(entry, len(sample.boxes) - len(lines), digest)
+    return _Written(entry, digest)
 
 
 def _require_training(entries: Sequence[ManifestEntry]) -> None:
@@ -271,14 +260,6 @@ def _manifest(written: Sequence[_Written], classes: Sequence[str], kind: BoxKind
         kind=kind,
         measured_on="val" if any(entry.boxes for entry in by_split["val"]) else "train",
         images={split: len(by_split[split]) for split in SPLITS},
-        boxes_by_class={
-            split: {name: sum(entry.boxes.count(name) for entry in by_split[split]) for name in classes}
-            for split in SPLITS
-        },
-        images_by_origin={
-            split: dict(sorted(Counter(entry.origin for entry in by_split[split]).items())) for split in SPLITS
-        },
-        dropped_boxes=sum(item.dropped for item in written),
         entries=tuple(entries),
     )
 

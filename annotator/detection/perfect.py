@@ -88,10 +88,9 @@ class PerfectDetector:
         kind: BoxKind = BoxKind.BOX,
         jitter: float = 0.0,
         seed: int = 0,
-        min_points: int = 1,
     ) -> PerfectDetector:
         """A detector for one frame and its pseudo-views."""
-        return cls([Scene.of(frame, truths)], kind, jitter, seed, min_points)
+        return cls([Scene.of(frame, truths)], kind, jitter, seed)
 
     @property
     def box_kind(self) -> BoxKind:

@@ -22,6 +22,7 @@ from annotator.types.errors import ConfigError, DetectionError
 FOLDER = Path(__file__).parent / "base"
 NAME = "base detector"
 TITLE = f"{NAME}, not trained on this project's classes"
+DOWNLOAD_TIMEOUT_S = 60.0
 
 
 def base_weights() -> Path:
@@ -63,7 +64,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
             None, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
         )
     try:
-        path = within(config.download_timeout_s, lambda: download(f"{name}.pt"))
+        path = within(DOWNLOAD_TIMEOUT_S, lambda: download(f"{name}.pt"))
     except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(
@@ -162,12 +163,10 @@ BRANCHES = ("cv2", "cv3", "one2one_cv2", "one2one_cv3")
 PICTURES = (8, 3, 64, 64)
 
 
-def write_seeded_network(
-    path: Path, name: str = "yolo11n", *, classes: int = 3, end2end: bool = False, seed: int = 0
-) -> None:
+def write_seeded_network(path: Path, name: str = "yolo11n", *, end2end: bool = False) -> None:
     """Writes a file of random weights that give scores around 0.5, so that the outputs of backends can be compared.
 
-    The weights are the same on every machine up to rounding, since torch draws them from the seed on the CPU. The
+    The weights are the same on every machine up to rounding, since torch draws them from a seed on the CPU. The
     state of torch's random number generator is restored afterwards.
 
     Args:
@@ -175,8 +174,8 @@ def write_seeded_network(
     """
     torch = api().torch
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        model = api().DetectionModel(f"{name}.yaml", nc=classes, verbose=False)
+        torch.manual_seed(0)
+        model = api().DetectionModel(f"{name}.yaml", nc=3, verbose=False)
         model.end2end = end2end
         with torch.no_grad():
             for branch in BRANCHES:

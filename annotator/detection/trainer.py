@@ -2,14 +2,13 @@
 
 It differs from the original in these points: an optimiser step after every batch (the original accumulates 64 images,
 so a set of 100 gets few steps); Muon in float32; all cores instead of all but one; channels-last memory;
-validation every few epochs only; atomic checkpoints; quarter turns; no search for fonts and no network access.
+validation every few epochs only; atomic checkpoints; no search for fonts and no network access.
 
 This module imports ultralytics; import it only to train.
 """
 
 from __future__ import annotations
 
-import random
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -17,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from annotator.detection.dataset import DatasetManifest
@@ -39,6 +37,8 @@ from annotator.detection.weights import load_weights
 # Coefficients and number of the Newton-Schulz iterations, from the Muon paper.
 NEWTON_SCHULZ = (3.4445, -4.7750, 2.0315)
 ITERATIONS = 5
+# The learning rate of the Muon part, as a share of that of the SGD part.
+MUON_SHARE = 0.2
 
 
 def orthogonalised(matrices: torch.Tensor) -> torch.Tensor:
@@ -61,13 +61,8 @@ class MuonSgd(torch.optim.Optimizer):
     least two dimensions; all but the first are flattened.
     """
 
-    def __init__(self, groups: list[dict[str, Any]], muon: float = 0.2, sgd: float = 1.0) -> None:
-        """
-        Args:
-            muon, sgd: factors of the learning rate for the two parts.
-        """
+    def __init__(self, groups: list[dict[str, Any]]) -> None:
         super().__init__(groups, {"lr": 0.01, "momentum": 0.9, "weight_decay": 0.0, "use_muon": False})
-        self._muon, self._sgd = muon, sgd
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> None:
@@ -78,8 +73,7 @@ class MuonSgd(torch.optim.Optimizer):
                 continue
             lr, momentum = group["lr"], group["momentum"]
             if group["use_muon"]:
-                self._muon_part(parameters, lr * self._muon, momentum)
-                lr = lr * self._sgd
+                self._muon_part(parameters, lr * MUON_SHARE, momentum)
             buffers = self._buffers(parameters, "momentum_sgd")
             gradients = [p.grad for p in parameters]
             if group["weight_decay"]:
@@ -128,7 +122,6 @@ class TrainerHooks:
 
     Attributes:
         measure_every: epochs between validations; the last epoch is always validated.
-        quarter_turns: turn training images by random multiples of 90 degrees.
         on_batch, on_epoch: called with the trainer after each batch, and after each epoch.
     """
 
@@ -136,57 +129,18 @@ class TrainerHooks:
     manifest: DatasetManifest
     device: Any
     measure_every: int
-    quarter_turns: bool
     on_batch: Callable[[Any], None]
     on_epoch: Callable[[Any], None]
     weights: Path | None = None
     checkpoint: Path | None = None
 
 
-class QuarterTurn:
-    """Turns a training image and its boxes by a random multiple of 90 degrees."""
-
-    def __call__(self, labels: dict[str, Any]) -> dict[str, Any]:
-        turns = random.randrange(4)
-        if turns == 0:
-            return labels
-        height, width = labels["img"].shape[:2]
-        instances = labels["instances"]
-        instances.convert_bbox("xyxy")
-        instances.denormalize(width, height)
-        boxes = turn_boxes(instances.bboxes, width, height, turns)
-        labels["img"] = np.ascontiguousarray(np.rot90(labels["img"], turns))
-        labels["instances"] = type(instances)(boxes, bbox_format="xyxy", normalized=False)
-        return labels
-
-
-def turn_boxes(boxes: np.ndarray, width: int, height: int, turns: int) -> np.ndarray:
-    """(n, 4) boxes x_min y_min x_max y_max, measured from the image corner, after `np.rot90(picture, turns)`."""
-    for _ in range(turns):
-        x_min, y_min, x_max, y_max = boxes.T
-        boxes = np.stack([y_min, width - x_max, y_max, width - x_min], axis=1)
-        width, height = height, width
-    return boxes
-
-
 class ViewDataset(_Dataset):
-    """A YOLO training set with quarter turns, cached in memory without a progress bar."""
-
-    quarter_turns = False
-
-    def build_transforms(self, hyp: Any) -> Any:
-        transforms = super().build_transforms(hyp)
-        if self.augment and self.quarter_turns:
-            transforms.insert(len(transforms.transforms) - 1, QuarterTurn())
-        return transforms
+    """A YOLO training set, cached in memory without a progress bar."""
 
     def cache_images(self) -> None:
         for index in range(self.ni):
             self.ims[index], self.im_hw0[index], self.im_hw[index] = self.load_image(index)
-
-
-class TurningDataset(ViewDataset):
-    quarter_turns = True
 
 
 class ViewTrainer(_Trainer):
@@ -213,8 +167,7 @@ class ViewTrainer(_Trainer):
 
     def build_dataset(self, img_path: str, mode: str = "train", batch: int | None = None) -> Any:
         training = mode == "train"
-        dataset = TurningDataset if training and self.hooks.quarter_turns else ViewDataset
-        return dataset(
+        return ViewDataset(
             img_path=img_path,
             imgsz=self.args.imgsz,
             batch_size=batch,

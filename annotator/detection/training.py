@@ -177,6 +177,8 @@ class Watch:
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
+# Epochs without mosaic at the end of a training with it; as in Ultralytics.
+MOSAIC_OFF_EPOCHS = 10
 
 
 def train_detector(
@@ -257,7 +259,6 @@ def _run(
         manifest=manifest,
         device=device,
         measure_every=config.measure_every or max(math.ceil(watch.epochs / MEASUREMENTS), 1),
-        quarter_turns=config.augmentation_for(role).quarter_turns,
         on_batch=watch.on_batch,
         on_epoch=watch.on_epoch,
         weights=start.weights,
@@ -296,7 +297,7 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "imgsz": config.image_size_px,
         "batch": config.batch,
         "nbs": config.batch,
-        "patience": config.patience,
+        "patience": 0,  # never stops early
         "optimizer": config.optimizer,
         "lr0": config.learning_rate,
         "lrf": config.final_learning_rate,
@@ -304,11 +305,12 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "weight_decay": config.weight_decay,
         "warmup_epochs": config.warmup_epochs,
         "warmup_bias_lr": 0.0,
-        "box": config.box_gain,
-        "cls": config.class_gain,
-        "dfl": config.edge_gain,
+        # weights of the losses on the overlap of boxes, on classes and on edges
+        "box": 7.5,
+        "cls": 0.5,
+        "dfl": 1.5,
         "fliplr": augmentation.flip_horizontal,
-        "flipud": augmentation.flip_vertical,
+        "flipud": 0.0,
         "translate": augmentation.shift,
         "scale": augmentation.scale,
         "degrees": 0.0,
@@ -318,7 +320,7 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "hsv_s": augmentation.saturation,
         "hsv_v": augmentation.brightness,
         "mosaic": augmentation.mosaic,
-        "close_mosaic": augmentation.mosaic_off_epochs if augmentation.mosaic else 0,
+        "close_mosaic": MOSAIC_OFF_EPOCHS if augmentation.mosaic else 0,
         "seed": config.seed,
         "deterministic": False,
         "device": device.removeprefix("cuda:") if device != "cuda" else "0",
@@ -343,7 +345,7 @@ def _unchanged_torch() -> Iterator[None]:
 
 def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind) -> str:
     """Hash of all that determines a run: training set, settings, detector kind."""
-    settings = config.model_dump_json(exclude={"device", "download_timeout_s"})
+    settings = config.model_dump_json(exclude={"device"})
     return hashlib.sha256(f"{manifest.sha256} {role} {settings}".encode()).hexdigest()
 
 

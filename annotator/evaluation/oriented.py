@@ -12,12 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
-from annotator.types import OrientedBox
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +41,14 @@ class PrecisionRecall:
 
 
 def precision_recall(
-    score: Float64[np.ndarray, "d"], pairs: BoxPairs, counts: Bool[np.ndarray, "g"], iou_threshold: float
+    score: Float64[np.ndarray, "d"], pairs: BoxPairs, objects: int, iou_threshold: float
 ) -> PrecisionRecall:
     """The curve of one class.
 
     Args:
         score: of each detection; equal scores are processed in the order of the rows.
         pairs: the overlapping pairs of detections and true boxes.
-        counts: whether each true box counts; at least one must. Detections of the others are neither true nor false
-            positives.
+        objects: number of true boxes, at least 1.
         iou_threshold: a match needs a larger IoU.
     """
     best = pairs.best()
@@ -59,12 +57,11 @@ def precision_recall(
     target[best.detection] = best.truth
     order = np.argsort(-score, kind="stable")
     target = target[order]
-    target = target[(target < 0) | counts[target]]
     hits = np.zeros(len(target), bool)
     hits[np.unique(target, return_index=True)[1]] = True
     hits &= target >= 0
     true_positives = np.cumsum(hits)
-    return PrecisionRecall(true_positives / counts.sum(), true_positives / np.arange(1, len(hits) + 1))
+    return PrecisionRecall(true_positives / objects, true_positives / np.arange(1, len(hits) + 1))
 
 
 # Labellings whose size misfit is within this factor of the best one are equivalent: a nearly square footprint looks the
@@ -174,12 +171,14 @@ def evaluate_oriented(
 
 
 def _class(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float]) -> OrientedClass:
-    pairs, counts = overlapping(detections, truth), np.ones(len(truth), bool)
+    pairs = overlapping(detections, truth)
     chosen = assigned(pairs, truth.frame)
     near = chosen.take(chosen.iou > POSE_IOU)
     errors = pose_errors(detections.take(near.detection), truth.take(near.truth))
     return OrientedClass(
-        curves={threshold: precision_recall(detections.score, pairs, counts, threshold) for threshold in thresholds},
+        curves={
+            threshold: precision_recall(detections.score, pairs, len(truth), threshold) for threshold in thresholds
+        },
         objects=len(truth),
         detections=len(detections),
         matched=len(near.iou),
@@ -192,50 +191,6 @@ def _class(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float]) -
 
 def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if len(values) else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
-class FrameResult:
-    """Detections and truth of one class in one frame.
-
-    Attributes:
-        boxes, scores: detections.
-        truth: true boxes.
-        ignored: true boxes that do not count, such as objects with too few points. Their detections are neither
-            true nor false positives, as in KITTI's evaluation.
-    """
-
-    boxes: Sequence[OrientedBox]
-    scores: Sequence[float]
-    truth: Sequence[OrientedBox]
-    ignored: Sequence[OrientedBox] = ()
-
-
-def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
-    """The exact IoU of each true box with its detection; 0 without one.
-
-    Detections are assigned to true boxes one to one, with the largest total IoU.
-    """
-    ious = np.zeros(len(result.truth))
-    pairs = assigned(overlapping(_table([result.boxes]), _table([result.truth])), np.zeros(len(ious), np.int64))
-    ious[pairs.truth] = pairs.iou
-    return ious
-
-
-def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> float:
-    """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.oriented`.
-
-    Returns:
-        0..1; NaN without true boxes.
-    """
-    detections = _table([result.boxes for result in results])
-    true_boxes = _table([[*result.truth, *result.ignored] for result in results])
-    counts = [flag for r in results for flag in (*(True for _ in r.truth), *(False for _ in r.ignored))]
-    if not any(counts):
-        return float("nan")
-    scores = np.array([score for result in results for score in result.scores], np.float64)
-    pairs = overlapping(detections, true_boxes)
-    return precision_recall(scores, pairs, np.array(counts, bool), iou_threshold).area
 
 
 def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
@@ -257,8 +212,3 @@ def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
         matched = pair[linear_sum_assignment(-iou)]
         chosen.append(matched[matched >= 0])
     return pairs.take(np.concatenate(chosen))
-
-
-def _table(boxes: Sequence[Sequence[OrientedBox]]) -> BoxTable:
-    """A table of each frame's boxes, of one class."""
-    return BoxTable.of((frame, "", box, 0.0) for frame, in_frame in enumerate(boxes) for box in in_frame)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32
 
 from annotator.compiled import compiled
 
@@ -65,16 +65,6 @@ def depth_points(
             index[k] = i
             k += 1
     return xyz, index
-
-
-@compiled
-def colors_at(rgb: UInt8[np.ndarray, "p 3"], index: Int32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """The colours of the pixels at these places."""
-    colors = np.empty((len(index), 3), np.uint8)
-    for k in range(len(index)):
-        i = index[k]
-        colors[k, 0], colors[k, 1], colors[k, 2] = rgb[i, 0], rgb[i, 1], rgb[i, 2]
-    return colors
 
 
 # Each face of the box with the longer diagonal is moved outwards by this share of that diagonal.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from scipy.spatial import cKDTree
 
-from annotator.geometry.projection import pixel_rays, require_image_size
+from annotator.geometry.projection import CameraKey, camera_key, pixel_rays, require_image_size
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
 
@@ -160,15 +160,11 @@ def px_per_ray(camera: Camera) -> Float32[np.ndarray, "_h _w 2 2"]:
     """
     if camera.is_ideal:
         return np.array([[[[camera.fx, 0.0], [0.0, camera.fy]]]], np.float32)
-    return _distorted_px_per_ray(
-        (camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
-    )
+    return _distorted_px_per_ray(camera_key(camera))
 
 
 @lru_cache(maxsize=4)
-def _distorted_px_per_ray(
-    key: tuple[int, int, float, float, float, float, tuple[float, ...]],
-) -> Float32[np.ndarray, "h w 2 2"]:
+def _distorted_px_per_ray(key: CameraKey) -> Float32[np.ndarray, "h w 2 2"]:
     rays = pixel_rays(Camera(*key)).astype(np.float64)
     along_v, along_u = np.gradient(rays, axis=(0, 1))
     ray_per_px = np.stack([along_u, along_v], axis=-1)

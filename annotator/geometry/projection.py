@@ -100,17 +100,9 @@ def unproject_depth(
 
 
 def pixel_colors(rgb: UInt8[np.ndarray, "h w 3"], pixel: Int32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """The colours of an image at pixels, which are given by `v * width + u`.
-
-    Raises:
-        IndexError: a pixel lies outside the image.
-    """
-    from annotator.geometry.kernels import colors_at
-
-    colors = np.ascontiguousarray(rgb).reshape(-1, 3)
-    if len(pixel) and not 0 <= pixel.min() <= pixel.max() < len(colors):
-        raise IndexError(f"pixels {pixel.min()} to {pixel.max()} are not all in an image of {len(colors)} pixels")
-    return colors_at(colors, pixel)
+    """The colours of an image at pixels, which are given by `v * width + u`."""
+    # several times as fast as by an index in brackets
+    return np.ascontiguousarray(rgb).reshape(-1, 3).take(pixel, axis=0)
 
 
 def straightened(camera: Camera, rgb: UInt8[np.ndarray, "h w 3"]) -> tuple[Camera, UInt8[np.ndarray, "h w 3"]]:

@@ -122,34 +122,6 @@ class ViewConfig(BaseModel):
         224, ge=32, le=2048, description="longer side of a first-step view of a deep frustum, pixels"
     )
     deep: float = Field(2.0, gt=0, description="depth/width ratio of a frustum above which `deep_size_px` applies")
-    padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
-
-
-class FitConfig(BaseModel):
-    """How much the robust fit trusts the edges of detections."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    edge_noise: float = Field(
-        0.02,
-        gt=0,
-        description="expected error of a detected edge if the detector does not tell it, share of the view's extent",
-    )
-    use_edge_errors: bool = Field(True, description="weight edges by the errors that the detector expects of them")
-
-
-class ConsensusConfig(BaseModel):
-    """How many views a consensus takes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    upright_hypotheses: int = Field(
-        4, ge=2, le=16, description="upright: yaw hypotheses of a wide step, over a quarter turn"
-    )
-    free_hypotheses: int = Field(12, ge=4, le=64, description="free: orientation hypotheses of a wide step")
-    refine_steps: int = Field(
-        1, ge=0, le=16, description="refinement steps after the wide step; cut-off objects get more, up to `max_steps`"
-    )
 
 
 class RcvConfig(BaseModel):
@@ -162,8 +134,6 @@ class RcvConfig(BaseModel):
     box_kind: BoxKind = Field(BoxKind.BOX, description="what the view detector's boxes measure")
     image_box_kind: BoxKind = Field(BoxKind.BOX, description="what the boxes on the camera image enclose")
     view: ViewConfig = ViewConfig()
-    consensus: ConsensusConfig = ConsensusConfig()
-    fit: FitConfig = FitConfig()
     typical_sizes: tuple[TypicalSize, ...] = Field(
         (), description="typical sizes of classes, in place of those of reviewed boxes and of well-known classes"
     )
@@ -181,17 +151,19 @@ class RcvConfig(BaseModel):
     max_steps: int = Field(
         5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
     )
+    refine_steps: int = Field(
+        1,
+        ge=0,
+        le=16,
+        description="consensus: refinement steps after the wide step; cut-off objects get more, up to `max_steps`",
+    )
     min_points: int = Field(5, ge=1, description="minimum number of points; with fewer, the recursion ends")
 
     min_image_score: float = Field(0.25, ge=0, le=1, description="image detections with a lower score are ignored")
     min_view_score: float = Field(0.05, ge=0, le=1, description="view detections with a lower score are ignored")
-    max_objects_per_frustum: int = Field(5, ge=1, description="first step: maximum number of objects per frustum")
     coarse_box: bool = Field(
         False,
         description="propose a coarse box for a lost object: its last box, or one around the frustum's points",
-    )
-    nms_iou: float = Field(
-        0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
 
     def for_detector(
@@ -239,6 +211,4 @@ class RcvConfig(BaseModel):
             left_out |= {"class_agnostic": True, "use_typical_sizes": True}
         if self.image_box_kind is BoxKind.BOX or self.box_kind is BoxKind.SILHOUETTE:  # it changes nothing
             left_out["image_box_kind"] = True
-        if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint
-            left_out["fit"] = {"use_edge_errors"}
         return self.model_dump(mode="json", exclude=left_out)

@@ -19,6 +19,8 @@ from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Candidates, best_expected, changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
+# Of boxes of a class with a higher IoU, only the better one is kept.
+NMS_IOU = 0.3
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
 MIDDLE_MARGIN = 0.03
 # How many times each rival's box is changed, and how much (`typical_size.changed`).
@@ -57,7 +59,7 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
         proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, quality))
     proposals = _agreeing_with_image(proposals)
     rank = np.array([p.score * _agreement(p) for p in proposals])
-    keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], config.nms_iou)
+    keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], NMS_IOU)
     by_score = sorted((proposals[int(i)] for i in keep), key=lambda p: -p.score)
     return FrameProposals(frame.key, tuple(by_score), tuple(lost))
 

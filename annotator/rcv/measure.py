@@ -18,6 +18,10 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrace
 
+# Expected error of a detected edge if the detector does not tell it, share of the view's extent.
+EDGE_NOISE = 0.02
+# First step: objects of one frustum.
+MOST_OBJECTS = 5
 # The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
 LEAST_SCORE = 0.05
 # First step: least 1D IoU of a front and a side box on their shared axis.
@@ -132,7 +136,7 @@ def pair_all(
     for _, pair in ranked:
         if all(pair.front != other.front and pair.side != other.side for other in chosen):
             chosen.append(pair)
-        if len(chosen) == config.max_objects_per_frustum:
+        if len(chosen) == MOST_OBJECTS:
             break
     return chosen
 
@@ -170,7 +174,7 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) ->
     return int(np.argmax(scores * (STRANGER_WEIGHT + agreement)))
 
 
-def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
+def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D]) -> Intervals:
     """The intervals that detections measure along their views' x and y axes, two per view."""
     # dimensions of the arrays: view, axis, end
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
@@ -179,19 +183,18 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
     edges_px = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes]).reshape(-1, 2, 2)
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
     is_cut = np.array([cut_edges(view, box) for view, box in zip(views, boxes, strict=True)])
-    noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
+    noise_m = EDGE_NOISE * (sizes_px * metres_per_px) / np.sqrt(scores)
     is_cut = is_cut.reshape(-1, 2, 2)
     # a cut-off edge is only a bound, so its expected error is larger
     sigma_m = noise_m * np.where(is_cut, CUT_DOUBT, 1.0)
-    if config.fit.use_edge_errors:
-        # NaN where the detector does not tell
-        told_px = np.array([box.edge_sigma_px or (np.nan,) * 4 for box in boxes])[:, [0, 2, 1, 3]].reshape(-1, 2, 2)
-        sigma_m = np.where(is_cut | np.isnan(told_px), sigma_m, told_px * metres_per_px)
+    # NaN where the detector does not tell
+    told_px = np.array([box.edge_sigma_px or (np.nan,) * 4 for box in boxes])[:, [0, 2, 1, 3]].reshape(-1, 2, 2)
+    sigma_m = np.where(is_cut | np.isnan(told_px), sigma_m, told_px * metres_per_px)
     directions = np.concatenate([view.axes[:2] for view in views])
     return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
 
 
-def traced_intervals(trace: Sequence[StepTrace], config: RcvConfig) -> Intervals | None:
+def traced_intervals(trace: Sequence[StepTrace]) -> Intervals | None:
     """The intervals that the used detections of a trace measured; None without any."""
     views, boxes = [], []
     for step in trace:
@@ -201,7 +204,7 @@ def traced_intervals(trace: Sequence[StepTrace], config: RcvConfig) -> Intervals
                 none = np.zeros((0, 3), np.float32)
                 views.append(PseudoView(blank, np.array(view.axes), view.metres_per_px, np.array(view.origin_m), none))
                 boxes.append(view.boxes[view.used])
-    return measured_intervals(views, boxes, config) if views else None
+    return measured_intervals(views, boxes) if views else None
 
 
 def cut_edges(view: PseudoView, box: Box2D) -> tuple[bool, bool, bool, bool]:
@@ -291,7 +294,7 @@ def measure_consensus(
     detected = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
     if not detected:
         return None
-    parts = [measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
+    parts = [measured_intervals([view for view, _ in detected], [box for _, box in detected])]
     if start_box is not None:
         parts.append(_start_intervals(start_box, parts[0]))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])

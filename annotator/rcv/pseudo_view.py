@@ -24,6 +24,8 @@ from annotator.types import PointCloud, PseudoView
 BACKGROUND = 114
 # Smallest extent that a view shows, metres, and largest square that a point is drawn as, pixels.
 MIN_EXTENT_M, MAX_SPLAT_PX = 0.02, 9
+# Empty border of a view on each side, share of the shown extent.
+PADDING = 0.06
 # Larger clouds are thinned to this many points per pixel of a square view.
 POINTS_PER_PX = 4
 # The bits of the smallest and the largest normal positive float32: the range of keys.
@@ -45,8 +47,8 @@ class Window:
 def fit_windows(
     low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], config: ViewConfig
 ) -> list[Window]:
-    """The windows that show view coordinates from `low_m` to `high_m`, with the configured border."""
-    extent = np.maximum(high_m - low_m, MIN_EXTENT_M) * (1 + 2 * config.padding)
+    """The windows that show view coordinates from `low_m` to `high_m`, with a border."""
+    extent = np.maximum(high_m - low_m, MIN_EXTENT_M) * (1 + 2 * PADDING)
     scale = extent.max(axis=1) / config.size_px
     size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
     origin = (low_m + high_m) / 2 - (size - 1) / 2 * scale[:, None]

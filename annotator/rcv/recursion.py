@@ -186,7 +186,7 @@ def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView]) 
 def _consensus_axes(state: ObjectState, config: RcvConfig) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
     """The axis hypotheses of a step, and why more complex strategies failed."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
-        return wide_axes(state.up, config, state.rivals), ()
+        return wide_axes(state.up, state.rivals), ()
     if state.is_warm:
         axes = warm_axes(state.box.rotation, state.up, len(state.steps))
     else:
@@ -304,7 +304,7 @@ def _stop(
         return StopReason.BOX_CONVERGED
     limit = WARM_STEPS if state.is_warm else config.max_steps
     if config.strategy is Strategy.CONSENSUS and not state.is_warm and not is_cut:
-        limit = min(limit, 2 + config.consensus.refine_steps)
+        limit = min(limit, 2 + config.refine_steps)
     return StopReason.STEP_LIMIT if steps >= limit else StopReason.CONTINUES
 
 

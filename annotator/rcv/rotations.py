@@ -17,7 +17,6 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.axes import BOX_SYMMETRIES, UPRIGHT_SYMMETRIES, camera_axes, match_all_axes
-from annotator.rcv.config import RcvConfig
 
 # Residual above which an edge is down-weighted (Huber), multiples of its expected error, and smallest side of a box.
 HUBER_SIGMAS, MIN_SIZE_M = 1.5, 1e-3
@@ -170,6 +169,8 @@ def _read_only(values: np.ndarray) -> np.ndarray:
     return values
 
 
+# Orientations of a wide step: over SO(3), or over a quarter turn of yaw.
+FREE_HYPOTHESES, UPRIGHT_HYPOTHESES = 12, 4
 # Rivals share the hypotheses of a wide step, but each has at least this number, or all.
 LEAST_SHARE = 4
 # Hypotheses of a refinement step, and their angle from the last fit; the same angle after a warm start.
@@ -178,16 +179,14 @@ REFINE_HYPOTHESES, REFINE_SPREAD_RAD = 3, 0.35
 DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1]]) / np.sqrt(3.0)
 
 
-def wide_axes(
-    up: Float64[np.ndarray, "3"] | None, config: RcvConfig, rivals: int = 1
-) -> list[Float64[np.ndarray, "3 3"]]:
+def wide_axes(up: Float64[np.ndarray, "3"] | None, rivals: int = 1) -> list[Float64[np.ndarray, "3 3"]]:
     """Axes spread over all orientations of a box: over a quarter turn of yaw with `up`, else over SO(3).
 
     Args:
         rivals: number of states of the same object that share the hypotheses.
     """
     base = camera_axes(up)
-    count = config.consensus.free_hypotheses if up is None else config.consensus.upright_hypotheses
+    count = FREE_HYPOTHESES if up is None else UPRIGHT_HYPOTHESES
     count = min(count, max(count // rivals, LEAST_SHARE))
     if up is not None:
         yaws = np.arange(count) * (np.pi / 2 / count)

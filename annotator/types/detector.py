@@ -117,7 +117,7 @@ class PseudoView:
         high = self.origin_m + np.array([box.x_max, box.y_max]) * self.metres_per_px
         return np.stack([low, high], axis=1)
 
-    def box_px(self, interval_m: np.ndarray, label: str, score: float = 1.0) -> Box2D:
+    def box_px(self, interval_m: np.ndarray, label: str) -> Box2D:
         """The 2D box that spans view coordinates (2, 2), as returned by `interval_m`; not clipped to the image."""
         spans = (np.asarray(interval_m, np.float64) - self.origin_m[:, None]) / self.metres_per_px
-        return Box2D(label, spans[0, 0], spans[1, 0], spans[0, 1], spans[1, 1], score)
+        return Box2D(label, spans[0, 0], spans[1, 0], spans[0, 1], spans[1, 1])

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 import annotator
-from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ArgumentError, NotFoundError, ProjectError
 from annotator.workflows.detectors import Detectors
@@ -64,32 +63,6 @@ def test_detection_takes_the_projects_detectors_and_settings(
         assert {label.state for label in labels} == {annotator.ReviewState.PROPOSED}
     # loaded once
     assert len(people.detect(frames[0]).proposals) == 3 and len(trained) == 2
-
-
-def test_the_kind_of_given_image_boxes_reaches_the_recursion(
-    people: annotator.Project, trained: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kinds: list[str] = []
-    real = Detectors.settings
-
-    def settings(self: Detectors, config: RcvConfig) -> RcvConfig:
-        kinds.append(self.image_kind.value)
-        return real(self, config)
-
-    monkeypatch.setattr(Detectors, "settings", settings)
-    frame = people.read(people.frames()[0])
-    people.detect(frame)  # the project's own detector finds silhouettes
-    for given in (None, "silhouette"):
-        people.detect(frame, image_boxes=[], image_kind=given)
-    people.detect(frame, image_detector=lambda _: [], image_kind="silhouette")
-    people.detect(frame, image_detector=type("Seeing", (), {"box_kind": "silhouette", "__call__": lambda *_: []})())
-    (seen,) = people.watch([frame])
-    assert len(seen.found.proposals) == 3
-    assert kinds == ["silhouette", "box", "silhouette", "silhouette", "silhouette", "silhouette"]
-    with pytest.raises(annotator.ArgumentError, match="image_kind must be one of box, silhouette, not 'outline'"):
-        people.detect(frame, image_boxes=[], image_kind="outline")
-    with pytest.raises(annotator.ArgumentError, match="give image_detector, too"):
-        people.annotate(image_kind="box")
 
 
 def test_given_2d_boxes_need_no_image_detector(

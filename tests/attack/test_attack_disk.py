@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -14,7 +13,6 @@ from live_server import running
 from mortal import Mortal
 from room_api import BOX, change, state
 
-from annotator.cli.main import main
 from annotator.web.security import ServerSettings
 
 SIZE_KB = 3000
@@ -32,10 +30,6 @@ def small(tmp_path: Path) -> Iterator[Path]:
     yield folder
     # lazily: a failed test may still have files open
     subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def _names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
 
 
 def _fill(folder: Path) -> Path:
@@ -74,31 +68,6 @@ def test_saves_on_a_full_disk_are_refused_and_lose_nothing(small: Path, empty: P
         assert change(live.client, state(live.client)["frame"]["revision"], create).status_code == 200
     require_sound(small / "room")
     assert len(labels_in(small / "room")["000000"]) == stored + 1
-
-
-@pytest.mark.parametrize("kind", ["rcv", "coco"])
-def test_an_export_to_a_full_disk_leaves_nothing(
-    small: Path, labelled: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    projects = Path(shutil.copytree(labelled, tmp_path / "projects"))
-    filler = _fill(small)
-    # some room, but not enough for the images
-    os.truncate(filler, filler.stat().st_size - 20_000)
-    before = _names(small)
-    capsys.readouterr()
-    code = main(["export", "room", str(small / "out"), "--format", kind, "--projects", str(projects)])
-    said = capsys.readouterr().err
-    assert code == 2, said
-    assert "No space left" in said or "full" in said, said
-    assert _names(small) == before
-    require_sound(projects / "room")
-
-
-def test_a_project_cannot_be_created_by_half(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _fill(small)
-    code = main(["new", "room", "--classes", "person", "--projects", str(small)])
-    assert code == 2, capsys.readouterr()
-    assert _names(small) == ["filler"]
 
 
 def test_commands_that_may_write_only_small_files_stop_with_a_message(

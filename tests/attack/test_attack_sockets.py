@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-FLOOD = 20_000
 OPEN = {"type": "open", "project": "room", "frame": 1}
 
 

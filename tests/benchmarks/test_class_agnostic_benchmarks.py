@@ -14,11 +14,8 @@ import numpy as np
 import pytest
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.project import REVIEWED, Project
-from annotator.types import Box2D, BoxKind, DetectorKind, Image
-from annotator.types.errors import ConfigError
+from annotator.types import Box2D, Image
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.training.train import TrainPlan
 from benchmarks import cold_start, follow
 
 SIZE_PX = 96
@@ -68,35 +65,6 @@ def test_cold_start_scores_each_class_beside_clusters(run: Callable[..., Any], g
     assert 0 < clusters["mean_iou"] < person["mean_iou"]
 
 
-def test_cold_start_teaches_the_first_half_and_tries_the_second(
-    run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    taught: dict[int, set[tuple[str, float]]] = {}
-
-    def train(project: Project, plan: TrainPlan, roles: Sequence[DetectorKind]) -> None:
-        assert (plan.minutes, plan.decides, tuple(roles)) == (0.5, False, (DetectorKind.VIEW,))
-        labels = project.labels.select(states=REVIEWED)
-        places = [(project.frames.get(stored.frame_id).key, stored.label.box.center_m.tolist()) for stored in labels]
-        taught[len(labels)] = {(key, round(x, 3)) for key, (x, _, _) in places}
-        weights = project.models_folder / "weights"
-        weights.touch()
-        project.models.register(
-            DetectorKind.VIEW, weights, labels=("whole", "seen"), box_kind=BoxKind.BOX, metrics={}, fingerprint="f"
-        )
-
-    monkeypatch.setattr(cold_start, "train", train)
-    result = run(cold_start, generated / "people", "--taught", 0, 1, 4, 20, "--minutes", 0.5)
-    rows = [(row["label"], row["taught"], row["objects"]) for row in result["results"]]
-    tried = rows[0][2]
-    # 2 frames of 3 people teach, so there are no 20
-    assert rows == [("person", 0, tried), ("person", 1, tried), ("person", 4, tried), ("person (clusters)", 0, tried)]
-    assert 7 <= tried <= 9
-    assert sorted(taught) == [1, 4]
-    assert {key for key, _ in taught[4]} == {"000000", "000001"}
-    assert {key for key, _ in taught[1]} <= {key for key, _ in taught[4]}
-    assert result["results"][1]["seconds_training"] > 0
-
-
 def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> None:
     result = run(follow, generated / "people")
     assert list(result) == ["tracks", "mean_iou", "silent_errors", "marked"]
@@ -107,8 +75,3 @@ def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> N
     assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
     assert result["mean_iou"] > 0.6
     assert result["silent_errors"] == 0
-
-
-def test_unusable_arguments_are_refused(generated: Path) -> None:
-    with pytest.raises(ConfigError, match="--taught takes numbers of objects from 0 on"):
-        cold_start.run(cold_start.Arguments(generated / "people", taught=(0, -1)))

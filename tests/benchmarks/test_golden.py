@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from annotator.types.errors import ConfigError
 from benchmarks import golden
 from benchmarks.golden import convention_differences
 
@@ -83,8 +82,3 @@ def test_a_wrong_number_is_found_and_named(two_parts: Path, monkeypatch: pytest.
     assert said["worst"]["sunrgbd_max_map"] == "chair at 0.25"
     assert said["iou_max_rel"] < 1e-6
     assert (said["kitti_max_ap"], said["conventions_max_px"]) == (None, None), "their files are absent"
-
-
-def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="has no reference numbers"):
-        golden.run(golden.Arguments(tmp_path))

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from annotator.detection.perfect import PerfectDetector, Scene
-from annotator.project import BoxRotation, Project, open_project
-from annotator.rcv.propose import FrameProposals
+from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
@@ -97,39 +96,6 @@ def test_without_true_boxes_only_mask_scores_are_computed(
     assert float(str(result["mask_precision"])) > 0.5  # a box also contains some floor
     with pytest.raises(ConfigError, match="needs true boxes"):
         run(Arguments(folder, operator=BoxKind.BOX))
-
-
-def test_a_kept_project_is_reused_or_refused(
-    generated: Path, tmp_path: Path, untrained: Callable[..., TrainingStandIn], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After an interrupted training, frames are not labelled again; later runs reuse the project or refuse it."""
-    folder, kept = generated / "people", tmp_path / "kept"
-    stand_in = untrained()
-    stand_in.killed = True
-    with pytest.raises(KeyboardInterrupt):
-        run(Arguments(folder, operator=BoxKind.SILHOUETTE, free=True, project=kept))
-    stand_in.killed = False
-    with open_project(kept / "loop") as project:
-        before = project.statistics()
-        assert project.config.settings.rotation is BoxRotation.FREE
-
-    monkeypatch.setattr(loop, "simulate_recording", lambda *_: pytest.fail("labelled again"))
-    monkeypatch.setattr(loop, "propose_frames", lambda frames, *_: [FrameProposals(f.key, (), ()) for f in frames])
-    for _ in range(2):
-        result = run(Arguments(folder, project=kept))
-        assert result["operator"] == "silhouette"
-        assert result["boxes_2d"] == before.image_boxes.boxes + before.view_boxes.boxes
-    # enough of the offered whole boxes were confirmed, so these are what the detector measures
-    assert (result["whole_boxes"], result["box_kind"]) == (9, "box")
-    assert stand_in.trainings == 2
-    for wrong, message in (
-        ({"operator": BoxKind.BOX}, "labelled by the operator silhouette, not box"),
-        ({"upright": True}, "has the rotation free, not upright"),
-        ({"label": "robot"}, "has the classes person, not 'robot'"),
-    ):
-        with pytest.raises(ConfigError, match=message):
-            run(Arguments(folder, project=kept, **wrong))
-    run(Arguments(folder, project=kept, operator=BoxKind.SILHOUETTE, free=True))
 
 
 def test_a_label_is_for_masks_alone(generated: Path) -> None:

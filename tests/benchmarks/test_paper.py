@@ -22,9 +22,6 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import paper, paper_protocol
-from benchmarks.paper_tables import (
-    KITTI_ROWS,
-)
 
 WIDTH, HEIGHT, FOCAL = 620, 188, 360.0
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2
@@ -151,15 +148,10 @@ def test_the_kitti_protocol_and_a_repeated_run(
     assert (boxes["views"], first["stages"]["train-view"]["pictures"]["train"]) == (24, 24)
     assert first["stages"]["train-image"]["pictures"]["train"] == 2
     assert (first["stages"]["propose"]["frames"], first["stages"]["propose"]["proposals"]) == (2, 6)
-    assert first["paper"]["rows"] == {
-        "0.5": {k: {m: list(v) for m, v in r.items()} for k, r in KITTI_ROWS[0.5].items()}
-    }
     assert set(first["ours"]) == {"Car", "Pedestrian", "Cyclist"}
     for metrics in first["ours"].values():
         assert all(metrics[metric]["R11"][0] > 0 for metric in ("bbox", "bev", "3d"))
-    table = "\n".join(lines)
-    assert "paper, 50%, test set" in table
-    assert "31.600" in table
+    assert "paper, 50%, test set" in "\n".join(lines)
     with open_project(Path(first["project"])) as project:
         train_id = project.recordings.find("train").id
         assert not [x for x in project.labels.select() if project.frames.get(x.frame_id).recording_id == train_id]
@@ -170,10 +162,6 @@ def test_the_kitti_protocol_and_a_repeated_run(
     assert stand_in.trainings == 2
     other, _ = run("--fraction", "0.5", "--axes", "eigenvectors")
     assert other["skipped"] == STAGES[:4]
-    back, _ = run("--fraction", "0.5")
-    # the frames have the proposals of the other axes, so RCV runs again
-    assert back["skipped"] == STAGES[:4]
-    assert back["ours"] == first["ours"]
     little, _ = run("--fraction", "0.5", "--limit", "1")
     assert little["stages"]["import"]["train"] == little["stages"]["import"]["val"] == 1
     assert stand_in.trainings == 4

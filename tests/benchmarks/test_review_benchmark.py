@@ -12,14 +12,10 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source, Truth
-from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.review import Arguments, run
 from benchmarks.review_moves import (
     Bill,
-    peers,
-    steady,
 )
 from benchmarks.review_operator import Operator
 
@@ -76,21 +72,3 @@ def test_wrong_proposals_are_corrected_missing_ones_drawn_others_rejected(room: 
     assert sum(bill.actions[kind] for kind in ("drag box", "drag edge", "drag corner", "refit", "draw on view")) >= 1
     drawn = room.labels.of_frame(room.frames.of()[1].id)
     assert max(iou_3d(label.box, missing) for label in drawn) >= QUALITY
-
-
-def test_peers_pay_for_each_box() -> None:
-    points = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)) * BOX.size_m @ BOX.rotation.T + BOX.center_m
-    figures = peers([(BOX, points)], QUALITY, steady)
-    assert set(figures) == {"SUSTechPOINTS", "CVAT", "labelCloud"}
-    # the points fill the box, so that the fit is right
-    assert figures["SUSTechPOINTS"]["actions_per_box"] == 1
-    assert figures["labelCloud"]["actions_per_box"] == 5
-    assert figures["CVAT"]["actions_per_box"] > 5, "a cube is no car"
-    assert all(row["failures"] == 0 for row in figures.values())
-
-
-def test_bad_arguments_say_what_is_possible(people: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown word 'all'; choose from proposals, base_detector"):
-        run(Arguments(people, only="all"))
-    with pytest.raises(ConfigError, match="has 5 frames; 10 of them teach"):
-        run(Arguments(people))

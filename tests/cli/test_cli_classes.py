@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -108,16 +107,6 @@ def test_what_cannot_be_done_is_refused_with_the_way_out(cars: Path, capsys: pyt
         assert (cars / "project.json").read_text() == before
 
 
-def test_settings_of_an_attribute_change_together_and_are_unset(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words, shown in (
-        ("--kind number --minimum 0 --maximum 9 --default 5", "a number from 0 to 9; default 5.0"),
-        ("--maximum 3 --default 2 --drop", "a number from 0 to 3; default 2.0"),
-        ("--unset maximum default", "a number from 0"),
-    ):
-        assert main(["classes", "attribute", "cars", "age", *words.split()]) == 0
-        assert capsys.readouterr().out.splitlines()[-1] == f"attribute age: {shown}"
-
-
 @pytest.mark.parametrize("words", ["merge cars car --into van", "remove cars car --with-boxes"])
 def test_the_printed_command_brings_back_what_was_merged_or_removed(
     cars: Path, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -176,53 +165,6 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
         "pose": "standing", "helmet": False, "age": 8.0, "mass": 80.5, "remark": "second", "plate": "13"
     }  # fmt: skip
     assert labels[2].attributes["mixed"] == "true"
-
-
-def test_without_the_option_the_report_names_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["import", "rooms", str(folder / "theirs.json"), "--projects", str(folder)]
-    assert main(words) == 0
-    out = capsys.readouterr().out
-    assert "skipped: 4 values of attribute pose (not an attribute of the project)" in out
-    assert "`annotator import PROJECT PATH --add-attributes` gives it those of a file, and its labels" in out
-    assert main([*words, "--as", "2d", "--add-attributes"]) == 2
-    assert "--add-attributes is for labels and proposals" in capsys.readouterr().err
-
-
-def test_labels_that_came_with_a_recording_get_the_values_too(
-    tmp_path: Path, generated: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, words = tmp_path / "take", ["--projects", str(tmp_path)]
-    shutil.copytree(generated / "people", folder)
-    (file,) = folder.rglob("boxes.json")
-    content = json.loads(file.read_text())
-    for boxes in content.values():
-        for number, box in enumerate(boxes):
-            box["attributes"] = {"pose": "sitting" if number % 2 else "standing", "age": number}
-    file.write_text(json.dumps(content))
-    assert main(["new", "rooms", "--classes", "person", *words]) == 0
-    assert main(["add", "rooms", str(folder), *words]) == 0
-    assert "annotator import PROJECT PATH --add-attributes" in capsys.readouterr().out
-    with open_project(tmp_path / "rooms") as project:
-        finalised, *rest = project.frames.of()
-        project.frames.finalise(finalised.id, WriteContext(finalised.revision, "me"))
-        first = project.labels.of_frame(rest[0].id)[0]
-        assert main(["classes", "attribute", "rooms", "age", "--kind", "integer", *words]) == 0
-        revision = project.frames.get(rest[0].id).revision
-        project.labels.set_attributes(rest[0].id, first.uid, {"age": 77}, WriteContext(revision, "me"))
-    again = ["import", "rooms", str(file), *words]
-    assert main(again) == 0
-    assert "attributes:" not in capsys.readouterr().out
-    assert main([*again, "--add-attributes"]) == 0
-    boxes = sum(map(len, content.values())) - len(content[finalised.key])
-    assert f"attributes: {2 * boxes - 1} values for labels and frames that had none" in capsys.readouterr().out
-    with open_project(tmp_path / "rooms") as project:
-        assert [dict(each.attributes) for each in project.labels.of_frame(finalised.id)] == [{}] * 3
-        assert project.labels.get(first.uid).label.attributes == {"pose": "standing", "age": 77}
-        for frame in rest[1:]:
-            given = [box["attributes"] for box in content[frame.key]]
-            assert [dict(each.attributes) for each in project.labels.of_frame(frame.id)] == given
-    assert main([*again, "--add-attributes"]) == 0
-    assert "attributes:" not in capsys.readouterr().out
 
 
 def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

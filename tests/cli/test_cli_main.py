@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from annotator import __version__
 from annotator.cli import main as cli
 from annotator.cli.completion import Shell
-from annotator.cli.main import COMMANDS, GROUPS, Command, main
+from annotator.cli.main import COMMANDS, Command, main
 from annotator.types.errors import FormatError
 from annotator.workflows import doctor
 from annotator.workflows.doctor import Line, Report, State
@@ -57,32 +56,6 @@ print(*sys.modules)
     assert loaded == [], "import these inside the functions that use them"
 
 
-def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["-h"]) == 0
-    said = capsys.readouterr().out
-    for group, summary in GROUPS.items():
-        assert f"  {group} " in said
-        assert summary in said
-        assert main([group, "--help"]) == 0
-        of_group = capsys.readouterr().out
-        assert f"usage: annotator {group} COMMAND" in of_group
-        assert main([group]) == 2
-        assert capsys.readouterr().out == of_group
-        said += of_group
-    for name, command in COMMANDS.items():
-        assert f"  {name.split()[-1]} " in said
-        assert command.summary in said
-    for words in (["help"], ["help", "project"]):
-        assert main(words) == 0
-        assert "usage: annotator" in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["help", "project", "move"])
-    assert "usage: annotator project move" in capsys.readouterr().out
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"annotator {__version__}\n"
-    assert main([]) == 2
-
-
 def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["serve", "--folder", "a", "--folder=b"]) == 2
     assert "--folder is given twice; give it once, with all its values: --folder A B" in capsys.readouterr().err
@@ -109,19 +82,6 @@ def test_completion_offers_all_commands_and_options(tmp_path: Path, capsys: pyte
     assert completed("annotator", "export", "hands", "out", "--format", "kitti-")[0] == "kitti-tracking"
     # elsewhere bash offers files
     assert "-o default" in completed("annotator", "inspect", "x")[1]
-
-
-def test_an_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspct"]) == 2
-    assert capsys.readouterr().err == "error: unknown command 'inspct'; did you mean 'inspect'?\n"
-    assert main(["xyzzy"]) == 2
-    assert "the commands are new, add" in capsys.readouterr().err
-
-
-def test_an_invalid_command_line_gives_exit_code_2() -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["new"])
-    assert end.value.code == 2
 
 
 ENDINGS = [

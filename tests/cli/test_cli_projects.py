@@ -235,16 +235,6 @@ def test_a_time_offset_shows_the_image_that_is_nearest_in_time(opened: Project, 
     assert run(capsys, "calibrate", "p", "room", "--clear")["time_offset_s"] == 0
 
 
-def test_adding_a_recording_that_does_not_know_up_says_what_to_do(
-    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    for name, rotation in (("a", "auto"), ("b", "free")):
-        assert main(["new", name, "--classes", "person", "--rotation", rotation]) == 0
-        capsys.readouterr()
-        assert main(["add", name, str(room), "--no-labels"]) == 0
-        assert (f"annotator up {name} people --estimate" in capsys.readouterr().out) == (rotation == "auto")
-
-
 def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, monkeypatch: pytest.MonkeyPatch):
     theirs = Correction(shift_m=(0.0, 0.1, 0.0))
 

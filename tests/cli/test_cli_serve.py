@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -23,7 +22,7 @@ from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
-from annotator.types.errors import ConfigError, MissingExtraError
+from annotator.types.errors import MissingExtraError
 from annotator.web import live as live_run
 from annotator.web import serve
 from annotator.web.serve import Running
@@ -96,68 +95,6 @@ def test_a_window_needs_pywebview_and_a_display(root: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "webview", object())
     assert main(["serve", "--window", "--projects", str(root)]) == 2
     assert "no display for a window" in capsys.readouterr().err
-
-
-def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    """pywebview is replaced by a stand-in that shows a window and returns when it is closed."""
-    calls: list[object] = []
-    served, stopped = threading.Event(), threading.Event()
-
-    def serving() -> None:
-        served.set()
-        assert stopped.wait(20)
-        calls.append("ended")
-
-    toolkit = SimpleNamespace(
-        settings={},
-        create_window=lambda title, address, **_: calls.append(address),
-        start=lambda **_: calls.append(served.wait(20)),
-        WebViewException=RuntimeError,
-    )
-    monkeypatch.setitem(sys.modules, "webview", toolkit)
-    serve.in_window(serving, stopped.set, "http://h/")
-    assert calls == ["http://h/", True, "ended"]
-
-
-def test_the_demo_opens_the_workbench_only_at_a_terminal(
-    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    events: list[str] = []
-
-    @contextmanager
-    def workbench(root: Path) -> Iterator[None]:
-        events.append(f"open {root.name}")
-        yield
-        events.append("close")
-
-    def first_drag(root: Path, plan: object, progress: object, on_proposals: Callable[[], None]) -> None:
-        on_proposals()
-        events.append("follow")
-
-    monkeypatch.setattr(demo_command, "has_base", lambda: True)
-    monkeypatch.setattr(demo_command, "run_first_drag", first_drag)
-    monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
-    monkeypatch.setattr(demo_command, "_workbench", workbench)
-    monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: events.append("wait"))
-    monkeypatch.delenv("CI", raising=False)
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-    assert main(["demo", str(tmp_path / "a"), "--no-serve"]) == 0
-    monkeypatch.setenv("CI", "true")
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    assert events == ["follow"] * 3
-    monkeypatch.delenv("CI")
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    # the first boxes are on the page while the rest is followed
-    assert events[3:] == ["open a", "follow", "wait", "close"]
-
-
-def test_a_server_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Running, "serve_until_stopped", lambda self: self.socket.close())
-    monkeypatch.setattr(webbrowser, "open", lambda _: pytest.fail("there is nothing to open"))
-    create_project(tmp_path, "demo", ("person",)).close()
-    with pytest.raises(ConfigError, match="the workbench did not start"), demo_command._workbench(tmp_path):
-        pass
 
 
 def test_the_demo_opens_its_project_by_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

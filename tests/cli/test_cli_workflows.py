@@ -10,15 +10,11 @@ from pathlib import Path
 import pytest
 
 from annotator.cli import annotate as annotate_command
-from annotator.cli import demo as demo_command
 from annotator.cli.main import main
-from annotator.demo import FirstDragPlan, TrainedPlan
-from annotator.detection import pretrained
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
 from annotator.types import Box2D
-from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.tasks import GivenDetectors
 
 Capture = pytest.CaptureFixture[str]
@@ -143,16 +139,6 @@ def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
     assert stats(capsys)["runs"] == 3
 
 
-def test_annotate_names_the_base_detector_where_it_stands_in(
-    trained: str, capsys: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert pretrained.NAME not in run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
-    (tmp_path / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
-    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "1")
-    assert said.startswith(f"view detector: {pretrained.TITLE}\n")
-
-
 def test_annotate_with_a_bad_frame_returns_1(
     root: Path,
     own_copy: Callable[[str], Path],
@@ -187,32 +173,6 @@ def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, ca
         capsys, "export", "room", "out/states", "--states", "accepted", "--recordings", "people", "--empty-frames"
     )
     assert "5 frames" in said
-
-
-def test_demo_passes_its_options_on_and_checks_them(
-    root: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plans = []
-
-    def refuse(folder: Path, plan: object, *_: object) -> None:
-        plans.append((folder, plan))
-        raise ConfigError("not today")
-
-    monkeypatch.setattr(demo_command, "run_trained", refuse)
-    monkeypatch.setattr(demo_command, "run_first_drag", refuse)
-    monkeypatch.setattr(demo_command, "has_base", lambda: True)
-    words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3"]
-    run(capsys, *words, "--train", "--image-pictures", "7", code=2)
-    run(capsys, *words, code=2)
-    common = {"preset": "hands", "frames": 6, "seed": 3}
-    assert [plan for _, plan in plans] == [TrainedPlan(image_pictures=7, **common), FirstDragPlan(**common)]
-    assert "add --train" in run(capsys, *words, "--image-pictures", "7", code=2)
-    run(capsys, "demo", code=2)
-    monkeypatch.setattr(demo_command, "has_base", lambda: False)
-    main(["demo"])
-    assert "trains two detectors first" in capsys.readouterr().out
-    assert plans[3][1] == TrainedPlan()
-    assert len({folder for folder, _ in plans}) == 3 and plans[2][0].parent == Path("out"), "a new folder each time"
 
 
 def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: Capture) -> None:

@@ -20,30 +20,24 @@ REFUSALS = [
     # names of projects, recordings and classes
     ("stats Room", "has no project 'Room' (did you mean 'room'?)"),
     ("project restore recordings", "is a folder; `annotator project copy` takes in a project's folder"),
-    ("new Room --classes x", "is not a valid project name"),
     ("stats ../room", "--projects names the folder of projects"),
     ("project remove room People", "no recording 'People'; did you mean 'people'?"),
     ("classes remove room Person", "has no class 'Person'; did you mean 'person'?"),
     ("classes attribut room pose", "unknown command 'classes attribut'; did you mean 'classes attribute'?"),
-    ("import room labels --classes Car=Person", "the project has no class 'Person'; did you mean 'person'?"),
     ("export room out --classes tree", "has no class 'tree'; it has: person"),
     # paths
     ("check peple", "peple: no such file or folder, and projects has no project 'peple' (it has: room)"),
     ("check no/such", "has no no); give the path of a recording"),
     ("add room recordigs/people", "has no recordigs; did you mean recordings?)"),
     ("check labels", "it holds text files; if they are labels, give the folder that also has their images and clouds"),
-    ("check boxes.json", "it holds boxes; give the recording's folder, which may have it in truth/"),
     ("check sun", "it looks like SUN RGB-D as VoteNet extracts it: depth/*.mat or points/*.npz is missing"),
     ("check other", "`annotator inspect other` lists what each format needs"),
     # evaluation
     ("evaluate labels labels --protocol kitti", "append one to each row (1.0 if all are equally certain)"),
-    ("evaluate sun labels --protocol kitti", "sun: is no folder of KITTI's text files, one for each frame"),
     ("evaluate boxes.csv boxes.csv --protocol sunrgbd", "boxes.csv:1: has no column score"),
-    ("evaluate sun sun --protocol sunrgbd", "is no CSV file of boxes, one for all images"),
     ("evaluate recordings recordings --protocol oriented", "is no dataset in the format rcv, which has a dataset.json"),
     # options
     ("add room", "no recording given"),
-    ("add room recordings/people recordings/people --name x", "cannot all be called 'x'"),
     ("annotate room", "has no image detector yet; run `annotator train room`"),
     ("views room out", "no object with boxes on camera images yet"),
     ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
@@ -55,7 +49,6 @@ REFUSALS = [
     # import
     ("import room sun", "has images and no folder label/, so there are no labels to import"),
     ("import room labels --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
-    ("import room flat.json --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
     ("import room flat.json", "Map the classes to those of the project, as in --classes Car=person, or add them with"),
     (
         "import room near.json",
@@ -64,7 +57,6 @@ REFUSALS = [
     ("import room labels --format rcv", "labels: is no dataset in the format rcv, which has a dataset.json"),
     ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
     ("import room labels/000000.txt", "has the labels of one frame; give the folder of all: labels"),
-    ("import room psr.json", "has the labels of one frame; give the folder of all: "),
     ("import room car.json --as 2d", "`annotator classes add`, or map them to its own, as in --classes Car=person"),
     ("import room far", "the project has none of the dataset's frames (999999); first add their recording"),
     # export
@@ -72,10 +64,7 @@ REFUSALS = [
         "export room other --overwrite",
         "remove what is in it (only an older export of the same format can be overwritten",
     ),
-    ("export room other", "exists and is not empty; choose another folder"),
     ("export room out --split train=0.8,val=0.3", "add up to 1.1, not to 1; write train=0.73,val=0.27, or ratios"),
-    ("export room out --split train=0.8", "add up to 0.8, not to 1; write train=1"),
-    ("export room out --split 0.8", "give each part once with its share, as in train=0.8,val=0.2"),
 ]
 
 
@@ -95,8 +84,6 @@ def place(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "boxes.json").write_text("{}")
     at = {"center": [0, 0, 2], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
     (folder / "car.json").write_text(json.dumps({"000000": [{"label": "Car", **at}]}))
-    psr = {name: {"x": 1, "y": 1, "z": 1} for name in ("position", "scale", "rotation")}
-    (folder / "psr.json").write_text(json.dumps([{"obj_type": "Car", "psr": psr}]))
     flat = {"images": [{"id": 1, "file_name": "000000.png", "width": 320, "height": 240}]}
     flat |= {"categories": [{"id": 1, "name": "Car"}]}
     flat |= {"annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 1, 9, 9]}]}

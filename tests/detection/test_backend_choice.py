@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -18,18 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.detection import ultralytics_api
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export import Export, find_export, keep_export
-from annotator.detection.backends.network import ExportKind, Network, NetworkFacts, side_by_side, usable_cores
-from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.backends.export import Export, find_export
+from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
-from annotator.detection.ultralytics_api import api, pick_device
 from annotator.detection.yolo import YoloDetector
-from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, FormatError, MissingExtraError
+from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
 
 pytestmark = pytest.mark.slow
 
@@ -114,21 +110,6 @@ def test_missing_or_damaged_weights(tmp_path: Path, backend: Backend) -> None:
     (tmp_path / "bad.pt").write_bytes(b"weights")
     with pytest.raises(DetectionError, match=r"bad\.pt: cannot be read as detector weights"):
         make(tmp_path / "bad.pt", backend=backend)
-
-
-def test_thread_numbers_are_used_and_restored(tiny_model: TrainedModel) -> None:
-    torch = api().torch
-    before = torch.get_num_threads()
-    network = TorchNetwork(tiny_model.weights, pick_device("cpu"), threads=before + 1)
-    seen: list[int] = []
-    network._run.register_forward_hook(lambda *_: seen.append(torch.get_num_threads()))
-    network.predict([np.zeros((1, 64, 96, 3), np.uint8)])
-    assert seen == [before + 1]
-    assert torch.get_num_threads() == before
-    assert 1 <= usable_cores() <= (os.cpu_count() or 1)
-    assert [side_by_side(n, 2) for n in (1, 2, 24)] == [False, True, True]
-    assert [side_by_side(n, 16) for n in (2, 5, 24)] == [False, True, True]
-    assert not side_by_side(24, 1)
 
 
 QUIET = """
@@ -253,32 +234,6 @@ def test_an_export_beside_the_weights_is_never_used(own_weights: Path, exports: 
     opened_onnx(own_weights)
     assert len(exports) == 2
     assert {path.name for path in own_weights.parent.iterdir()} == {own_weights.name, sent.name}
-
-
-def test_without_a_writable_cache_an_export_is_repeated(
-    own_weights: Path, exports: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(out: Path, may_replace: Callable[[Path], bool]) -> Any:
-        # Permissions of folders do not apply to the superuser, so the refusal is simulated.
-        raise FormatError(out, "cannot be requested (Permission denied)")
-
-    monkeypatch.setattr(export_module, "new_folder", refuse)
-    for _ in range(2):
-        opened_onnx(own_weights)
-    assert len(exports) == 2
-    assert "Permission denied" in caplog.text
-
-
-def test_the_least_recently_used_exports_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(ultralytics_api, "MOST_KEPT", 2)
-    export = Export(NetworkFacts(labels=("cat",), stride=32, end2end=False, edge_spread=False), {"network.onnx": b""})
-    for number, key in enumerate("abc"):
-        keep_export("onnxruntime", key, export)
-        os.utime(exports_folder(tmp_path) / f"onnxruntime-{key}", (number, number))
-        find_export("onnxruntime", "a")
-    assert find_export("onnxruntime", "b") is None
-    assert find_export("onnxruntime", "a") is not None
 
 
 def test_only_one_of_several_workers_exports(

@@ -13,7 +13,6 @@ import pytest
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Network
-from annotator.detection.backends.openvino_network import OpenVinoNetwork
 from annotator.detection.config import Backend, DetectorConfig, EdgeErrors
 from annotator.detection.pretrained import write_seeded_network
 from annotator.detection.trained import TrainedModel
@@ -191,26 +190,6 @@ def test_output_agrees_with_torch_up_to_rounding(random_weights: dict[str, Path]
     for rows in (slice(0, 4), slice(4, None)):
         off, far = (np.abs(each - expected)[:, rows].mean() for each in (rounded, swapped))
         assert off < far / 2
-
-
-@pytest.mark.usefixtures("bfloat16")
-@pytest.mark.parametrize("name", ["yolo11n", "yolo26n"])
-def test_the_last_convolutions_are_computed_in_single_precision(random_weights: dict[str, Path], name: str) -> None:
-    network = opened(random_weights[name], "openvino-bf16")
-    assert isinstance(network, OpenVinoNetwork)
-    network.predict([np.zeros((1, 96, 96, 3), np.uint8)])
-    ((request, *_),) = network._compiled.values()
-    precisions: dict[str, str] = {}
-    for layer in request.request.get_compiled_model().get_runtime_model().get_ops():
-        facts = layer.get_rt_info()
-        if facts["layerType"].astype(str) == "Convolution":
-            for original in facts["originalLayersNames"].astype(str).split(","):
-                precisions[original] = facts["runtimePrecision"].astype(str)
-    last = {k: v for k, v in precisions.items() if "cv2.0.2" in k or ("cv3.0" in k and "/aten::_convolution" in k)}
-    assert last
-    assert set(last.values()) == {"f32"}
-    # which other layers use bfloat16 depends on the processor
-    assert "bf16" in precisions.values()
 
 
 @pytest.mark.parametrize("supported", [True, False])

@@ -73,14 +73,6 @@ def test_held_out_views_only_validate(
     assert manifest.measured_on == ("val" if set(groups) & held & labelled else "train")
 
 
-def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:
-    samples = [sample("1"), sample("1", seed=1), sample("2", ())]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand"], lambda group: group == "2")
-    assert manifest.measured_on == "train"
-    assert manifest.images == {"train": 2, "val": 1}
-    assert "val: images/train" in (tmp_path / "set" / "data.yaml").read_text()
-
-
 def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> None:
     count = itertools.count()
 
@@ -104,24 +96,6 @@ def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> 
         )
         == 6
     )
-
-
-def test_images_may_be_functions_or_files(tmp_path: Path) -> None:
-    path = tmp_path / "given.png"
-    cv2.imwrite(str(path), picture(5)[:, :, ::-1])
-    calls = []
-
-    def load() -> np.ndarray:
-        calls.append(1)
-        return picture(6)
-
-    samples = [TrainingSample(path, (BOX,), "1", "drawn"), TrainingSample(load, (BOX,), "2", "drawn")]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand"])
-    assert calls == [1]
-    for entry, seed in zip(manifest.entries, (5, 6), strict=True):
-        stored = cv2.imread(str(tmp_path / "set" / entry.image))
-        assert stored is not None
-        np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
 
 
 @pytest.mark.parametrize(

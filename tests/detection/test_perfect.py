@@ -88,18 +88,3 @@ def test_boxes_on_a_region_are_those_of_the_image_shifted_and_clipped() -> None:
     assert shown.xyxy == (-0.5, near.y_min - y, near.x_max - x, near.y_max - y)
     corner = Region(frame, 0, 0, 2, 2)
     assert detector.detect([corner]) == [[]]
-
-
-def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
-    frame = make_frame([NEAR], [200])
-    views = [make_view(frame.cloud.xyz_m, (300, 200), 0.02 + 0.0001 * i) for i in range(300)]
-    exact = PerfectDetector.for_frame(frame, [NEAR]).detect(views)
-    noisy = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=3).detect(views)
-    error = np.array([np.subtract(b[0].xyxy, a[0].xyxy) for a, b in zip(exact, noisy, strict=True)])
-    np.testing.assert_allclose(error.std(axis=0), [6.0, 4.0, 6.0, 4.0], rtol=0.15)
-    assert (np.abs(error.mean(axis=0)) < 1.2).all()
-    again = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=3)
-    assert again.detect(views[::-1]) == noisy[::-1]
-    other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
-    assert other.detect(views[:1]) != noisy[:1]
-    assert again.fingerprint != other.fingerprint

@@ -55,7 +55,8 @@ def test_without_network_weights_are_random_with_a_note(downloads: list[str]) ->
 def test_a_download_times_out(downloads: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     answer = threading.Event()
     monkeypatch.setattr(api().downloads, "attempt_download_asset", lambda *_, **__: answer.wait())
-    start = find_starting_point(TrainingConfig(download_timeout_s=0.2))
+    monkeypatch.setattr(pretrained, "DOWNLOAD_TIMEOUT_S", 0.2)
+    start = find_starting_point(TrainingConfig())
     answer.set()
     assert not start.pretrained
     assert "no answer" in start.note

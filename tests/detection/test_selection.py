@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from annotator.detection.yolo import (
     GREY,
-    MAX_CANDIDATES,
     SQUARE_UP_TO_PX,
     candidates,
     fill_batch,
@@ -65,18 +64,6 @@ def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
     assert selected.boxes.tolist() == [[8, 17, 12, 23], [4, 4, 6, 6]]
     assert selected.numbers.tolist() == [0, 1]
     np.testing.assert_allclose(selected.scores, [0.4, 0.9])
-
-
-@pytest.mark.parametrize("end2end", [False, True])
-def test_only_the_best_of_each_image_are_kept(end2end: bool) -> None:
-    rng = np.random.default_rng(0)
-    raw = rng.random((3, 6, 500), np.float32)
-    raw[1, 4:] *= rng.random(500) < 0.1  # one image has few
-    selected = candidates(raw, end2end, 0.1)
-    for picture in range(3):
-        scores = raw[picture, 4:] if end2end else raw[picture, 4:].max(axis=0)
-        best = np.sort(scores[scores > 0.1])[::-1][:MAX_CANDIDATES]
-        np.testing.assert_array_equal(np.sort(selected.scores[selected.picture == picture])[::-1], best)
 
 
 @pytest.mark.parametrize("end2end", [False, True])

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from annotator.detection import training
-from annotator.detection.config import Augmentation, TrainingConfig, default_augmentation
-from annotator.detection.trained import RunRecord, TrainedModel, read_trained
+from annotator.detection.config import Augmentation, TrainingConfig
+from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api
 from annotator.types import DetectorKind
@@ -131,25 +129,6 @@ def test_a_run_of_fixed_duration_that_ends_after_an_unmeasured_epoch_is_measured
     assert 0.0 <= trained.metrics.map50 <= 1.0
 
 
-def test_pauses_are_no_training_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s = [0.0]
-    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    trainer = SimpleNamespace(
-        start_epoch=0, epochs=2, epoch=0, train_loader=[0], tloss=None, train_time_start=100.0, fitness=None
-    )
-    run = RunRecord(fingerprint="", pretrained=False, note="", seconds=0.0)
-
-    def pause(*_: object) -> bool:
-        now_s[0] += 5.0
-        return False
-
-    watch = Watch(DetectorKind.VIEW, run, tmp_path, 2, pause, pause, 10.0)
-    watch.on_batch(trainer)
-    watch.on_epoch(trainer)
-    assert watch.seconds == 0.0
-    assert trainer.train_time_start == 115.0
-
-
 @pytest.mark.slow
 def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
@@ -191,23 +170,6 @@ def test_unusable_arguments_are_errors(tiny_dataset: Path, tmp_path: Path) -> No
     assert not (tmp_path / "run").exists()
 
 
-def test_only_augmentations_that_keep_boxes_tight_are_used() -> None:
-    """The box around a sheared box, or a box rotated by an arbitrary angle, does not fit the object tightly."""
-    for role in DetectorKind:
-        settings = trainer_settings(TrainingConfig(), role, 10, "cpu", Path("out"))
-        assert (settings["degrees"], settings["shear"], settings["perspective"]) == (0, 0, 0)
-        assert not settings["amp"]
-        assert not settings["plots"]
-    assert not default_augmentation(DetectorKind.VIEW, free_rotation=False).quarter_turns
-    assert default_augmentation(DetectorKind.VIEW, free_rotation=False).flip_vertical == 0
-    assert default_augmentation(DetectorKind.VIEW, free_rotation=True).quarter_turns
-    assert not default_augmentation(DetectorKind.IMAGE, free_rotation=True).quarter_turns
-    assert default_augmentation(DetectorKind.IMAGE, free_rotation=False).flip_vertical == 0
-    own = Augmentation(mosaic=1.0, mosaic_off_epochs=3)
-    settings = trainer_settings(TrainingConfig(augmentation=own), DetectorKind.VIEW, 10, "cpu", Path("out"))
-    assert (settings["mosaic"], settings["close_mosaic"]) == (1.0, 3)
-
-
 def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
     """With all augmentations at once, each label must be the box around the coloured pixels of the augmented image."""
     from annotator.detection.dataset import read_manifest
@@ -216,10 +178,10 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
 
     config = TrainingConfig(
         image_size_px=96,
-        augmentation=Augmentation(flip_horizontal=0.5, flip_vertical=0.5, quarter_turns=True, shift=0.1, scale=0.3),
+        augmentation=Augmentation(flip_horizontal=0.5, shift=0.1, scale=0.3),
     )
     hooks = TrainerHooks(
-        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, True, lambda _: None, lambda _: None
+        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, lambda _: None, lambda _: None
     )
     settings = trainer_settings(config, DetectorKind.VIEW, 1, "cpu", tmp_path / "run")
     settings |= {"model": "yolo11n.yaml", "data": str(tiny_dataset / "data.yaml")}
@@ -257,33 +219,6 @@ def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -
     product = matrix.transpose(1, 2) @ result
     assert torch.allclose(product, product.transpose(1, 2), atol=1e-3)
     assert (torch.linalg.eigvalsh(product) > -1e-3).all()
-
-
-def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:
-    torch = api().torch
-    from annotator.detection.trainer import MuonSgd
-
-    def make() -> tuple[object, object]:
-        torch.manual_seed(1)
-        weight = torch.nn.Parameter(torch.randn(4, 3, 2, 2))
-        return weight, MuonSgd([{"params": [weight], "use_muon": True, "lr": 0.05, "momentum": 0.9}])
-
-    def steps(weight: object, optimizer: object, seeds: range) -> None:
-        for seed in seeds:
-            weight.grad = torch.from_numpy(  # type: ignore[attr-defined]
-                np.random.default_rng(seed).normal(size=(4, 3, 2, 2)).astype(np.float32)
-            )
-            optimizer.step()  # type: ignore[attr-defined]
-
-    straight, optimizer = make()
-    steps(straight, optimizer, range(6))
-    first, before = make()
-    steps(first, before, range(3))
-    second, after = make()
-    second.data.copy_(first.data)  # type: ignore[attr-defined]
-    after.load_state_dict(before.state_dict())  # type: ignore[attr-defined]
-    steps(second, after, range(3, 6))
-    assert torch.allclose(straight, second)
 
 
 @pytest.mark.slow

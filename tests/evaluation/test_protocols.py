@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.evaluation import boxes as boxes_module
-from annotator.evaluation.boxes import BoxTable, overlapping
+from annotator.evaluation.boxes import BoxTable
 from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
-from annotator.evaluation.oriented import LABELLINGS, FrameResult, average_precision, evaluate_oriented, pose_errors
+from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
 
@@ -23,37 +22,29 @@ def cube(x: float, size: float = 1.0) -> OrientedBox:
 
 
 CASES = [
-    pytest.param([cube(0)], [0.5], [cube(0)], [], 1.0, id="found"),
-    pytest.param([], [], [cube(0)], [], 0.0, id="missed"),
-    pytest.param([cube(9)], [0.5], [cube(0)], [], 0.0, id="beside"),
-    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [], 0.5, id="wrong-one-first"),
-    pytest.param([cube(0), cube(9)], [0.9, 0.5], [cube(0)], [], 1.0, id="wrong-one-last"),
-    pytest.param(
-        [cube(0), cube(0), cube(5)], [0.9, 0.8, 0.7], [cube(0), cube(5)], [], 0.5 + 0.5 * 2 / 3, id="found-twice"
-    ),
-    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 1.0, id="on-an-ignored"),
-    pytest.param([cube(9), cube(9), cube(0)], [0.9, 0.8, 0.5], [cube(0)], [cube(9)], 1.0, id="twice-on-an-ignored"),
-    pytest.param([cube(9.5), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 0.5, id="too-far-from-an-ignored"),
-    pytest.param([cube(0.1), cube(7)], [0.9, 0.5], [cube(0)], [cube(0.4)], 1.0, id="nearer-to-the-one-that-counts"),
-    pytest.param([cube(9)], [0.9], [cube(0)], [cube(9)], 0.0, id="only-an-ignored-found"),
+    pytest.param([(0, 0.5)], [0], 1.0, id="found"),
+    pytest.param([], [0], 0.0, id="missed"),
+    pytest.param([(9, 0.5)], [0], 0.0, id="beside"),
+    pytest.param([(9, 0.9), (0, 0.5)], [0], 0.5, id="wrong-one-first"),
+    pytest.param([(0, 0.9), (9, 0.5)], [0], 1.0, id="wrong-one-last"),
+    pytest.param([(0, 0.9), (0, 0.8), (5, 0.7)], [0, 5], 0.5 + 1 / 3, id="found-twice"),
 ]
 
 
-@pytest.mark.parametrize(("boxes", "scores", "truth", "ignored", "expected"), CASES)
+@pytest.mark.parametrize(("found", "truth", "expected"), CASES)
 def test_average_precision_equals_the_value_computed_by_hand(
-    boxes: list[OrientedBox],
-    scores: list[float],
-    truth: list[OrientedBox],
-    ignored: list[OrientedBox],
-    expected: float,
+    found: list[tuple[float, float]], truth: list[float], expected: float
 ) -> None:
-    assert average_precision([FrameResult(boxes, scores, truth, ignored)], 0.5) == pytest.approx(expected)
+    detections = BoxTable.of([(0, "a", cube(x), score) for x, score in found])
+    result = evaluate_oriented(detections, BoxTable.of([(0, "a", cube(x), 1.0) for x in truth]))
+    assert result.classes["a"].curves[0.5].area == pytest.approx(expected)
 
 
 def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
-    first, second = FrameResult([cube(0)], [0.5], [cube(0)]), FrameResult([cube(0)], [0.9], [cube(5)])
+    found = BoxTable.of([(0, "a", cube(0), 0.5), (1, "a", cube(0), 0.9)])
     # the false positive has the higher score: recall 1/2 at precision 1/2
-    assert average_precision([first, second], 0.5) == pytest.approx(0.25)
+    result = evaluate_oriented(found, BoxTable.of([(0, "a", cube(0), 1.0), (1, "a", cube(5), 1.0)]))
+    assert result.classes["a"].curves[0.5].area == pytest.approx(0.25)
 
 
 Row = tuple[int, str, OrientedBox, float]
@@ -94,7 +85,6 @@ def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
     some, none = BoxTable.of([(0, "a", box(0), 1.0)]), BoxTable.of([])
     assert evaluate_oriented(none, some).mean(0.25) == 0.0
     assert math.isnan(evaluate_oriented(some, none).mean(0.25))
-    assert math.isnan(average_precision([FrameResult([cube(0)], [1.0], [], [cube(0)])], 0.5))
     found = evaluate_oriented(none, some).classes["a"]
     assert (found.mean_iou, found.matched, found.curves[0.5].final_recall) == (0.0, 0, 0.0)
     assert math.isnan(found.rotation_error_rad)
@@ -155,16 +145,6 @@ def test_the_labelling_of_the_axes_has_no_effect(seed: int, naming: int) -> None
     before, after = pose_errors(a, b), pose_errors(BoxTable.of([(0, "a", renamed, 1.0)]), b)
     assert after.rotation_rad[0] == pytest.approx(before.rotation_rad[0], abs=1e-7)
     assert 0 <= before.rotation_rad[0] <= 2 * math.pi / 3 + 1e-7, "one of the symmetric rotations is within 120 degrees"
-
-
-def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, found = BoxTable.of(rooms(40, 5)), BoxTable.of(rooms(40, 6))
-    whole = overlapping(found, truth)
-    monkeypatch.setattr(boxes_module, "BLOCK", 3)
-    parts = overlapping(found, truth)
-    assert len(whole.iou) > 20
-    for name in ("detection", "truth", "iou"):
-        np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
 
 
 @dataclass(frozen=True)

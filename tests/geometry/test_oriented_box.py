@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from geometry_strategies import boxes, random_boxes, rotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import (
@@ -234,16 +232,6 @@ def test_points_take_the_colour_of_the_pixel_on_which_they_fall(frame: Frame):
     assert (moved.cloud.rgb[inside] == frame.rgb[px[inside, 1], px[inside, 0]]).all()
     assert (moved.cloud.rgb[~inside] == frame.cloud.rgb[~inside]).all()
     assert not (moved.cloud.rgb == frame.cloud.rgb).all()
-
-
-def test_labels_of_the_recordings_files_move_along(frame: Frame):
-    T_camera_label = RigidTransform.from_components([0.1, 0.2, 0.3], Rotation.from_rotvec([0.0, 0.5, 0.0]))
-    moved = corrected(replace(frame, T_camera_label=T_camera_label), TURN)
-    expected = TURN.T_camera_recorded * T_camera_label
-    assert moved.T_camera_label is not None
-    assert np.allclose(moved.T_camera_label.as_matrix(), expected.as_matrix())
-    assert moved.T_camera_recorded is not None
-    assert corrected(frame, TURN).T_camera_label is not None
 
 
 # The common axis of boxes, and how alike they are turned about it.

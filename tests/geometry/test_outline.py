@@ -13,7 +13,6 @@ from annotator.geometry.oriented_box import EDGES, box_corners
 from annotator.geometry.outline import (
     NEAR_M,
     box_on_image,
-    heading_px,
     points_on_image,
     rectangle_intersection_pairs,
     visible_edges,
@@ -129,29 +128,6 @@ def test_invisible_boxes_have_no_edges_and_the_order_is_kept() -> None:
     assert [len(pieces) for pieces in found] == [0, 12, 0]
     assert np.allclose(found[1], project(EDGE_CAMERA, box_corners(shown))[np.array(EDGES)], atol=1e-6)
     assert visible_edges(EDGE_CAMERA, []) == []
-
-
-@pytest.mark.parametrize(
-    ("yaw_deg", "tip_px", "along"),
-    [
-        # the box is 4 m away, 2 x 1 x 0.6 m: the arrow reaches 1 + 0.2 * 1.2 = 1.24 m from its centre
-        (0.0, (500 * 1.24 / 4 + 320, 235), (1, 0)),
-        (45.0, (500 * 0.8768 / (4 - 0.8768) + 320, 235), (1, 0)),
-    ],
-)
-def test_the_heading_is_an_arrow_with_a_head_of_its_own_size(
-    yaw_deg: float, tip_px: tuple[float, float], along: tuple[int, int]
-) -> None:
-    turn = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 4.0]), turn, np.array([2.0, 1.0, 0.6]))
-    shaft, *head = heading_px(EDGE_CAMERA, box, 10.0)
-    np.testing.assert_allclose(shaft, [(320, 235), tip_px], atol=0.02)
-    for line, side in zip(head, (-1, 1), strict=True):
-        np.testing.assert_allclose(line[0], shaft[1], atol=1e-9)
-        back = line[1] - line[0]
-        assert np.linalg.norm(back) == pytest.approx(10)
-        assert back @ np.array(along) == pytest.approx(-10 * np.cos(np.pi / 6))
-        assert np.sign(back[1]) == -side * along[0]
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,9 @@ from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import (
     in_frustum,
     in_metres,
-    pixel_colors,
     pixel_rays,
     project,
     straightened,
-    thin,
     unproject_depth,
 )
 from annotator.types import Box2D, Camera, OrientedBox
@@ -98,17 +96,6 @@ def test_depth_of_another_size_is_refused() -> None:
         unproject_depth(PINHOLE, np.ones((240, 320), np.float32))
 
 
-def test_colours_are_those_of_the_points_pixels() -> None:
-    rgb = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
-    _, pixel = unproject_depth(PINHOLE, depth_image(PINHOLE, 1))
-    np.testing.assert_array_equal(pixel_colors(rgb, pixel), rgb.reshape(-1, 3)[pixel])
-    np.testing.assert_array_equal(pixel_colors(rgb[:, ::-1], pixel), rgb[:, ::-1].reshape(-1, 3)[pixel])
-    assert pixel_colors(rgb, pixel[:0]).shape == (0, 3)
-    for wrong in (-1, 480 * 640):
-        with pytest.raises(IndexError, match="not all in an image of 307200 pixels"):
-            pixel_colors(rgb, np.array([0, wrong], np.int32))
-
-
 # The lens model against OpenCV's.
 
 
@@ -163,22 +150,6 @@ def test_points_folded_back_by_the_lens_model_are_outside_the_frustum() -> None:
     camera = Camera(640, 480, 400.0, 400.0, 320.0, 240.0, (-0.3, 0.0, 0.0, 0.0))
     everywhere = Box2D("x", -1e4, -1e4, 1e4, 1e4)
     assert in_frustum(camera, np.array([[0.5, 0.0, 1.0], [3.0, 0.0, 1.0]]), everywhere).tolist() == [True, False]
-
-
-# Thinning of point clouds.
-
-
-@given(st.integers(0, 5000), st.integers(1, 1000))
-def test_thinning_keeps_the_given_number_of_points_in_order(n_points: int, most: int) -> None:
-    keep = thin(n_points, most)
-    if n_points <= most:
-        assert keep is None
-        return
-    assert keep is not None
-    assert len(keep) == most
-    assert (np.diff(keep) > 0).all()
-    assert keep[0] >= 0
-    assert keep[-1] < n_points
 
 
 # Occlusion of boxes in scenes with a known result, and undistorted images.

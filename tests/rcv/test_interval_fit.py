@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.rcv import interval_fit
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.rcv.rotations import near_axes, spread_rotations, wide_axes
 from annotator.types import OrientedBox
@@ -113,7 +112,7 @@ def true_box(number: int, up: np.ndarray | None) -> OrientedBox:
 
 
 def measured(box: OrientedBox, noise_m: float, up: np.ndarray | None, rng: np.random.Generator) -> Intervals:
-    axes = [*wide_axes(up, RcvConfig()), *near_axes(box.rotation, up)]
+    axes = [*wide_axes(up), *near_axes(box.rotation, up)]
     directions = np.concatenate([rows[[0, 1]] for rows in axes] + [rows[[2, 1]] for rows in axes])
     along = box_corners(box) @ directions.T
     ends = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)

@@ -89,19 +89,6 @@ def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
         np.testing.assert_array_equal(drawn_on.xyz_m, met.xyz_m)
 
 
-@pytest.mark.parametrize("unseen", [0, 1, 2, 3])
-def test_an_object_that_is_missing_in_one_view_is_not_finished(unseen: int) -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    asked: list[PseudoView] = []
-
-    def draw(view: PseudoView) -> Box2D | None:
-        asked.append(view)
-        return None if len(asked) == unseen + 1 else project_box(view, BOX, "thing")
-
-    assert draw_object(frame, image_box(frame), draw, CONFIG) is None
-    assert len(asked) == (2 if unseen < 2 else 4), "both views of the step are shown, and no later view"
-
-
 NEAR = some_box([-0.1, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
 BESIDE = some_box([0.35, 0.0, 2.9], [0, -0.3, 0], [0.5, 0.9, 0.4])
 

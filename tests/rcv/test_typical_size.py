@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +10,9 @@ from test_warm_start import AnyClass
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.rcv import finish
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
-from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.rcv.typical_size import BY_SCORE, Candidates, Evidence, place
 from annotator.recordings import open_recording
@@ -61,28 +57,6 @@ def evidence_of(
 def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
     parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
     return Candidates.of(parts)
-
-
-def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
-    evidence = evidence_of(BOX)
-    candidates = moved(BOX, (0, 0, 0), (0, 0, 0.2), (0, 0, 0.4))
-    axes, half = BOX.rotation.T, BOX.size_m / 2
-    center = BOX.center_m + np.array([0, 0, 0.4])
-    ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
-    sigma = np.full((3, 2), 0.01)
-    sigma[0, 0] = np.inf  # an unknown end has no say
-    ends[0, 0] = 99.0
-    change = evidence.score(candidates, [Intervals(axes, ends, sigma)]) - evidence.score(candidates)
-    assert change[2] == pytest.approx(0, abs=1e-9)
-    assert max(change[:2]) < change[2]
-    # of several rivals, the nearest counts
-    far = Intervals(axes, ends + 5.0, sigma)
-    both = evidence.score(candidates, [far, Intervals(axes, ends, sigma)]) - evidence.score(candidates)
-    assert both == pytest.approx(change)
-    # a less accurate detector counts less
-    rough = evidence.score(candidates, [Intervals(axes, ends, sigma * 20)]) - evidence.score(candidates)
-    assert rough[0] < rough[1] < rough[2]
-    assert (rough >= change - 1e-9).all()
 
 
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])
@@ -152,23 +126,6 @@ def test_an_object_of_typical_size_needs_no_detection() -> None:
     for config in (config_for(), config_for(TYPICAL, use=False)):
         (result,) = propose_from_boxes([frame], [[image_box]], Blind(), config)
         assert result.proposals == () and len(result.lost) == 1
-
-
-def test_two_objects_do_not_get_the_same_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The object with the higher score is chosen first; the other one then prefers a place that is still free."""
-    cloud, image_box = frame_with(BOX).cloud, box_on_image(CAMERA, BOX, "crate")
-    states = [start(0, replace(image_box), cloud, UP, config_for(TYPICAL)) for _ in range(2)]
-    places = moved(BOX, (0, 0, 0), (0, 0, 1.0))
-    choices = [
-        finish._Choice(states[0], places, np.array([0.9, 0.6])),
-        finish._Choice(states[1], places, np.array([1.2, 0.0])),
-    ]
-    second, first = (state.box for state in finish._of_typical_sizes(choices))
-    assert first is not None and second is not None
-    assert (first.center_m[2], second.center_m[2]) == pytest.approx((3.0, 4.0))
-    monkeypatch.setattr(finish, "OVERLAP_WEIGHT", 0.0)
-    alone, _ = (state.box for state in finish._of_typical_sizes(choices))
-    assert alone is not None and alone.center_m[2] == pytest.approx(3.0)
 
 
 def test_views_correct_the_placed_box(generated, knowing: Callable[..., Detectors]) -> None:

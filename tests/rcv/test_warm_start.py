@@ -12,14 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import SILHOUETTE_ROOM, Outline, depth_crops, expected_outline, image_planes
 from annotator.rcv.propose import propose, propose_from_boxes
 from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, Proposal
+from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, Proposal
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 
@@ -106,10 +104,6 @@ def test_a_tilted_start_box_gives_an_upright_box_from_silhouettes() -> None:
 # The first look of a class-agnostic detector: crops along the depth, bounds from the image box, choice of a rival.
 
 
-SQUARE_CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
-DRAWN_BOX = OrientedBox.from_parts(np.array([0.1, -0.05, 2.0]), np.eye(3), np.array([0.4, 0.5, 0.3]))
-
-
 class AnyClass:
     """A class-agnostic detector that gives the boxes of another detector under the names of what they measure."""
 
@@ -127,43 +121,6 @@ class AnyClass:
 def first_look(orientation: Orientation) -> RcvConfig:
     """Settings with which no class has a typical size."""
     return RcvConfig(orientation=orientation, use_typical_sizes=False).for_detector(BoxKind.BOX, class_agnostic=True)
-
-
-def points_at(depths_m: Sequence[float], count: int = 200) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    layers = [np.column_stack([rng.uniform(-0.1, 0.1, (count, 2)) * z, np.full(count, z)]) for z in depths_m]
-    return np.concatenate(layers).astype(np.float32)
-
-
-def test_each_layer_of_depth_gets_a_crop() -> None:
-    image_box = Box2D("object", 130.0, 90.0, 190.0, 150.0)
-    layers = (1.0, 2.0, 3.0, 5.0)
-    xyz = points_at(layers)
-    crops = depth_crops(SQUARE_CAMERA, xyz, image_box, 5)
-    assert [sorted(set(xyz[crop, 2].tolist())) for crop in crops] == [[depth] for depth in layers]
-    assert depth_crops(SQUARE_CAMERA, xyz, image_box, len(xyz)) == []
-
-
-def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
-    outline = box_on_image(SQUARE_CAMERA, DRAWN_BOX, "object")
-    planes = image_planes(SQUARE_CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
-    heights = box_corners(DRAWN_BOX) @ planes.directions.T
-    assert len(planes.directions) == 4
-    assert heights.max(axis=0) == pytest.approx(0, abs=1e-9)
-    assert np.isinf(planes.sigma_m[:, 0]).all()
-    assert planes.sigma_m[:, 1] == pytest.approx(2 * 2.0 / 260, rel=0.1)
-
-
-def test_the_outline_of_a_whole_box_lies_outside_what_is_seen() -> None:
-    config, image_box = RcvConfig(), Box2D("object", 100.0, 50.0, 200.0, 239.0)
-    for image_kind, kind in ((BoxKind.BOX, BoxKind.BOX), (BoxKind.SILHOUETTE, BoxKind.SILHOUETTE)):
-        same = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(kind, True, image_kind))
-        assert same.box is image_box and same.sigma_px == pytest.approx(2.0)
-    whole = expected_outline(SQUARE_CAMERA, image_box, config.for_detector(BoxKind.BOX, True, BoxKind.SILHOUETTE))
-    room = SILHOUETTE_ROOM
-    # the object may go on beyond the lower border of the image
-    assert whole.box.xyxy == pytest.approx((100 - 100 * room, 50 - 189 * room, 200 + 100 * room, 239.0))
-    assert (whole.sigma_px > 2).all()
 
 
 @pytest.mark.parametrize(("name", "least"), [("people", 0.85), ("hands", 0.75)])
@@ -188,18 +145,6 @@ def test_objects_of_any_class_are_measured(
     (none,) = propose_from_boxes([frame], [boxes], AnyClass(knowing(name).view, BoxKind.SILHOUETTE), config)
     assert none.proposals == ()
     assert len(none.lost) == len(truths)
-
-
-def test_a_detector_of_the_class_sees_no_crops(generated, knowing: Callable[..., Detectors]) -> None:
-    recording = open_recording(generated / "people")
-    frame = recording.frame(0)
-    truths = load_truth(recording, 0, frame)
-    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
-    for class_agnostic in (False, True):
-        config = RcvConfig(orientation=Orientation.UPRIGHT).for_detector(BoxKind.BOX, class_agnostic)
-        counting = Counting(knowing("people").view)
-        propose_from_boxes([frame], [boxes], counting, config)
-        assert (counting.calls[0] == 2 * len(boxes)) is not class_agnostic
 
 
 def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Callable[..., Detectors]) -> None:

@@ -44,6 +44,19 @@ def stage() -> Stage:
     return Stage(CAMERA, LEVEL, WALL, palette(), LIGHTS)
 
 
+@pytest.mark.parametrize(
+    "mesh", [ball((0, 0, 0), 0.5), ball((0, 0, 0), 0.3, power=6), box_mesh((0, 0, 0), (1, 2, 3), 0)]
+)
+def test_meshes_are_closed(mesh: Mesh) -> None:
+    """Each edge, between vertices at different places, belongs to two triangles."""
+    _, vertex = np.unique(mesh.vertices.round(5), axis=0, return_inverse=True)
+    corners = vertex.reshape(-1)[mesh.triangles]
+    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]  # without those that are only an edge
+    edges = np.sort(np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    counts = np.unique(edges, axis=0, return_counts=True)[1]
+    assert (counts == 2).all()
+
+
 def test_the_depth_agrees_with_the_plane_and_the_sphere():
     rendering = stage().render([ball((0, 0, 2.0), 0.5)])
     seen = rendering.track == 1

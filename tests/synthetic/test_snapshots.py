@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from annotator.geometry.oriented_box import contains
-from annotator.synthetic.arrangements import in_the_air, room, street, table_top
 from annotator.synthetic.materials import Palette
 from annotator.synthetic.objects import FAMILIES, random_object
 from annotator.synthetic.snapshots import MIN_POINTS, Snapshot, snapshot
@@ -56,10 +55,3 @@ def test_equal_seeds_give_equal_frames_and_other_versions_do_not(snapshots: list
         again, other = snapshot(seed), snapshot(seed, version=2)
         assert np.array_equal(again.frame.cloud.xyz_m, snapshots[seed].frame.cloud.xyz_m)
         assert not np.array_equal(other.frame.cloud.xyz_m, snapshots[seed].frame.cloud.xyz_m)
-
-
-@pytest.mark.parametrize("arrange", [table_top, room, in_the_air, street])
-def test_arrangements_place_objects_and_obstacles(arrange) -> None:
-    scenes = [arrange(np.random.default_rng(seed)) for seed in range(6)]
-    assert sum(len(scene.objects) for scene in scenes) > len(scenes)
-    assert all(scene.still for scene in scenes)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig, typical_size
+from annotator.rcv.config import RcvConfig, Strategy, ViewConfig, typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -42,26 +42,27 @@ def written(folder: Path, content: object) -> Path:
 
 
 def test_each_source_overrides_the_ones_below(project: Project, tmp_path: Path) -> None:
-    keep(project, max_steps=7, min_points=9, coarse_box=True, view={"size_px": 96}, fit={"edge_noise": 0.05})
+    keep(project, max_steps=7, min_points=9, coarse_box=True, view={"size_px": 96, "deep": 3.0})
     assert rcv_config(project).max_steps == 7
-    file = written(tmp_path, {"min_points": 11, "coarse_box": False, "view": {"padding": 0.1}, "strategy": "normals"})
+    file = written(
+        tmp_path, {"min_points": 11, "coarse_box": False, "view": {"deep_size_px": 320}, "strategy": "normals"}
+    )
     config = rcv_config(project, file, {"strategy": "camera"})
     assert config == RcvConfig(
         max_steps=7,
         min_points=11,
         coarse_box=False,
-        view=ViewConfig(size_px=96, padding=0.1),
-        fit=FitConfig(edge_noise=0.05),
+        view=ViewConfig(size_px=96, deep=3.0, deep_size_px=320),
         strategy=Strategy.CAMERA,
     )
 
 
 def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_path: Path) -> None:
-    keep(project, max_steps=7, fit={"edge_noise": 0.05})
+    keep(project, max_steps=7, view={"deep": 3.0})
     shown = editable(rcv_config(project))
     assert json.loads(shown)["view"]["size_px"] == ViewConfig().size_px
     keep(project)
-    assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, fit=FitConfig(edge_noise=0.05))
+    assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, view=ViewConfig(deep=3.0))
 
 
 def test_only_changed_settings_are_stored(project: Project) -> None:
@@ -72,7 +73,7 @@ def test_only_changed_settings_are_stored(project: Project) -> None:
 TYPICAL = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1]}
 WRONG = [
     ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
-    ({"fit": {"edgenoise": 3}}, "fit.edgenoise: there is no such setting; did you mean 'edge_noise'?"),
+    ({"view": {"sizepx": 3}}, "view.sizepx: there is no such setting; did you mean 'size_px'?"),
     (
         {"typical_sizes": [TYPICAL | {"sprad": 1}]},
         "typical_sizes.0.sprad: there is no such setting; did you mean 'spre",
@@ -99,7 +100,7 @@ def test_errors_name_the_file_and_field(
 
 @pytest.mark.parametrize(
     "content",
-    ["", "[1]", '{"fit": {"edge_noise": NaN}}', '{"a":' * 5000],
+    ["", "[1]", '{"view": {"deep": NaN}}', '{"a":' * 5000],
     ids=["empty", "list", "nan", "deep"],
 )
 def test_an_invalid_settings_file_is_refused(project: Project, tmp_path: Path, content: str) -> None:

@@ -106,41 +106,30 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 
     Loads the packages of each candidate until one loads without an error.
     """
-    choices, reasons = _choices(config), list[str]()
-    if config.device == "auto":
-        reasons.append("there is a CUDA device" if has_cuda() else "no CUDA device that detectors can use")
-    for backend in choices:
+    reasons = ["there is a CUDA device" if has_cuda() else "no CUDA device that detectors can use"]
+    for backend in _choices(config):
         try:
-            return _loaded(backend, reasons), "; ".join(reasons)
+            return _loaded(backend), "; ".join(reasons)
         except AnnotatorError as error:
             reasons.append(f"{backend} cannot be used: {error}")
     raise DetectionError("; ".join(reasons))
 
 
-def _loaded(backend: Backend, reasons: list[str]) -> Backend:
-    """Loads the packages of a backend and appends the reasons; returns openvino for openvino-bf16 without bfloat16."""
+def _loaded(backend: Backend) -> Backend:
+    """Loads the packages of a backend; returns openvino for openvino-bf16 on a processor without bfloat16."""
     if backend in ("openvino", "openvino-bf16"):
         from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
 
         openvino()
-        reasons.append("OpenVINO is the fastest on x86 processors")
-        if backend == "openvino-bf16":
-            has_bfloat16 = computes_bfloat16()
-            reasons.append("this processor supports bfloat16" if has_bfloat16 else "this processor has no bfloat16")
-            return backend if has_bfloat16 else "openvino"
-    elif backend == "onnxruntime":
+        return backend if backend == "openvino" or computes_bfloat16() else "openvino"
+    if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import onnxruntime
 
         onnxruntime()
-        if find_spec("openvino") is None:
-            reasons.append("OpenVINO is not installed")
-        reasons.append("ONNX Runtime is faster than torch on processors")
     else:
         from annotator.detection.ultralytics_api import api
 
         api()
-        if not has_cuda():
-            reasons.append("neither OpenVINO nor ONNX Runtime with onnx can be used")
     return backend
 
 

@@ -194,9 +194,9 @@ def live_settings(config: RcvConfig) -> RcvConfig:
     Refinement steps are a fifth of the views, more for objects cut off by the image border, and gain little
     (docs/notebook.md).
     """
-    if "refine_steps" in config.consensus.model_fields_set:
+    if "refine_steps" in config.model_fields_set:
         return config
-    return config.model_copy(update={"consensus": config.consensus.model_copy(update={"refine_steps": 0})})
+    return config.model_copy(update={"refine_steps": 0})
 
 
 class LiveDetection:

@@ -326,7 +326,7 @@ def final_box(
     span = cross_box((views[2], views[3]), (boxes[2], boxes[3]), up)
     if kind is BoxKind.SILHOUETTE or up is None:
         return span
-    fit = fit_box(measured_intervals(views, boxes, config), up, span.rotation)
+    fit = fit_box(measured_intervals(views, boxes), up, span.rotation)
     if fit is None:
         return span
     return canonical_box(OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m), up)

@@ -189,7 +189,7 @@ def _thinned(frame: Frame, image_box: Box2D) -> Frame:
 def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:
     """Fits a proposal again, with the spans of drawn boxes beside what was detected."""
     is_placed = any(TYPICAL_SIZE in step.fallback for step in found.trace)
-    detected = _spans_of(found.box) if is_placed else traced_intervals(found.trace[1:], config)
+    detected = _spans_of(found.box) if is_placed else traced_intervals(found.trace[1:])
     if detected is None:
         return found.box
     directions = np.concatenate([axes[:2] for axes, _ in known])
@@ -244,8 +244,7 @@ def _recurse(
         return None
     state = _state_of(opened, box, label, cloud, config)
     steps = max(config.max_steps, STEPS_BEFORE + 1)
-    refining = config.consensus.model_copy(update={"refine_steps": steps - STEPS_BEFORE})
-    limited = config.model_copy(update={"max_steps": steps, "consensus": refining})
+    limited = config.model_copy(update={"max_steps": steps, "refine_steps": steps - STEPS_BEFORE})
     while state.stop is StopReason.CONTINUES:
         plan = plan_step(state, limited)
         state = absorb_step(state, plan, detector.detect(plan.views), limited)[0]

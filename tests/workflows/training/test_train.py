@@ -101,7 +101,7 @@ def test_both_detectors_are_trained_registered_and_active(
         assert result.left_out == ()
     images, views = (result.manifest for result in trained)
     assert sum(images.images.values()) == 3
-    assert {"drawn", "taught"} == {name for counts in views.images_by_origin.values() for name in counts}
+    assert {"drawn", "taught"} == {entry.origin for entry in views.entries}
 
 
 def test_the_same_labels_and_settings_give_the_same_run(

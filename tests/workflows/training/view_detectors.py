@@ -71,7 +71,7 @@ def register(project: Project, name: str, *, active: bool = False, learned: str 
         entry = ManifestEntry(image="0.png", split="train", group=group, origin="drawn", boxes=AGNOSTIC[:1])
         written = DatasetManifest(
             sha256="", classes=AGNOSTIC, kind=None, measured_on="train", images={"train": 1, "val": 0},
-            boxes_by_class={}, images_by_origin={}, dropped_boxes=0, entries=(entry,),
+            entries=(entry,),
         )  # fmt: skip
         manifest.write_text(written.model_dump_json(), encoding="utf-8")
     return project.models.register(
