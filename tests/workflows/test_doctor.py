@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ import pytest
 from annotator import __version__
 from annotator.detection import pretrained, ultralytics_api
 from annotator.detection.backends import agreement, choose
-from annotator.detection.backends.agreement import Agreements
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.ultralytics_api import api, pick_device
@@ -139,25 +138,6 @@ def test_a_missing_system_library_is_reported_with_its_package(monkeypatch: pyte
     assert "apt-get install libgl1 " in found.remedy
 
 
-def test_compiled_kernels_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    from annotator.geometry.kernels import points_in_box
-
-    points_in_box(np.zeros((1, 3)), np.zeros(3), np.eye(3), np.ones(3))
-    found = lines(doctor.numba)["numba"]
-    assert found.figures["kernels"] > 10
-    assert 1 <= found.figures["compiled"] <= found.figures["kernels"]
-    assert "__pycache__" in found.found
-    monkeypatch.setattr(points_in_box, "_cache", SimpleNamespace(cache_path=None))
-    assert lines(doctor.numba)["numba"].figures["compiled"] == found.figures["compiled"] - 1
-
-    def fail(_: str) -> None:
-        raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 9")
-
-    monkeypatch.setattr(doctor, "import_module", fail)
-    found = lines(doctor.numba)["numba"]
-    assert (found.state, found.found) == (State.FAILED, "cannot be loaded: Numba needs NumPy 2.3 or less. Got NumPy 9")
-
-
 GPU = ultralytics_api.CudaDevice("cuda:0", "NVIDIA Something", "8.9", 8 * 2**30, 6 * 2**30)
 
 
@@ -191,17 +171,6 @@ def test_published_weights_and_the_base_detector_are_found(monkeypatch: pytest.M
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
     broken = lines(doctor.base_detector)["base detector"]
     assert broken.state is State.FAILED and "model.json" in broken.found
-
-
-def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken() -> None:
-        raise DetectionError("no torch")
-
-    monkeypatch.setattr(choose, "find_spec", lambda _: None)
-    monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(ultralytics_api, "api", broken)
-    found = lines(doctor.choices)["image, auto"]
-    assert found.state is State.FAILED and "no torch" in found.found
 
 
 def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
@@ -298,16 +267,6 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
     assert found["moved"].figures["boxes_px"] == pytest.approx(0.5, rel=0.01)
     assert found["moved"].figures["boxes_bound_px"] < 0.1
     assert "no such operation" in found["broken"].found
-
-
-def test_half_precision_has_a_larger_but_limited_tolerance(tmp_path: Path) -> None:
-    pretrained.write_seeded_network(tmp_path / "network.safetensors")
-    pictures = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), np.uint8)
-    agreements = Agreements(tmp_path / "network.safetensors", pictures)
-    for name, device, precision in (("openvino-bf16", "cpu", "bfloat16"), ("torch", "cuda:0", "float16")):
-        small = agreements.of(lambda path, name=name, device=device: Wrong(path, moved(0.5), name, device))
-        assert small.holds and small.reference == precision
-        assert not agreements.of(lambda path, name=name, device=device: Wrong(path, moved(100), name, device)).holds
 
 
 @pytest.mark.slow

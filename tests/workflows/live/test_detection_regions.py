@@ -138,19 +138,6 @@ def test_if_two_regions_find_the_same_object_the_whole_image_is_searched() -> No
 
 
 @pytest.mark.parametrize(
-    "seeds",
-    [
-        pytest.param([seed(0.0), seed(2.0)], id="one is outside the image"),
-        pytest.param([seed(x, y) for x in (-0.4, 0.0, 0.4) for y in (-0.3, 0.3)], id="too many"),
-    ],
-)
-def test_unsuitable_regions_are_not_used(seeds: list[WarmStart]) -> None:
-    known, image_detection = tracking(outline(seed(0.0)))
-    image_detection.boxes(frame(), seeds, CONFIG)
-    assert known.regions == [False, False]
-
-
-@pytest.mark.parametrize(
     ("box", "place"),
     [
         (Box2D("a", 300.0, 200.0, 340.0, 240.0), (200, 100, 240, 240)),

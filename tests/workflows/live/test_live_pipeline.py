@@ -18,16 +18,14 @@ import pytest
 from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import Detector, Frame, Region
+from annotator.types import Frame
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.live import detection
-from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection, Taken
+from annotator.workflows.live.detection import MAX_SEED_AGE_S, Detected, LiveDetection, Taken
 from annotator.workflows.live.open_source import Playback, Repeat
-from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, Slot, summary_line
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
 
 NEVER = threading.Event()
 # A limit for waits, which only a failure should reach.
@@ -43,21 +41,6 @@ def hands(generated: Path) -> Recording:
 @pytest.fixture(scope="module")
 def frame(hands: Recording) -> Frame:
     return hands.frame(0)
-
-
-def test_a_slot_keeps_only_the_newest_item() -> None:
-    slot: Slot[int] = Slot()
-    for number in range(3):
-        slot.put(number)
-    assert (slot.take(), slot.dropped) == (2, 2)
-    slot.put(3)
-    slot.close()
-    slot.put(4)
-    assert (slot.take(), slot.take(), slot.dropped) == (3, None, 2)
-    emptied: Slot[int] = Slot()
-    emptied.put(1)
-    emptied.close(empty=True)
-    assert emptied.take() is None
 
 
 # --- playback of a recording ------------------------------------------------------------------------------------------
@@ -165,15 +148,6 @@ def test_playback_ends_repeats_or_reverses_after_the_last_frame(frame: Frame, re
     assert [taken.frame.index for taken in played(Playback(recording, rate=math.inf, repeat=repeat), 7)] == order
     one = FakeRecording(frame, (None,))
     assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
-
-
-def test_a_stopped_reader_does_not_wait_for_the_next_frame(frame: Frame) -> None:
-    an_hour_ns = 3_600_000_000_000
-    playback = Playback(FakeRecording(frame, (0, an_hour_ns)))
-    stop = threading.Event()
-    assert playback.read(stop) is not None
-    stop.set()
-    assert playback.read(stop) is None
 
 
 def test_playback_of_an_unreadable_recording_ends_with_an_error(frame: Frame) -> None:
@@ -363,59 +337,6 @@ def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowin
     assert all(len(each.found.proposals) == 2 for each in found)
     assert found[0].stages_s["read"] == 0.01
     assert found[0].detect_s > 0
-
-
-def recorded(detector: Detector) -> Any:
-    """A detector whose calls are recorded."""
-    return Mock(wraps=detector, labels=detector.labels, fingerprint=detector.fingerprint)
-
-
-def were_regions(image: Any) -> list[bool]:
-    """For each call since the last one: whether it was on regions."""
-    asked = [isinstance(call.args[0][0], Region) for call in image.detect.call_args_list]
-    image.detect.reset_mock()
-    return asked
-
-
-@pytest.mark.parametrize("warm_start", [False, True])
-def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
-    hands: Recording, knowing: Any, warm_start: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(detection, "MAX_SHARE", 2.0)  # two hands cover most of this image
-    known = knowing("hands")
-    image = recorded(known.image)
-    detectors = replace(known, image=image)
-    live = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=warm_start)
-    frame = hands.frame(0)
-    asked = []
-    for number in range(WHOLE_EVERY + 1):
-        found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
-        assert len(found.proposals) == 2
-        asked.append(were_regions(image)[0 if number else -1 :])  # the first call also prepares the networks
-    followed = [[warm_start]] * (WHOLE_EVERY - 1)
-    assert asked == [[False], *followed, [False]]
-
-
-def test_after_a_lost_object_the_next_detection_uses_the_whole_image(
-    hands: Recording, knowing: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(detection, "MAX_SHARE", 2.0)
-    known = knowing("hands")
-    image, frame = recorded(known.image), hands.frame(0)
-    live = LiveDetection(replace(known, image=image), SHORT, BoxRotation.AUTO, warm_start=True)
-    asked = []
-    for number in range(4):
-        with monkeypatch.context() as patch:
-            if number == 1:
-                patch.setattr(detection, "propose_from_boxes", losing_one)
-            found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
-        assert len(found.proposals) == (1 if number == 1 else 2)
-        asked.append(were_regions(image)[-1])
-    assert asked == [False, True, False, True]
-
-
-def losing_one(*args: Any) -> list[FrameProposals]:
-    return [replace(found, proposals=found.proposals[1:]) for found in propose_from_boxes(*args)]
 
 
 def test_figures_are_computed_over_their_window_only(monkeypatch: pytest.MonkeyPatch) -> None:

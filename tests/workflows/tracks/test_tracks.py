@@ -30,7 +30,7 @@ from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next, corrected_alike
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
-from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, seeds_of, write
+from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, write
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import copy_boxes
 
@@ -110,15 +110,6 @@ def test_finalised_frames_are_linked_but_not_changed(room: Room, owner: dict[str
     assert [e.author for e in project.log.of_frame(first.id)] == ["rcv", ANN]
     assert [e.author for e in project.log.of_frame(second.id)] == ["rcv", AUTHOR]
     assert project.history.next(ANN)[0] == "finalise frame 000000"
-
-
-def test_seeds_are_the_reviewed_boxes_of_the_previous_frame(room: Room) -> None:
-    uids = room.accept(1)
-    room.project.labels.reject(room.frames[1].id, uids[1], room.context(1))
-    seeds = [seeds_of(room.project, frame) for frame in room.frames[:3]]
-    assert [seed.label for seed in seeds[2]] == ["person", "person"]
-    assert iou_3d(seeds[2][1].box, room.box(1, 2)) == pytest.approx(1)
-    assert seeds[1] == seeds[0] == ()
 
 
 def test_frames_between_key_frames_are_filled_as_one_action(room: Room) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Source
-from annotator.types.errors import ConfigError, FormatError, ProjectError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -137,12 +136,6 @@ def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Pa
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*places, "coco.json", "views.json"])
 
 
-def test_without_labelled_objects_no_views_are_written(hands: Project, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no object with boxes on camera images yet"):
-        write_views(hands, tmp_path / "out", 1, CONFIG)
-    assert list(tmp_path.glob("*out*")) == []
-
-
 def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path) -> None:
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "one", 1, CONFIG)
@@ -211,18 +204,6 @@ def scale_last(file: Path, pictures: Path) -> None:
     cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=2, fy=2))
 
 
-def jpeg_last(file: Path, pictures: Path) -> None:
-    path = pictures / read_coco(file)[-1].file_name
-    path.write_bytes(cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes())
-
-
-def repeat_last(file: Path, pictures: Path) -> None:
-    images = read_coco(file)
-    shutil.copyfile(pictures / images[-1].file_name, pictures / images[0].file_name)
-    size = {"width_px": images[-1].width_px, "height_px": images[-1].height_px}
-    write_coco(file, [replace(images[0], boxes=images[-1].boxes, **size), *images[1:]])
-
-
 def break_sidecar(file: Path, pictures: Path) -> None:
     (pictures / "views.json").write_text('[{"file_name": "a.png"}]')
 
@@ -245,13 +226,6 @@ def test_unusable_pictures_are_errors_and_change_nothing(
     with pytest.raises(FormatError, match=problem):
         import_view_boxes(hands, file, pictures, BoxKind.SILHOUETTE)
     assert hands.boxes.on_views() == ()
-
-
-def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Project, tmp_path: Path) -> None:
-    file, pictures = good_views(hands, tmp_path)
-    people.configure(classes=["person", "hand"])
-    with pytest.raises(ProjectError, match="no recording 'hands'"):
-        import_view_boxes(people, file, pictures, BoxKind.SILHOUETTE)
 
 
 # --- camera images ---------------------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import NotFoundError
-from annotator.workflows.checking.box_rules import UsualSize, odd_size_message
 from annotator.workflows.checking.project_labels import Kind, PointCounts, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.workbench.review_queue import Order, Queue, doubt, queue
@@ -144,20 +143,6 @@ def test_unusual_sizes_are_found(people: Project) -> None:
     assert warned(people) == [(Kind.SIZE, 1)]
     (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
     assert message == "person of 1.80 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.70 m"
-
-
-@pytest.mark.parametrize(
-    ("size_m", "text"),
-    [
-        ((1.8, 0.5, 1.7), "1.80 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.75 m"),
-        ((0.5, 1.8, 1.7), "0.50 x 1.80 x 1.70 m (length x width x height); the median is 0.50 x 0.80 x 1.75 m"),
-        ((0.6, 0.6, 4.0), "0.60 x 0.60 x 4.00 m (length x width x height); the median is 0.80 x 0.50 x 1.75 m"),
-    ],
-)
-def test_a_size_and_its_median_name_their_sides_in_the_same_order(size_m: tuple[float, ...], text: str) -> None:
-    usual = UsualSize(np.array([0.8, 0.5, 1.75]), np.full(3, 1.6))
-    assert usual.odd(np.array(size_m))
-    assert odd_size_message("person", np.array(size_m), usual) == f"person of {text}"
 
 
 @pytest.mark.usefixtures("older_tracks")

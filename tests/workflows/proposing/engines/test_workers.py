@@ -15,17 +15,18 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import replace
 from importlib.util import find_spec
+from itertools import cycle
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 from engine_samples import CONFIG, HarmfulPair, RealViews, Unloadable, stored
 
-from annotator.project import BoxRotation, Project, Status, StoredRecording, open_project
+from annotator.project import Project, Status, open_project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, MissingExtraError, WorkerError
 from annotator.workflows.detectors import Detectors, TrainedDetectors, UsedModel
@@ -33,7 +34,6 @@ from annotator.workflows.proposing import engines
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, local_engine, make_engine
 from annotator.workflows.proposing.pool import (
-    MAX_FAILED_STARTS,
     TASKS_PER_WORKER,
     Died,
     Fault,
@@ -44,175 +44,47 @@ from annotator.workflows.proposing.pool import (
 from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
-    Answer,
     DetectorSource,
-    FrameAnswer,
-    FrameSpec,
     GivenDetectors,
     Identity,
     PackedDetectors,
     Storage,
-    Task,
     parse_elsewhere,
     scratch_folder,
 )
 
 SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
-ROOM = StoredRecording(1, Path("room"), "rgbd_folder", "room", True, None, 0, 5)
 
 
-@dataclass(eq=False)
-class FakeWorker:
-    """A worker controlled by the test."""
+def pool(*messages: Message) -> WorkerPool:
+    """A pool of two workers, of which each only says the next of these."""
+    said = cycle(messages)
 
-    number: int
-    tell: Report
-    tasks: list[Task] = field(default_factory=list)
-    is_ended: bool = False
+    def make(number: int, tell: Report) -> Mock:
+        tell(number, next(said))
+        return Mock()
 
-    def send(self, task: Task) -> None:
-        self.tasks.append(task)
-
-    def end(self) -> None:
-        self.is_ended = True
-
-    def ready(self) -> FakeWorker:
-        self.tell(self.number, SAME)
-        return self
-
-    def do(self) -> None:
-        task = self.tasks.pop(0)
-        answers = tuple(FrameAnswer(FrameProposals(frame.key, (), ()), None, 1.0) for frame in task.frames)
-        self.tell(self.number, Answer(task.number, answers))
-
-    def die(self) -> None:
-        self.tasks.clear()
-        self.tell(self.number, Died("killed"))
+    return WorkerPool(make, 2)
 
 
-@dataclass(eq=False)
-class FakePool:
-    """A pool with all workers that it has created."""
-
-    workers: int
-    made: list[FakeWorker] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.pool = WorkerPool(self._make, self.workers)
-
-    def _make(self, number: int, tell: Report) -> FakeWorker:
-        self.made.append(FakeWorker(number, tell))
-        return self.made[-1]
-
-    def start(self) -> FakePool:
-        while len(self.made) < self.workers:
-            self.pool._add()
-        for worker in self.made:
-            worker.ready()
-        self.pool.start()
-        self.drain()
-        return self
-
-    def drain(self) -> list[Answer]:
-        answers = []
-        while (answer := self.pool.wait(0.01)) is not None or not self.pool._events.empty():
-            answers += [answer] if answer is not None else []
-        return answers
-
-
-def task(number: int, *keys: str) -> Task:
-    return Task(number, "project", tuple(FrameSpec(ROOM, key) for key in keys), RcvConfig(), BoxRotation.FREE)
-
-
-def keys(worker: FakeWorker) -> list[tuple[str, ...]]:
-    return [tuple(frame.key for frame in held.frames) for held in worker.tasks]
-
-
-def test_each_worker_gets_a_task_and_one_in_advance() -> None:
-    fake = FakePool(2).start()
-    for number in range(6):
-        fake.pool.submit(task(number, str(number)))
-    assert [len(worker.tasks) for worker in fake.made] == [TASKS_PER_WORKER, TASKS_PER_WORKER]
-    fake.made[1].do()
-    assert [answer.number for answer in fake.drain()] == [2]
-    assert keys(fake.made[1])[-1] == ("4",)
-
-
-def test_tasks_of_a_dead_worker_are_repeated_one_by_one() -> None:
-    fake = FakePool(1).start()
-    for number in range(4):
-        fake.pool.submit(task(number, f"{number}a", f"{number}b"))
-    fake.made[0].die()
-    fake.drain()
-    second = fake.made[1].ready()
-    fake.drain()
-    answers = []
-    for _ in range(2):  # repeated tasks run alone
-        assert len(keys(second)) == 1
-        second.do()
-        answers += fake.drain()
-    assert len(second.tasks) == TASKS_PER_WORKER
-    for _ in range(2):
-        second.do()
-    answers += fake.drain()
-    assert sorted(answer.number for answer in answers) == [0, 1, 2, 3]
-    assert all(frame.result is not None for answer in answers for frame in answer.frames)
-
-
-def test_a_frame_that_kills_workers_repeatedly_fails_and_the_others_of_its_task_are_done() -> None:
-    fake = FakePool(1).start()
-    fake.pool.submit(task(7, "good", "deadly", "fine"))
-    answers: list[Answer] = []
-    for _ in range(20):
-        worker = fake.made[-1]
-        if not worker.tasks:
-            worker.ready()
-            fake.drain()
-        if any("deadly" in held for held in keys(worker)):
-            worker.die()
-        else:
-            worker.do()
-        answers = fake.drain()
-        if answers:
-            break
-    (answer,) = answers
-    assert answer.number == 7
-    assert [frame.result.key if frame.result else None for frame in answer.frames] == ["good", None, "fine"]
-    reason = answer.frames[1].reason
-    assert reason is not None and "a worker has ended 2 times on this frame, the last time killed" in reason
-    assert len(fake.made) == 4, "three workers died: twice with other frames, once alone"
-
-
-def test_workers_that_die_during_start_end_the_batch() -> None:
-    fake = FakePool(1)
-    for _ in range(MAX_FAILED_STARTS):
-        fake.pool._add()
-        fake.made[-1].die()
-    with pytest.raises(WorkerError, match="before they were ready, the last one killed"):
-        fake.pool.start()
-
-
-def test_workers_with_other_detectors_are_refused() -> None:
-    fake = FakePool(2).start()
-    fake.made[0].tell(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX))
-    with pytest.raises(WorkerError, match="detectors differ"):
-        fake.drain()
-
-
-def test_a_bug_in_a_worker_is_not_an_annotator_error() -> None:
-    fake = FakePool(1)
-    fake.pool._add()
-    fake.made[0].tell(1, Fault("Traceback ...", True))
-    with pytest.raises(RuntimeError, match="Traceback"):
-        fake.pool.start()
+@pytest.mark.parametrize(
+    ("messages", "error", "says"),
+    [
+        ([Died("killed")], WorkerError, "before they were ready, the last one killed"),
+        ([SAME, replace(SAME, backends=("openvino", "torch"))], WorkerError, "detectors differ"),
+        # a bug is no error of ours
+        ([Fault("Traceback ...", True)], RuntimeError, "Traceback"),
+    ],
+)
+def test_a_pool_of_unusable_workers_is_an_error(messages: list[Message], error: type[Exception], says: str) -> None:
+    with pytest.raises(error, match=says):
+        pool(*messages).start_all()
 
 
 @pytest.mark.parametrize(
     ("name", "cores", "gpus", "options", "workers"),
     [
         ("auto", 4, (), {}, 4),
-        ("auto", 4, (), {"workers": 1}, None),
-        ("auto", 1, (), {}, None),
         ("auto", 1, ("0",), {}, 1),
         ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
         ("local", 8, ("0", "1"), {}, 2),
