@@ -25,7 +25,6 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     FITS_IOU,
-    MIN_VISIBLE_POINTS,
     confirm_whole_boxes,
     simulate_recording,
     visible_objects,
@@ -117,17 +116,6 @@ def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callab
     frame = recording.frame(0)
     for item in visible_objects(recording, 0, frame, ["person"]):
         np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
-
-
-def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    path = folder / "truth" / "mask" / "000000.png"
-    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    hidden = np.flatnonzero(mask.ravel() == 2)[MIN_VISIBLE_POINTS - 1 :]
-    mask.ravel()[hidden] = 0
-    cv2.imwrite(str(path), mask)
-    recording = open_recording(folder)
-    assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
 
 
 def masks_only(folder: Path) -> Path:

@@ -351,7 +351,7 @@ def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) ->
     for change, complaint in (
         (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
-        (lambda record: record["camera"].update(width_px=7), "but its camera 7 x"),
+        (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
     ):
         sound = label.read_text()
         changed(label, change)

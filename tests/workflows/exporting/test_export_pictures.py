@@ -29,7 +29,7 @@ from annotator.workflows.exporting import (
     export_project,
 )
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import FlatFormat, Note, format_of, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import FlatFormat, Note, format_of, import_image_boxes
 from annotator.workflows.recorded.reading import load_truth
 
 FORMATS = (ExportFormat.COCO, ExportFormat.YOLO)
@@ -224,16 +224,6 @@ def test_yolo_boxes_are_valid_for_scaled_but_not_for_cropped_copies(people: Proj
     cv2.imwrite(str(folder / "000001.png"), np.zeros((160, 160, 3), np.uint8))
     with pytest.raises(FormatError, match="frame is 320 x 240: another aspect ratio"):
         import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
-
-
-def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> None:
-    folder = yolo_of(tmp_path / "labels", front="0 0.5 0.5 0.25 0.5\n")
-    (tmp_path / "pictures").mkdir()
-    cv2.imwrite(str(tmp_path / "pictures/front.png"), picture(5))
-    done = import_view_boxes(people, folder, tmp_path / "pictures", BoxKind.SILHOUETTE, FlatFormat.YOLO)
-    assert (done.frames, done.boxes.total(), done.views) == (0, 1, 1)
-    (view,) = people.boxes.on_views()
-    assert view.boxes == (Box2D("person", 23.5, 11.5, 39.5, 35.5),) and view.frame_id is None
 
 
 def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(

@@ -20,11 +20,9 @@ from annotator.types import Box2D, BoxKind, Frame, OrientedBox, ReviewState, Sou
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
 from annotator.workflows.importing import (
-    Become,
     BoxFormat,
     FlatFormat,
     Importer,
-    ImportReport,
     Note,
     Preview,
     import_image_boxes,
@@ -186,25 +184,6 @@ def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: 
 ENTRY: dict[str, Any] = {"size": [4.0, 1.6, 1.5], "rotation": np.eye(3).tolist(), "center": [0.0, 0.0, 9.0]}
 
 
-def test_several_details_of_a_note_are_cut() -> None:
-    report = ImportReport(Become.LABELS, ("person",), frames=2)
-    report.boxes.update({"person": 3})
-    report.add(Note.ALREADY, 0)
-    report.add(Note.FLAT)
-    report.add_all(Note.UNREADABLE, (f"{number}: torn" for number in range(7)))
-    report.add(Note.OTHER_CLASS, 2, "Person")
-    other = ImportReport(Become.LABELS, frames=1)
-    other.add(Note.FLAT, 2)
-    report.include(other)
-    assert report.text(2) == (
-        "imported as labels: 3 person in 3 frames; "
-        "skipped: 3 rows with a 2D box and no 3D box (its height, width and length are -1); "
-        "unreadable: 0: torn; unreadable: 1: torn; and 5 more like this; "
-        "skipped: 2 boxes of class Person, which is not in the project; did you mean 'person'?"
-    )
-    assert len(report.sentences()) == 9
-
-
 def test_frames_that_an_import_leaves_unchanged_are_told_before(people: Project, tmp_path: Path) -> None:
     """As labels: also those with proposals, and with rejected boxes only; as proposals: those that are finalised."""
     proposed, rejected, finalised, free = people.frames.of()[:4]
@@ -316,20 +295,3 @@ def test_labels_get_the_values_that_they_lack_and_the_rest_is_reported(project: 
     project.history.undo("ann")
     assert values(project) == [{"pose": "sitting"}, {}, {}]
     assert project.boxes.on_image(project.frames.of()[0].id) is None
-
-
-def test_a_drawn_box_has_the_values_of_its_label(project: Project, tmp_path: Path) -> None:
-    """A box drawn on the image replaces the outline of its label, not its values."""
-    out = changed(project, tmp_path / "out", lambda annotations: annotations.pop())
-    import_image_boxes(project, out, None)
-    frame = project.frames.of()[0]
-    project.frames.set_attributes(frame.id, {"night": True}, WriteContext(project.frames.get(frame.id).revision, "me"))
-    report = export_project(project, tmp_path / "again", ExportFormat.COCO, choose=ExportFilter())
-    assert "attribute" not in {each.kind.value for each in report.losses}
-    (file,) = (tmp_path / "again" / "annotations").iterdir()
-    content = json.loads(file.read_text())
-    assert [each.get("attributes") for each in content["annotations"]] == [{"pose": "sitting"}, None]
-    assert [each.get("attributes") for each in content["images"]] == [{"night": True}]
-    # an image of a finalised frame changes nothing
-    project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "me"))
-    assert import_image_boxes(project, tmp_path / "again", None)[Note.SHOWN] == 0

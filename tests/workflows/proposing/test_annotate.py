@@ -15,7 +15,6 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
-from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
@@ -193,18 +192,6 @@ def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: in
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
-
-
-def test_missing_frames_are_neither_processed_nor_counted(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
-        path.unlink()
-    add_recordings(project, [folder])
-    done = annotate(project, knowing("people"), FAST)
-    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
 
 
 def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:

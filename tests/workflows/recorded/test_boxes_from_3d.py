@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from annotator.project import Project, StoredFrame, WriteContext
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
-from annotator.workflows.importing import BoxFormat, Note, read_labels
+from annotator.workflows.importing import Note
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, share_of
 from annotator.workflows.recorded.own_labels import RecordedLabels
@@ -143,29 +142,6 @@ def test_corrected_views_are_kept(people: Project) -> None:
     assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {
         key: each.boxes for key, each in before.items() if key != view.view_id
     }
-
-
-@pytest.mark.shared
-def test_kittis_labels_are_the_same_from_a_path_and_beside_the_recording(
-    shared: Path, tmp_path: Path, make_project
-) -> None:
-    root, folder = shared / "data" / "kitti", tmp_path / "kitti"
-    for name in ("image_2", "velodyne", "calib", "label_2"):
-        (folder / name).mkdir(parents=True)
-        for path in (root / "training" / name).glob("00001*"):
-            (folder / name / path.name).symlink_to(path)
-    broken = folder / "label_2" / "000011.txt"
-    broken.unlink()
-    broken.write_text("Car 0 0\n")
-    own, given = (make_project(folder, classes=("Car", "Pedestrian")) for _ in range(2))
-    done = boxes_from_3d(own, beside(own))
-    assert (done.chosen, done.frames, done[Note.UNREADABLE]) == (2, 1, 1)
-    assert "000011.txt:1" in next(iter(done.of(Note.UNREADABLE)))
-    theirs = boxes_from_3d(given, read_labels(BoxFormat.KITTI, root / "training" / "label_2"), fraction=0.5)
-    assert theirs[Note.UNMATCHED] == 8
-    assert (theirs.boxes, theirs.objects, theirs.views) == (done.boxes, done.objects, done.views)
-    assert [x.boxes for x in given.boxes.on_images()] == [x.boxes for x in own.boxes.on_images()]
-    assert {x.view_id for x in given.boxes.on_views()} == {x.view_id for x in own.boxes.on_views()} != set()
 
 
 def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, make_project) -> None:

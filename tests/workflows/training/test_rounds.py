@@ -94,21 +94,6 @@ def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
     return Choice(project, measured, choose_start(project, measured, CONFIG.model_copy(update=changes)))
 
 
-def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
-    register(labelled, "a", active=True)
-    ious.update(a=0.6, worse=0.3, better=0.7)
-    choice = choice_of(labelled, pretrained="never")
-    assert choice.start.model is None
-    for name, outcome in (
-        ("worse", "no better on held-out frames: the project's detector a stayed in use"),
-        ("better", "the best one on held-out frames: put into use"),
-    ):
-        new = register(labelled, name)
-        assert choice.add(new, "").outcome == outcome
-        # the next part goes on from the training's own result
-        assert choice.origin == own_model(labelled, new)
-
-
 def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
     old, chosen = register(labelled, "old", active=True), register(labelled, "chosen")
     ious.update(old=0.5, chosen=0.1, new=0.9, newer=0.95)

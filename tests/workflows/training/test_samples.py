@@ -133,18 +133,6 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     assert max(np.mean((back[view] != before[view]).any(axis=2)) for view in before) < 0.01, "but for rounding"
 
 
-def test_drawn_views_whose_box_a_correction_leaves_empty_do_not_train(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE, every=5)
-    (recording,) = people.recordings.all()
-    people.adjustments.correct(recording.id, Correction((0.0, 0.0, 0.0), (40.0, 0.0, 0.0)), "me")
-    skipped: list[str] = []
-    material = gather(people)
-    assert not list(drawn_pictures(people, material.views, CONFIG, lambda _, error: skipped.append(str(error))))
-    assert len(skipped) == 12 and all(
-        "the corrected calibration leaves no points in its box" in line for line in skipped
-    )
-
-
 # --- camera images ---------------------------------------------------------------------------------------------------
 
 
@@ -302,28 +290,7 @@ def agnostic(project: Project, given: Fixed) -> list[TrainingSample]:
     return list(agnostic_samples(project, gather(project), CONFIG, SampleConfig(views=24), given, never))
 
 
-def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE, every=5)
-    whole_boxes_known(people, BoxKind.SILHOUETTE)
-    material = gather(people)
-    assert material.kind is BoxKind.SILHOUETTE
-    assert not material.whole
-    assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
-
-
 # --- frames that cannot be read --------------------------------------------------------------------------------------
-
-
-def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE)
-    given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(WHOLE, 3.0, 3.0, 9.0, 9.0, 0.8)))
-    samples = agnostic(people, given)
-    assert {sample.origin for sample in samples} == {"drawn", "taught"}
-    with_boxes = [sample for sample in samples if sample.boxes]
-    assert len(with_boxes) > 0.7 * len(samples)
-    for sample in with_boxes:
-        assert sorted(box.label for box in sample.boxes) == [SEEN, WHOLE]
-        assert next(box for box in sample.boxes if box.label == WHOLE) == given.boxes[0]
 
 
 def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:

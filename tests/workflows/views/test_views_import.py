@@ -121,8 +121,16 @@ def test_reimported_image_boxes_keep_the_views_of_unchanged_boxes(hands: Project
 
 
 def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no object with boxes on camera images yet"):
+        write_views(hands, tmp_path / "out", 1, CONFIG)
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [1]), BoxKind.SILHOUETTE)
+    (tmp_path / "out").mkdir()
     write_views(hands, tmp_path / "out", 1, CONFIG)
+    for taken in (tmp_path / "out", tmp_path / "c.json"):
+        with pytest.raises(ConfigError, match="exists already; choose a new folder"):
+            write_views(hands, taken, 1, CONFIG)
+    with pytest.raises(ConfigError, match="there is no step 3"):
+        write_views(hands, tmp_path / "new", 3, CONFIG)
     images = read_coco(tmp_path / "out" / "coco.json")
     places = read_places(tmp_path / "out")
     assert {image.file_name for image in images} == set(places)
@@ -146,17 +154,6 @@ def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path)
     assert (done.views, done.boxes.total()) == (2, 2), "an unlabelled picture is not imported as empty"
     with pytest.raises(ConfigError, match="both views of the first step"):
         write_views(hands, tmp_path / "two", 2, CONFIG)
-
-
-def test_the_folder_of_pictures_must_be_new(hands: Project, tmp_path: Path) -> None:
-    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
-    (tmp_path / "out").mkdir()
-    write_views(hands, tmp_path / "out", 1, CONFIG)
-    for taken in (tmp_path / "out", tmp_path / "c.json"):
-        with pytest.raises(ConfigError, match="exists already; choose a new folder"):
-            write_views(hands, taken, 1, CONFIG)
-    with pytest.raises(ConfigError, match="there is no step 3"):
-        write_views(hands, tmp_path / "new", 3, CONFIG)
 
 
 def test_an_unreadable_frame_is_reported_and_the_others_get_their_pictures(
@@ -213,8 +210,6 @@ def break_sidecar(file: Path, pictures: Path) -> None:
     [
         (remove_last, "step1_side.png is not in"),
         (scale_last, "label the image itself, not a scaled copy"),
-        (jpeg_last, "step1_side.png: is not a PNG image"),
-        (repeat_last, "are the same image"),
         (break_sidecar, r"views.json: is damaged"),
     ],
 )
