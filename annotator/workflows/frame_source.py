@@ -76,27 +76,20 @@ class OpenedRecording:
         return self.indices[key]
 
 
-def open_stored(
-    path: Path,
-    name: str,
-    project: str,
-    up: tuple[float, float, float] | None,
-    options: str = "",
-    correction: Correction = NO_CORRECTION,
-) -> OpenedRecording:
-    """Opens a recording of a project.
+def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
+    """Opens a recording of a project of this name.
 
     Raises:
         RecordingError: it is missing or cannot be read.
     """
-    missing = why_gone(path, name, project)
+    missing = why_gone(stored.path, stored.name, project)
     if missing is not None:
         raise RecordingError(missing)
-    return OpenedRecording(open_recording(path, stored_options(options)), up, correction)
+    return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored.up, stored.correction)
 
 
 def why_gone(path: Path, name: str, project: str) -> str | None:
-    """Says that a project's recording is missing, and what to do; None if it is there. Arguments as `open_stored`."""
+    """Says that a project's recording is missing, and what to do; None if it is there."""
     missing = why_missing(path)
     if missing is None:
         return None
@@ -158,9 +151,7 @@ class FrameSource:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
             self._project.recordings.require_readable(stored)
-            self._opened[recording_id] = open_stored(
-                stored.path, stored.name, self._project.path.name, stored.up, stored.options, stored.correction
-            )
+            self._opened[recording_id] = open_stored(stored, self._project.path.name)
         return self._opened[recording_id]
 
 

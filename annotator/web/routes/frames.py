@@ -213,9 +213,7 @@ def frames(
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
 def frame(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> JSONResponse:
     """All data of a frame that the page shows."""
-    state = frame_response(ctx, name, frame_id, operator)
-    ctx.caches.detectors.warm(ctx.project(name))
-    return state
+    return frame_response(ctx, name, frame_id, operator)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)

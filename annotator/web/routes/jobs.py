@@ -239,7 +239,7 @@ def set_learning(project: str, body: Learning, ctx: Ctx, operator: Operator) -> 
 @router.post("/api/projects/{project}/models/load", status_code=204)
 def load(project: str, ctx: Ctx, operator: Operator) -> None:
     """Begin to load the detectors in use, since the operator is about to draw."""
-    ctx.caches.detectors.warm(ctx.project(project), at_once=True)
+    ctx.caches.detectors.warm(ctx.project(project))
 
 
 @router.post("/api/projects/{project}/models/base/activate", status_code=204)

@@ -297,9 +297,8 @@ def _tiles(ctx: Context, project: Project, boxes: Sequence[tuple[StoredFrame, La
         return tile.model_dump_json() + "\n"
 
     async def lines() -> AsyncIterator[str]:
-        with ctx.caches.detectors.holding_off():
-            async for each in drawn_ahead(line, shown):
-                yield each
+        async for each in drawn_ahead(line, shown):
+            yield each
 
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 

@@ -51,7 +51,7 @@ from annotator.workflows.proposing.tasks import (
     scratch_folder,
 )
 
-SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
+SAME = Identity("image", "view", ("torch", "torch"), (BoxKind.BOX, False, BoxKind.BOX, False))
 
 
 def pool(*messages: Message) -> WorkerPool:
