@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
 from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig, typical_size
+from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -179,23 +179,6 @@ def test_the_first_box_gives_the_size_and_further_ones_make_it_sure(sized: Proje
     assert four.size_m == pytest.approx((2.0, 1.0, 0.5))
     assert max(four.spread) < min(one.spread) < 0.2
     assert rcv_config(sized).reviewed_sizes == (four,)
-
-
-def test_some_frames_do_not_count(sized: Project) -> None:
-    add(sized, 0, (2.0, 1.0, 0.5))
-    add(sized, 1, (8.0, 1.0, 0.5))
-    held_out = sized.frames.of()[1].id
-    (size,) = reviewed_sizes(sized, [held_out])
-    assert size.size_m[0] == pytest.approx(2.0)
-    assert rcv_config(sized, without_frames=[held_out]).reviewed_sizes == (size,)
-
-
-def test_a_well_known_class_begins_with_its_size(sized: Project) -> None:
-    known = typical_size("Car")
-    assert known is not None
-    add(sized, 0, (4.6, 1.7, 1.5), label="Car")
-    (size,) = reviewed_sizes(sized)
-    assert known.size_m[0] < size.size_m[0] < 4.6
 
 
 def test_a_track_counts_once(sized: Project) -> None:

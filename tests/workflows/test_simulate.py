@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
@@ -105,17 +104,6 @@ def test_mask_numbers_count_objects_of_all_classes(
     for item, number in zip(found, numbers, strict=True):
         assert item.label == ("robot" if number == 2 else "person")
         np.testing.assert_array_equal(item.points, mask.ravel()[frame.cloud.pixel_index] == number)
-
-
-def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    for path in (folder / "truth" / "mask").iterdir():
-        path.unlink()
-    (folder / "truth" / "mask").rmdir()
-    recording = open_recording(folder)
-    frame = recording.frame(0)
-    for item in visible_objects(recording, 0, frame, ["person"]):
-        np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
 
 
 def masks_only(folder: Path) -> Path:

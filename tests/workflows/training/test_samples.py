@@ -38,7 +38,6 @@ from annotator.workflows.training.samples import (
     image_samples,
     taught_by_drags,
     view_samples,
-    with_generated,
 )
 
 CONFIG = RcvConfig()
@@ -210,21 +209,6 @@ def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> Non
 # --- pseudo-views ----------------------------------------------------------------------------------------------------
 
 
-def test_drawn_views_are_used_unchanged(people: Project) -> None:
-    material = simulate(people, BoxKind.BOX)
-    samples = views(people, material, 18)
-    origins = Counter(sample.origin for sample in samples)
-    assert origins[DRAWN] == 36
-    assert origins[TAUGHT] == 18, "one pair per object, nine objects"
-    for sample, view in zip(samples, material.views, strict=False):
-        assert sample.origin == DRAWN
-        assert len(sample.label_uids) == len(sample.boxes)
-        assert sample.boxes == view.boxes
-        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
-        assert view.frame_id is not None
-        assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
-
-
 def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
     accept(people, 0)
     first, again, other = (views(people, gather(people), 12, seed) for seed in (1, 1, 2))
@@ -310,16 +294,6 @@ def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project
             assert whole.width_px * whole.height_px > 0.9 * seen.width_px * seen.height_px
     taught = [sample for sample in samples if sample.origin == "taught" and len(sample.label_uids) == 2]
     assert taught and not any(set(sample.boxes) & set(given.boxes) for sample in taught)
-
-
-def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
-    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 40
-    assert list(with_generated(own, 0.0, 64, 0)) == own
-    samples, others = (list(with_generated(own, 0.5, 64, seed)) for seed in (0, 1))
-    assert samples[:40] == own
-    assert 20 < len(samples) - 40 < 80
-    assert {sample.origin for sample in samples[40:]} == {"generated"}
-    assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}
 
 
 # --- the base detector, from generated frames ----------------------------------------------------------------------
