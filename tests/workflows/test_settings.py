@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from annotator.cli.main import main
 from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
@@ -134,6 +135,19 @@ def test_simulate_views_train_and_annotate_use_the_projects_settings(
     assert run(people, "annotate", "--limit", "1") == 0
     kept = json.loads(people.jobs.all()[-1].config)
     assert (kept["max_steps"], kept["view"]["size_px"]) == (1, 64)
+
+
+def test_pseudo_views_have_the_detectors_training_size_unless_set(
+    project: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = project.models_folder / "detector.pt"
+    weights.write_bytes(b"weights")
+    project.models.register(
+        DetectorKind.VIEW, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="of the weights"
+    )
+    monkeypatch.setattr("annotator.workflows.settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320))
+    assert rcv_config(project).view.size_px == 320
+    assert rcv_config(project, options={"view": {"size_px": 64}}).view.size_px == 64
 
 
 ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()

@@ -20,7 +20,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.types.errors import FormatError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -199,6 +199,9 @@ def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewe
         second.key: [("person", 0.0, 0.55)],
     }
     dataset = read_labels(BoxFormat.BOXES, boxes_file(tmp_path / "det.json", boxes))
+    for source in (" ", "annotator", "x" * 201):
+        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+            import_proposals(people, dataset, source)
 
     def proposed(min_score: float | None) -> list[tuple[str, float]]:
         done = import_proposals(people, dataset, min_score=min_score)

@@ -187,3 +187,9 @@ def test_boxes_of_a_reviewed_frame_are_followed_both_ways_by_the_command(people:
     assert tracks_of(people) == ["1?", "1?", "1", "1?", "1?"]
     for index in (0, 4):
         assert iou_3d(labels_of(people, index)[0].box, box_of(0, index)) > 0.9
+
+
+def test_only_the_given_tracks_are_followed_in_the_given_direction(people: Project) -> None:
+    accept(people, 2, (0, 1), (1, 2))
+    follow_all(people, Walking(), tracks=[2], forward=False, backward=True)
+    assert tracks_of(people) == ["2?", "2?", "1 2", "", ""]

@@ -31,6 +31,7 @@ from annotator.workflows.tracks.copy_next import carry_correction, copy_next, co
 from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
 from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, write
+from annotator.workflows.workbench.save_object import copy_boxes
 
 
 def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
@@ -262,6 +263,18 @@ def test_interpolated_boxes_have_the_values_of_the_nearer_key_frame(valued: Room
     interpolate(valued.project, valued.recording, 3, ANN)
     # the middle frame is as near to both: the earlier one counts
     assert along(valued) == [SITTING, SITTING, SITTING, STANDING, STANDING]
+
+
+def test_copied_and_followed_boxes_have_all_values(valued: Room) -> None:
+    uid = valued.accept_box(0, valued.box(0), attributes=SITTING)
+    copy(valued, 0, uid)
+    copy_boxes(valued.project, valued.frames[2].id, valued.frames[0].id, valued.context(2))
+    assert along(valued)[:3] == [SITTING] * 3
+    for _ in range(2):
+        valued.project.history.undo(ANN)
+    valued.all(valued.view)
+    found = [each for each in along(valued) if each is not None]
+    assert len(found) >= 4 and found == [SITTING] * len(found)
 
 
 def test_linked_boxes_have_the_values_of_their_track_and_keep_their_own(valued: Room) -> None:

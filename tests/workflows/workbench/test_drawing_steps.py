@@ -231,6 +231,23 @@ def test_saving_the_same_boxes_again_writes_nothing(desk: Desk) -> None:
     assert desk.revision == before
 
 
+def test_boxes_of_other_objects_on_a_view_are_kept(desk: Desk) -> None:
+    """Views from 3D boxes also have boxes of other objects."""
+    image_box, four = desk.image_box(), desk.four()
+    desk.save([image_box], desk.object(image_box, four[:2]))
+    view = next(view for view in desk.project.boxes.on_views_of(desk.frame_id) if view.boxes == (four[1],))
+    other = Box2D("person", 1.0, 2.0, 9.0, 12.0)
+    placed = {"frame_id": desk.frame_id, "step": view.step, "geometry": view.geometry}
+    context = WriteContext(desk.revision, "import")
+    desk.project.boxes.set_on_view(view.view_id, [four[1], other], desk.kind, context, **placed)
+    before = desk.revision
+    desk.save([image_box], desk.object(image_box, four[:2]))
+    assert desk.revision == before, "nothing is new"
+    wider = Box2D("person", *four[1].xyxy[:3], four[1].y_max + 2)
+    desk.save([image_box], desk.object(image_box, [four[0], wider]))
+    assert {view.boxes for view in desk.project.boxes.on_views_of(desk.frame_id)} == {(four[0],), (wider, other)}
+
+
 def test_changing_a_box_of_the_first_step_removes_the_second_step(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], desk.object(image_box, four))
