@@ -27,7 +27,6 @@ from annotator.workflows.importing import (
     Preview,
     import_image_boxes,
     import_labels,
-    import_proposals,
     preview_boxes,
     read_labels,
 )
@@ -166,32 +165,6 @@ def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: 
     with pytest.raises(FormatError, match=problem):
         import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
     assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())
-
-
-ENTRY: dict[str, Any] = {"size": [4.0, 1.6, 1.5], "rotation": np.eye(3).tolist(), "center": [0.0, 0.0, 9.0]}
-
-
-def test_frames_that_an_import_leaves_unchanged_are_told_before(people: Project, tmp_path: Path) -> None:
-    """As labels: also those with proposals, and with rejected boxes only; as proposals: those that are finalised."""
-    proposed, rejected, finalised, free = people.frames.of()[:4]
-    box = OrientedBox.from_parts(np.array(ENTRY["center"]), np.eye(3), np.array(ENTRY["size"]))
-    people.labels.create(rejected.id, [NewLabel("person", box, state=ReviewState.REJECTED)], WriteContext(0, "me"))
-    people.frames.finalise(finalised.id, WriteContext(0, "me"))
-    path = tmp_path / "mine.json"
-    path.write_text(json.dumps({proposed.key: [ENTRY | {"label": "person"}]}))
-    import_proposals(people, read_labels(BoxFormat.BOXES, path))
-    boxes = {frame.key: [ENTRY | {"label": "person", "score": 0.5}] for frame in (proposed, rejected, finalised, free)}
-    path.write_text(json.dumps(boxes | {"elsewhere": []}))
-    found = preview_boxes(people, path, BoxFormat.BOXES, None)
-    assert (found.is_3d, found.boxes, found.scores and found.scores.low) == (True, {"person": 4}, 0.5)
-    assert found.found == "4 3D boxes in 4 frames of this project."
-    assert found.notes == (
-        "2 of these frames have labels or proposals, and can only take proposals.",
-        "1 of these frames is finalised, and left unchanged.",
-        "Left out: 1 frame without a frame of the same name, such as elsewhere.",
-    )
-    assert import_labels(people, read_labels(BoxFormat.BOXES, path))[Note.ALREADY] == 3
-    assert import_proposals(people, read_labels(BoxFormat.BOXES, path))[Note.FINALISED] == 1
 
 
 def test_images_are_described_before_they_are_imported(
