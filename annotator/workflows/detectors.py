@@ -55,9 +55,14 @@ class Detectors:
     image_kind: BoxKind = BoxKind.BOX
     trained: bool = False
 
+    @property
+    def kinds(self) -> tuple[BoxKind, bool, BoxKind, bool]:
+        """The arguments of `RcvConfig.for_detector`."""
+        return self.box_kind, self.class_agnostic, self.image_kind, self.trained
+
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
-        return config.for_detector(self.box_kind, self.class_agnostic, self.image_kind, self.trained)
+        return config.for_detector(*self.kinds)
 
     @property
     def backends(self) -> tuple[str, str]:

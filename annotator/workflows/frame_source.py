@@ -76,27 +76,20 @@ class OpenedRecording:
         return self.indices[key]
 
 
-def open_stored(
-    path: Path,
-    name: str,
-    project: str,
-    up: tuple[float, float, float] | None,
-    options: str = "",
-    correction: Correction = NO_CORRECTION,
-) -> OpenedRecording:
-    """Opens a recording of a project.
+def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
+    """Opens a recording of a project of this name.
 
     Raises:
         RecordingError: it is missing or cannot be read.
     """
-    missing = why_gone(path, name, project)
+    missing = why_gone(stored.path, stored.name, project)
     if missing is not None:
         raise RecordingError(missing)
-    return OpenedRecording(open_recording(path, stored_options(options)), up, correction)
+    return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored.up, stored.correction)
 
 
 def why_gone(path: Path, name: str, project: str) -> str | None:
-    """Says that a project's recording is missing, and what to do; None if it is there. Arguments as `open_stored`."""
+    """Says that a project's recording is missing, and what to do; None if it is there."""
     missing = why_missing(path)
     if missing is None:
         return None
@@ -158,9 +151,7 @@ class FrameSource:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
             self._project.recordings.require_readable(stored)
-            self._opened[recording_id] = open_stored(
-                stored.path, stored.name, self._project.path.name, stored.up, stored.options, stored.correction
-            )
+            self._opened[recording_id] = open_stored(stored, self._project.path.name)
         return self._opened[recording_id]
 
 
@@ -274,13 +265,11 @@ class Rigs:
 
     def others_on_image(self, frame: StoredFrame, camera: Camera, own: Sequence[Label]) -> list[Label]:
         """Returns the labels of `others` that the image shows, without rejected ones and those of objects in `own`."""
-        seen = [
+        return [
             other.label
-            for other in self.others(frame)
-            if other.label.state is not ReviewState.REJECTED
-            and is_seen(other.label.box, camera.matrix, camera.width_px, camera.height_px)
+            for other in uncovered(self.others(frame), own)
+            if is_seen(other.label.box, camera.matrix, camera.width_px, camera.height_px)
         ]
-        return [label for label, cover in zip(seen, covered_by(seen, own), strict=True) if cover is None]
 
     def is_better_seen(self, box: OrientedBox, siblings: Sequence[Sibling]) -> bool:
         """Returns True if another camera sees the middle of a box nearer to the middle of its view than this one.
@@ -308,6 +297,13 @@ class Rigs:
             camera = self._camera(recording_id)
             self._indices[recording_id] = {camera.moment(index): index for index in range(len(camera))}
         return self._indices[recording_id]
+
+
+def uncovered(others: Sequence[OtherLabel], own: Sequence[Label]) -> list[OtherLabel]:
+    """Returns the labels of other cameras that are not rejected, of objects that no own label covers."""
+    present = [other for other in others if other.label.state is not ReviewState.REJECTED]
+    covers = covered_by([other.label for other in present], own)
+    return [other for other, cover in zip(present, covers, strict=True) if cover is None]
 
 
 def once(project: Project, labels: Mapping[int, tuple[StoredLabel, ...]]) -> dict[int, tuple[StoredLabel, ...]]:

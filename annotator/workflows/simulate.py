@@ -261,14 +261,8 @@ class Confirmed:
     mean_iou: float
 
 
-def confirm_whole_boxes(
-    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
-) -> Confirmed:
-    """Confirms whole boxes in the frames of a recording, once all of them are drawn; objects with a label are left out.
-
-    Args:
-        progress: called with (frames done, frames with drawn objects).
-    """
+def confirm_whole_boxes(project: Project, recording_id: int) -> Confirmed:
+    """Confirms whole boxes in the frames of a recording, once all are drawn; objects with a label are left out."""
     source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
     recording = source.recording(recording_id)
     indices = {key: index for index, key in enumerate(recording.keys)}
@@ -277,7 +271,7 @@ def confirm_whole_boxes(
     known = {(label.frame_id, label.image_box) for label in project.labels.select(recordings=[recording_id])}
     objects = actions = 0
     ious: list[float] = []
-    for number, stored in enumerate(frames, 1):
+    for stored in frames:
         frame = source.read(stored)
         new = []
         for item in visible_objects(recording, indices[stored.key], frame, project.config.classes):
@@ -295,7 +289,5 @@ def confirm_whole_boxes(
         if new:
             revision = project.frames.get(stored.id).revision
             project.labels.create(stored.id, new, WriteContext(revision, AUTHOR, Source.MANUAL))
-        if progress is not None:
-            progress(number, len(frames))
     mean = sum(ious) / len(ious) if ious else float("nan")
     return Confirmed(objects, len(ious), actions + len(ious), mean)

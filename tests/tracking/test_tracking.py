@@ -17,9 +17,8 @@ from annotator.tracking.link import (
     link,
     numbered,
     overlap_at_place,
-    predicted,
 )
-from annotator.tracking.smooth import FLIP, TrackBox, are_upright, between, relabelled, relabellings, smoothed
+from annotator.tracking.smooth import FLIP, TrackBox, between, relabelled, relabellings, smoothed
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
@@ -97,12 +96,6 @@ def test_given_ids_take_precedence_over_costs() -> None:
     assert track.given == 5
 
 
-def test_motion_is_extrapolated_linearly_from_the_last_boxes() -> None:
-    boxes = [at(0.0, 5.0), at(0.5, 4.9), at(1.0, 4.8)]
-    assert np.allclose(predicted(boxes, [0.0, 1.0, 2.0], 4.0).center_m, [2.0, 0.0, 4.6])
-    assert np.allclose(predicted(boxes[:1], [3.0], 9.0).center_m, boxes[0].center_m)
-
-
 @pytest.mark.parametrize(
     ("given", "before", "wanted"),
     [
@@ -148,11 +141,6 @@ def test_boxes_at_the_same_place(other: OrientedBox, overlap: float) -> None:
     assert overlap_at_place([other], [box()]) == pytest.approx(np.array([[overlap]]))
 
 
-def test_without_boxes_there_is_no_overlap() -> None:
-    assert overlap_at_place([box()], []).shape == (1, 0)
-    assert overlap_at_place([], [box()]).shape == (0, 1)
-
-
 # columns: the length, width and height axes of an upright box that faces away from the camera
 STANDING = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -186,22 +174,6 @@ def test_flipped_headings_are_corrected_by_the_motion() -> None:
     assert after > before + 0.02
 
 
-def test_a_size_that_changes_over_time_is_not_averaged() -> None:
-    strides = [0.7 + 0.3 * np.sin(0.5 * n) for n in range(20)]
-    boxes = [car(0.1 * n, 0.0, (2.0, length, 1.5 + 0.02 * (-1) ** n)) for n, length in enumerate(strides)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(boxes)])
-    # a constant length would have a mean error of 0.19
-    assert np.mean(np.abs(np.array([box.size_m[1] for box in better]) - strides)) < 0.04
-    assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
-
-
-def test_without_motion_the_majority_determines_the_front() -> None:
-    still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
-    mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)])
-    assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
-
-
 def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:
     # a reviewed box says that the car drives backwards
     boxes = [car(n, 0.0, (4.0 + 0.1 * n, 1.8, 1.5)) for n in range(6)]
@@ -226,17 +198,6 @@ def test_permuted_axes_have_no_effect(places: list[int], seed: int) -> None:
     assert min(iou_3d(a, b) for a, b in zip(better, true, strict=True)) > 0.999
     turned = [(a.T_camera_box.rotation.inv() * b.T_camera_box.rotation).magnitude() for a, b in pairwise(better)]
     assert max(turned) < 0.12
-
-
-def test_relabelled_boxes_are_the_same_boxes() -> None:
-    box = car(0, 20.0)
-    for is_upright in (True, False):
-        changes = relabellings(is_upright)
-        assert np.array_equal(changes[0], np.eye(3))
-        assert len({change.tobytes() for change in changes + 0.0}) == (4 if is_upright else 24)
-        assert all(iou_3d(relabelled(box, change), box) == pytest.approx(1.0) for change in changes)
-    assert are_upright([box, car(1, 200.0)])
-    assert not are_upright([box, relabelled(box, relabellings(False)[5])])
 
 
 def test_position_size_and_rotation_are_interpolated_linearly() -> None:

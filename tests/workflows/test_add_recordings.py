@@ -308,15 +308,6 @@ def test_each_kind_of_fault_is_counted(damaged: Path) -> None:
     ]
 
 
-def test_without_time_only_files_are_looked_at(damaged: Path, generated: Path) -> None:
-    broken = broken_frames(open_recording(damaged), seconds=-1)
-    assert list(broken.errors) == BROKEN[:2]
-    assert broken.unread == 3
-    assert broken.sentences[0] == "2 of 5 frames cannot be read (of 3, at most the files were looked at)"
-    assert list(broken_frames(open_recording(damaged), {"000004"}, seconds=-1).errors) == BROKEN
-    assert broken_frames(open_recording(generated / "people"), seconds=ALWAYS).sentences == ()
-
-
 def test_broken_frames_are_told_and_left_out_on_request(
     make_project: Callable[..., Project], damaged: Path, generated: Path
 ) -> None:

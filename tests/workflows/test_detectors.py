@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,8 +10,8 @@ from annotator.project import Project
 from annotator.project.classes import edit
 from annotator.rcv.starts import is_warm
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
-from annotator.workflows.detectors import active_detectors, image_model, load_detector
+from annotator.types.errors import AnnotatorError, DetectionError
+from annotator.workflows.detectors import active_detectors, image_model
 from annotator.workflows.warm_up import warm_up
 
 
@@ -42,13 +38,6 @@ def test_weights_without_their_record_are_an_error(people: Project) -> None:
         active_detectors(people)
 
 
-@pytest.mark.parametrize(("name", "value"), [("image_size_px", 7), ("threads", 0)])
-def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: object) -> None:
-    settings: dict[str, Any] = {"image_size_px": 96, name: value}
-    with pytest.raises(ConfigError, match=f"detector setting {name}: .*, not {value!r}"):
-        load_detector(tmp_path / "detector.pt", **settings)
-
-
 def test_a_detector_follows_classes_that_were_changed_after_its_training(people: Project) -> None:
     register(people, DetectorKind.IMAGE)
     assert image_model(people).names == ()
@@ -58,33 +47,6 @@ def test_a_detector_follows_classes_that_were_changed_after_its_training(people:
     people.change_classes(lambda config: edit.add_class(config, "child"), "ann")
     people.change_classes(lambda config: edit.remove_class(config, "adult"), "ann")
     assert image_model(people).names == (("person", None),)
-
-
-# In a process of its own, because other tests call compiled functions, too. Functions called from Python have
-# signatures; private ones are called only by these.
-COMPILED = """
-import json
-from importlib import import_module
-from annotator.workflows.doctor import KERNELS
-from annotator.workflows.warm_up import warm_up
-
-warm_up()
-compiled = {}
-for module in KERNELS:
-    for name, value in vars(import_module(module)).items():
-        if hasattr(value, "signatures") and not name.startswith("_"):
-            compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
-print(json.dumps(compiled))
-"""
-
-
-def test_all_compiled_functions_are_called() -> None:
-    ran = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
-    compiled = json.loads(ran.stdout)
-    assert [name for name, called in compiled.items() if not called] == []
-    assert {"draw_views", "refine", "intersection_volumes", "point_evidence", "outlines"} <= compiled.keys()
-    # float32 for clouds, float64 for corners
-    assert set(compiled["points_in_box"]) == {"float32", "float64"}
 
 
 def test_objects_are_found_in_all_ways() -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
-from annotator.recordings.open import READERS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -62,16 +61,3 @@ def test_scans_with_a_camera_become_a_folder_of_clouds(my_loader: ModuleType, tm
     assert (recording.format, len(cloud)) == ("cloud_folder", seen.sum())
     np.testing.assert_allclose(cloud.xyz_m, in_camera[seen], atol=1e-5)
     np.testing.assert_allclose(cloud.reflectance, reflectance[seen], atol=1e-6)
-
-
-def test_the_page_names_every_format():
-    text = PAGE.read_text(encoding="utf-8")
-    words = {
-        "rgbd_folder": "RGB-D folder",
-        "azure_kinect": "Azure Kinect",
-        "argoverse2": "Argoverse 2",
-        "cloud_folder": "point clouds",
-    }
-    for name in READERS:
-        word = words.get(name, name.split("_")[0])
-        assert word.lower().replace("sunrgbd", "sun rgb-d") in text.lower(), name

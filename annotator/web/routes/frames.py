@@ -184,9 +184,7 @@ def frames(
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
 def frame(at: AtFrame) -> JSONResponse:
     """All data of a frame that the page shows."""
-    response = ModelResponse(at.state())
-    at.ctx.caches.detectors.warm(at.project)
-    return response
+    return ModelResponse(at.state())
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)

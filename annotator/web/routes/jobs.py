@@ -230,7 +230,7 @@ def set_learning(at: AtProject, body: Learning) -> None:
 @router.post("/api/projects/{name}/models/load", status_code=204)
 def load(at: AtProject) -> None:
     """Begin to load the detectors in use, since the operator is about to draw."""
-    at.ctx.caches.detectors.warm(at.project, at_once=True)
+    at.ctx.caches.detectors.warm(at.project)
 
 
 @router.post("/api/projects/{name}/models/base/activate", status_code=204)

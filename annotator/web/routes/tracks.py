@@ -247,17 +247,16 @@ def frame_sheet(at: AtFrame) -> StreamingResponse:
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:
     def lines() -> Iterator[str]:
         # Starlette draws one line after the other in a thread, and stops once the client has gone
-        with at.ctx.caches.detectors.holding_off():
-            for stored, label in boxes:
-                if stored.index is None or label.state is ReviewState.REJECTED:
-                    continue
-                try:
-                    content = at.ctx.caches.sheets.get(at.project, stored, label.box)
-                except AnnotatorError as error:
-                    tile = TileJson(uid=label.uid, problem=at.ctx.public_message(str(error)))
-                else:
-                    tile = TileJson(uid=label.uid, png=base64.b64encode(content).decode())
-                yield tile.model_dump_json() + "\n"
+        for stored, label in boxes:
+            if stored.index is None or label.state is ReviewState.REJECTED:
+                continue
+            try:
+                content = at.ctx.caches.sheets.get(at.project, stored, label.box)
+            except AnnotatorError as error:
+                tile = TileJson(uid=label.uid, problem=at.ctx.public_message(str(error)))
+            else:
+                tile = TileJson(uid=label.uid, png=base64.b64encode(content).decode())
+            yield tile.model_dump_json() + "\n"
 
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 

@@ -217,7 +217,7 @@ def _opened(project: Project, path: Path, name: str) -> OpenedRecording:
         known = tuple(each for each in project.recordings.all() if each.name == name)
     stored = next((each for each in known if len(known) == 1 or not each.options), None)
     if stored is not None:
-        return open_stored(stored.path, stored.name, project.path.name, stored.up, stored.options, stored.correction)
+        return open_stored(stored, project.path.name)
     if known:
         names = ", ".join(each.name for each in known)
         raise ConfigError(f"{name}: the project has several recordings of it; give the name of one: {names}")

@@ -208,8 +208,7 @@ def annotate_with(
     try:
         identity = engine.start()
         learned = learn_up(project, rotation, recordings)  # not if there are no detectors: nothing would say so
-        kinds = (identity.box_kind, identity.class_agnostic, identity.image_kind)
-        config = config.for_detector(*kinds, identity.trained)
+        config = config.for_detector(*identity.kinds)
         # the engine is not part of the description, since it does not affect the result
         own = {"rotation": rotation.value, "method": REVISION, "from_reviewed": from_reviewed}
         run = project.jobs.start(

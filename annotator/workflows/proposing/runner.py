@@ -81,8 +81,7 @@ class TaskRunner:
     def identity(self) -> Identity:
         """The detectors' identity."""
         pair = self.detectors
-        kinds = (pair.box_kind, pair.class_agnostic, pair.image_kind, pair.trained)
-        return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, *kinds)
+        return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, pair.kinds)
 
     def do(self, task: Task) -> Answer:
         """Runs a task. Every exception becomes the answer of its frame, so that one frame cannot end a long batch."""

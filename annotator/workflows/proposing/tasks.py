@@ -96,19 +96,13 @@ class Identity:
 
     Attributes:
         image, view: fingerprints of the detectors.
-        box_kind: what the boxes of the view detector measure.
-        class_agnostic: whether it measures objects of any class.
-        image_kind: what the boxes of the image detector enclose.
-        trained: whether the view detector was trained on objects of the project.
+        kinds: as `Detectors.kinds`.
     """
 
     image: str
     view: str
     backends: tuple[str, str]
-    box_kind: BoxKind
-    class_agnostic: bool = False
-    image_kind: BoxKind = BoxKind.BOX
-    trained: bool = False
+    kinds: tuple[BoxKind, bool, BoxKind, bool]
 
 
 def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
@@ -158,8 +152,7 @@ class Storage:
         """Opens a recording at the workers' path or URL."""
         place = self.place(recording.path)
         if not is_url(place):
-            given = recording.up, recording.options, recording.correction
-            return open_stored(Path(place), recording.name, project, *given)
+            return open_stored(replace(recording, path=Path(place)), project)
         from annotator.recordings.mirror import open_mirror
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)

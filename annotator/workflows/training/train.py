@@ -15,11 +15,11 @@ from pathlib import Path
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, tiled, write_dataset
 from annotator.detection.pretrained import check_start
-from annotator.detection.trained import MODEL_NAME, RUN_NAME, TrainedModel, read_run
+from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import ConfigError, FormatError, FrameError
+from annotator.types.errors import FormatError, FrameError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.adjusting import learn_up
@@ -105,7 +105,8 @@ class Run:
             ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
         """
         # depends on the labels and settings only
-        out = self._folder / f"{manifest.sha256[:12]}-{settings_hash(config)}"
+        settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
+        out = self._folder / f"{manifest.sha256[:12]}-{settings[:8]}"
         dataset = self._folder / DATASET
         try:
             result = train_detector(dataset, out, config, report, self.role, stop)
@@ -139,14 +140,11 @@ class Run:
         )
 
 
-class LeftOut(list[str]):
-    """Messages on data left out."""
-
-    def skip(self, stored: StoredFrame, error: FrameError) -> None:
-        """Adds a frame that cannot be read, once."""
-        line = f"frame {stored.key}: {error}"
-        if line not in self:
-            self.append(line)
+def skip(left_out: list[str], stored: StoredFrame, error: FrameError) -> None:
+    """Adds a frame that cannot be read to the messages on data left out, once."""
+    line = f"frame {stored.key}: {error}"
+    if line not in left_out:
+        left_out.append(line)
 
 
 def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], None]) -> Iterator[TrainingSample]:
@@ -168,11 +166,6 @@ def remove_leftovers(project: Project, role: DetectorKind) -> None:
                 leftovers.append(run)
     for path in leftovers:
         shutil.rmtree(path, ignore_errors=True)
-
-
-def settings_hash(config: TrainingConfig) -> str:
-    """Hash of the settings of a run."""
-    return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:8]
 
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
@@ -250,7 +243,7 @@ def train(
     for role in roles:
         remove_leftovers(project, role)
     for role in roles:  # checked before the samples are made, which takes long
-        _check_start(project, role, plan.image if role is DetectorKind.IMAGE else plan.view)
+        check_start(plan.image if role is DetectorKind.IMAGE else plan.view)
     learned = learn_up(project)  # not if the training is refused: nothing would say so
     results = []
     for role in roles:
@@ -262,28 +255,15 @@ def train(
     return [replace(result, learned=learned) for result in results]
 
 
-def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -> None:
-    """Checks the pretrained weights, unless a finished training with these settings exists, which does not need them.
-
-    Whether that training used the present labels is known only once the dataset is written; if not, the training
-    itself raises the error.
-    """
-    try:
-        check_start(config)
-    except ConfigError:
-        if not any((project.models_folder / role.value).glob(f"*-{settings_hash(config)}/{MODEL_NAME}")):
-            raise
-
-
 def _train_image(
     project: Project, material: Material, plan: TrainPlan, report: Report | None, stop: Stop | None
 ) -> Trained:
     begin = time.perf_counter()
-    left_out = LeftOut()
+    left_out: list[str] = []
     if material.unreviewed_images:
         left_out.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
-    real = image_samples(project, material, left_out.skip)
+    real = image_samples(project, material, partial(skip, left_out))
     written = run.write(unless_stopped(real, partial(_check_stop, stop)))
     config = image_config(project, plan.image, written.sha256, plan.decides)
     ran = run.train(written, config, report, stop)
@@ -299,7 +279,7 @@ class _ViewTraining:
         self, project: Project, material: Material, plan: TrainPlan, report: Report | None, stop: Stop | None
     ) -> None:
         self.project, self.material, self.plan, self.report, self.stop = project, material, plan, report, stop
-        self.left_out = LeftOut()
+        self.left_out: list[str] = []
         self.paused_s = 0.0
 
     def run(self) -> Trained:
@@ -346,11 +326,11 @@ class _ViewTraining:
         """
         plan = self.plan
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
-        given = self.project, self.material, self.rcv, drawing
+        given, skipped = (self.project, self.material, self.rcv, drawing), partial(skip, self.left_out)
         if origin is None or not origin.class_agnostic:
-            classes, samples = self.project.config.classes, view_samples(*given, self.left_out.skip)
+            classes, samples = self.project.config.classes, view_samples(*given, skipped)
         else:  # with generated views, so that what the base detector knows is kept
-            own = agnostic_samples(*given, load_detector(origin.path), self.left_out.skip)
+            own = agnostic_samples(*given, load_detector(origin.path), skipped)
             classes, samples = AGNOSTIC, with_generated(own, plan.generated_share, self.view_px, drawing.seed)
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
         written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))

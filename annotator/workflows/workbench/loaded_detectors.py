@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYetError
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from weakref import WeakSet
 
 import numpy as np
 
@@ -30,9 +28,6 @@ from annotator.workflows.detectors import (
 from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
-
-# Loading a detector ahead takes the processor, which a new server needs for its first page and contact sheet.
-WARM_AFTER_S = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +127,6 @@ class ReadyDetectors:
         self._lock = threading.Lock()
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
-        self._warmed = WeakSet[Project]()
-        self._calm = threading.Condition()
-        self._is_asked = False
-        self._holds = 0
         self._loading: dict[tuple[Path, DetectorKind], tuple[tuple[str, Names], Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
@@ -154,7 +145,6 @@ class ReadyDetectors:
         model = used_model(project, role)
         if model is None:
             return Readiness("none")
-        self._begin()
         try:
             return Readiness("ready", self._future(project, role, model).result(wait_s))
         except NotYetError:
@@ -164,50 +154,15 @@ class ReadyDetectors:
         except Exception:
             return Readiness("failed", problem="internal error, see the server's log")
 
-    def warm(self, project: Project, at_once: bool = False) -> None:
-        """Loads the project's detectors soon, or when one is asked for; later calls for the project do nothing.
-
-        Args:
-            at_once: begin now, since an operator is about to draw; a later call ends the wait of an earlier one.
-        """
-        if at_once:
-            self._begin()
-        with self._lock:
-            if project in self._warmed:
-                return
-            self._warmed.add(project)
-        self._loader.submit(self._wait)
+    def warm(self, project: Project) -> None:
+        """Begins to load the project's detectors, since an operator is about to draw."""
         for role in DetectorKind:
             if (model := used_model(project, role)) is not None:
                 self._future(project, role, model)
 
     def close(self) -> None:
         """Stops loading."""
-        self._begin()
         self._loader.shutdown(wait=False, cancel_futures=True)
-
-    @contextmanager
-    def holding_off(self) -> Iterator[None]:
-        """No detector is loaded ahead meanwhile; one that is asked for is."""
-        with self._calm:
-            self._holds += 1
-        try:
-            yield
-        finally:
-            with self._calm:
-                self._holds -= 1
-                self._calm.notify_all()
-
-    def _begin(self) -> None:
-        with self._calm:
-            self._is_asked = True
-            self._calm.notify_all()
-
-    def _wait(self) -> None:
-        """Waits for a while, or until a detector is asked for."""
-        with self._calm:
-            self._calm.wait_for(lambda: self._is_asked, WARM_AFTER_S)
-            self._calm.wait_for(lambda: self._is_asked or not self._holds)
 
     def _future(self, project: Project, role: DetectorKind, model: UsedModel) -> Future[ReadyDetector]:
         key = (project.path, role)

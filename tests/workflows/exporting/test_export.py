@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -33,7 +32,6 @@ from annotator.types import (
     Suggestion,
 )
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.types.label import Said
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project, parse_shares
@@ -42,7 +40,6 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import BoxFormat, Note, import_labels, import_proposals, read_labels
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
-from benchmarks.trips import trip
 
 STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
 
@@ -72,7 +69,6 @@ def exported(project: Project, out: Path, **options: object) -> RcvManifest:
     ("states", "objects"),
     [
         ((ReviewState.ACCEPTED,), 4),
-        ((ReviewState.REJECTED,), 2),
         (STATES, 6),
         ((ReviewState.PROPOSED, ReviewState.REJECTED), 2),
     ],
@@ -388,10 +384,6 @@ def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) ->
     label = rcv / "labels" / f"{first}.json"
     for change, complaint in (
         (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
-        (lambda record: record.update(image="/x"), rf"{re.escape(str(rcv))}: .* '/x' leads out of the folder"),
-        (lambda record: record.update(cloud="labels/x.json"), "is none of"),
-        (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
-        (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
         (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
     ):
@@ -408,8 +400,6 @@ def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) ->
     (rcv / "dataset.json").write_text('{"format": "annotator-rcv", "version": 1, "frames": []}')
     with pytest.raises(RecordingError, match="no frames"):
         open_recording(rcv)
-    (rcv / "dataset.json").write_text('{"format": "other"}')
-    assert detect_format(rcv) != "rcv"
 
 
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]}
@@ -423,118 +413,37 @@ def propose(project: Project, tmp_path: Path, source: str, **fields: Any) -> dic
     return dict(done.of(Note.VALUE))
 
 
-SCHEMA: list[dict[str, Any]] = [
-    {"name": "truncation", "kind": "number", "minimum": 0, "maximum": 1},
-    {"name": "occlusion", "kind": "integer", "minimum": 0, "maximum": 3},
-    {"name": "visibility", "kind": "choice", "choices": ["v0-40", "v40-60", "v60-80", "v80-100"]},
-    {"name": "pose", "kind": "choice", "choices": ["sitting", "standing up", "1.5"]},
-    {"name": "helmet", "kind": "boolean"},
-    {"name": "state", "kind": "text"},
-    {"name": "mass", "kind": "number"},
-    {"name": "number", "kind": "integer", "of": "track"},
-    {"name": "weather", "kind": "text", "of": "frame"},
-    {"name": "night", "kind": "boolean", "of": "frame"},
-]
-VALUES: list[dict[str, Any]] = [
-    {"truncation": 0.25, "occlusion": 2, "visibility": "v60-80", "pose": "standing up", "helmet": True},
-    {"truncation": 0.0, "occlusion": 3, "visibility": "v0-40", "pose": "1.5", "helmet": False, "state": "true"},
-    {"truncation": 1.0, "occlusion": 0, "visibility": "v80-100", "mass": -81.125, "number": 2**53},
-    {"state": 'a.b, ä: "c"\n', "occlusion": 1, "truncation": 0.5, "visibility": "v40-60", "mass": 7.0, "number": -3},
-]
+HELMET: dict[str, Any] = {"name": "helmet", "kind": "boolean", "default": False}
+OCCLUSION: dict[str, Any] = {"name": "occlusion", "kind": "integer", "minimum": 0, "maximum": 3}
+POSE: dict[str, Any] = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]}
 
 
-@pytest.fixture
-def make(make_project: Callable[..., Project], generated: Path) -> Callable[[], Project]:
-    """Makes a project with the schema; its labels and values are those of `fill`."""
-
-    def made() -> Project:
-        project = make_project(generated / "people")
-        for fields in SCHEMA:
-            project.change_classes(
-                lambda config, fields=fields: edit.put_attribute(config, Attribute.model_validate(fields)), "ann"
-            )
-        return project
-
-    return made
-
-
-def fill(project: Project, frame: int, values: list[dict[str, Any]]) -> None:
-    label = project.config.classes[0]
-    boxes = [
-        OrientedBox.from_parts(np.array([n - 1.5, 0.0, 4.0]), np.eye(3)[[0, 2, 1]] * [1, 1, -1], np.full(3, 0.4))
-        for n in range(4)
-    ]
-    new = [NewLabel(label, box, attributes=each) for box, each in zip(boxes, values, strict=True)]
-    project.labels.create(frame, new, WriteContext(0, "ann"))
-
-
-def test_values_have_the_kinds_of_the_projects_attributes_again(make: Callable[[], Project], tmp_path: Path) -> None:
-    """nuScenes has them as names, such as `pose.1.5`."""
-    project = make()
-    fill(project, project.frames.of()[0].id, VALUES)
-    trip(project, tmp_path / "out", ExportFormat.NUSCENES)
-    found = [dict(entry.label.attributes) for entry in project.labels.select()]
-    assert found == VALUES
-    kinds = ([{name: type(value) for name, value in each.items()} for each in values] for values in (found, VALUES))
-    assert next(kinds) == next(kinds)
-
-
-def test_values_that_the_project_cannot_hold_are_reported(make: Callable[[], Project], tmp_path: Path) -> None:
-    project = make()
-    frame = project.frames.of()[0].id
-    fill(project, frame, VALUES)
-    export_project(project, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
-    project.change_classes(lambda config: edit.remove_attribute(config, "helmet"), "ann")
-    narrow = Attribute.model_validate(SCHEMA[1] | {"maximum": 2})
-    project.change_classes(lambda config: edit.put_attribute(config, narrow, drop=True), "ann")
-    with project.store.write() as connection:
-        connection.exec_driver_sql("DELETE FROM labels")
-    done = import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert done.of(Note.VALUE) == {
-        "helmet (not an attribute of the project)": 2,
-        "occlusion must be a whole number from 0 to 2, not 3": 1,
-    }
-
-
-@pytest.fixture
-def reviewed(make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> Project:
-    """A project with one accepted box, which two detectors had proposed."""
-    project = make_project(generated / "people")
-    propose(project, tmp_path, "centerpoint v2", score=0.9, track=7)
-    propose(project, tmp_path, "my own", score=0.4, center=[0.25, 0.1, 3.0])
-    (entry,) = project.labels.select()
-    frame = project.frames.get(entry.frame_id)
-    project.labels.accept(frame.id, entry.label.uid, WriteContext(frame.revision, "me"))
+def with_attributes(project: Project, *attributes: dict[str, Any]) -> Project:
+    for fields in attributes:
+        project.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
     return project
 
 
-def said_in(project: Project) -> list[Said]:
-    (entry,) = project.labels.select()
-    return [each.said() for each in entry.said]
-
-
-def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
-    reviewed: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+def test_values_that_the_project_cannot_hold_are_reported(
+    make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:
-    export_project(reviewed, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
-    (file,) = (tmp_path / "out" / "labels").iterdir()
-    content = json.loads(file.read_text())
-    content["objects"][0]["said"][1]["label"] = "chair"
-    file.write_text(json.dumps(content))
-    project = make_project(generated / "people", classes=("human",))
-    import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"), names={"person": "human"})
-    assert [(each.source, each.label) for each in said_in(project)] == [("centerpoint v2", "human")]
+    project = with_attributes(make_project(generated / "people"), HELMET, OCCLUSION)
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 4.0]), np.eye(3), np.full(3, 0.4))
+    new = NewLabel("person", box, attributes={"helmet": True, "occlusion": 3})
+    project.labels.create(project.frames.of()[0].id, [new], WriteContext(0, "ann"))
+    export_project(project, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
+    other = with_attributes(make_project(generated / "people"), OCCLUSION | {"maximum": 2})
+    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
+    assert done.of(Note.VALUE) == {
+        "helmet (not an attribute of the project)": 1,
+        "occlusion must be a whole number from 0 to 2, not 3": 1,
+    }
 
 
 def test_imported_proposals_have_attributes_of_the_file_defaults_and_those_of_their_track(
     make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
-    project = make_project(generated / "people")
-    for fields in (
-        {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]},
-        {"name": "helmet", "kind": "boolean", "default": False},
-    ):
-        project.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
+    project = with_attributes(make_project(generated / "people"), POSE, HELMET)
     left_out = propose(project, tmp_path, "a", score=0.9, attributes={"pose": "sitting", "hat": 1})
     assert left_out == {"hat (not an attribute of the project)": 1}
     assert attributes(project) == {"pose": "sitting", "helmet": False}

@@ -5,25 +5,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.geometry.oriented_box import box_corners
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
-from annotator.workflows.importing import BoxFormat, Note, read_labels
+from annotator.workflows.importing import Note
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, share_of
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
-from annotator.workflows.views import spans_m
 
 
 def beside(project: Project) -> RecordedLabels:
@@ -79,27 +75,6 @@ def test_only_2d_boxes_are_stored_and_they_are_training_data(people: Project) ->
     assert (len(images), len(taught)) == (2, len(views))
     assert {sample.origin for sample in images + taught} == {DRAWN}
     assert [len(sample.boxes) for sample in taught] == [len(view.boxes) for view in views]
-
-
-def test_the_first_box_of_a_view_belongs_to_its_object(people: Project) -> None:
-    """In metres, it is the extent of the true box along the view's axes, unless the picture clips it."""
-    boxes_from_3d(people, beside(people), fraction=0.2)
-    (on_image,) = people.boxes.on_images()
-    stored = people.frames.get(on_image.frame_id)
-    labels, frame = beside(people), open_recording(people.recordings.all()[0].path).frame(stored.index or 0)
-    truths = labels.truths(f"people/{stored.key}", frame)
-    checked = 0
-    for view in people.boxes.on_views():
-        assert view.geometry is not None
-        assert view.geometry.image_box in on_image.boxes
-        if view.step == 0:
-            continue  # the picture ends at the outermost points, inside the box
-        number = on_image.boxes.index(view.geometry.image_box)
-        along = box_corners(truths[number].box) @ np.array(view.geometry.axes)[:2].T
-        expected = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
-        np.testing.assert_allclose(spans_m(view), expected, atol=1e-6)
-        checked += 1
-    assert checked >= 4
 
 
 def moved(labels: RecordedLabels, by_m: float) -> LabelSet:
@@ -167,29 +142,6 @@ def test_corrected_views_are_kept(people: Project) -> None:
     assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {
         key: each.boxes for key, each in before.items() if key != view.view_id
     }
-
-
-@pytest.mark.shared
-def test_kittis_labels_are_the_same_from_a_path_and_beside_the_recording(
-    shared: Path, tmp_path: Path, make_project
-) -> None:
-    root, folder = shared / "data" / "kitti", tmp_path / "kitti"
-    for name in ("image_2", "velodyne", "calib", "label_2"):
-        (folder / name).mkdir(parents=True)
-        for path in (root / "training" / name).glob("00001*"):
-            (folder / name / path.name).symlink_to(path)
-    broken = folder / "label_2" / "000011.txt"
-    broken.unlink()
-    broken.write_text("Car 0 0\n")
-    own, given = (make_project(folder, classes=("Car", "Pedestrian")) for _ in range(2))
-    done = boxes_from_3d(own, beside(own))
-    assert (done.chosen, done.frames, done[Note.UNREADABLE]) == (2, 1, 1)
-    assert "000011.txt:1" in next(iter(done.of(Note.UNREADABLE)))
-    theirs = boxes_from_3d(given, read_labels(BoxFormat.KITTI, root / "training" / "label_2"), fraction=0.5)
-    assert theirs[Note.UNMATCHED] == 8
-    assert (theirs.boxes, theirs.objects, theirs.views) == (done.boxes, done.objects, done.views)
-    assert [x.boxes for x in given.boxes.on_images()] == [x.boxes for x in own.boxes.on_images()]
-    assert {x.view_id for x in given.boxes.on_views()} == {x.view_id for x in own.boxes.on_views()} != set()
 
 
 def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, make_project) -> None:

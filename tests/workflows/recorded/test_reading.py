@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti_rows import read_tracking_labels
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
-from annotator.recordings.kitti import KittiTracking
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.recorded import reading as truth_module
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 WIDTH, HEIGHT = 8, 6
@@ -57,19 +52,6 @@ def test_true_boxes_contain_points(shared: Path, folder: str) -> None:
     assert held >= 0.8 * found
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("folder", ["human_turn", "hand_gesture"])
-def test_true_boxes_contain_the_masks_points(shared: Path, folder: str) -> None:
-    recording = open_recording(shared / "data" / folder)
-    frame = recording.frame(3)
-    mask = load_mask(recording, frame)
-    assert mask is not None
-    assert frame.cloud.pixel_index is not None
-    (truth,) = load_truth(recording, 3, frame)
-    own = frame.cloud.xyz_m[mask.ravel()[frame.cloud.pixel_index] == 1]
-    assert contains(truth.box, own, 0.02).mean() > 0.9
-
-
 def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)
@@ -90,34 +72,6 @@ def test_the_truth_folder_has_precedence_and_a_changed_file_is_read_again(wall: 
     assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"]
     put(wall / "truth/boxes.json", {"a": [BOX, BOX]})
     assert len(load_truth(recording, 0, frame)) == 2
-
-
-def test_tracking_labels_are_parsed_once_and_transformed_per_frame(wall: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each frame has its own transform; a changed file is parsed again."""
-    parsed: list[Path] = []
-
-    def counted(path: Path, T: RigidTransform | None) -> dict[int, list[Any]]:
-        parsed.append(path)
-        return read_tracking_labels(path, T)
-
-    monkeypatch.setattr(truth_module, "read_tracking_labels", counted)
-    row = "0 {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
-    (wall / "label_02.txt").write_text("".join(f"{n} {row[2:].format(n)}" for n in range(3)))
-    frame = open_recording(wall).frame(0)
-    drive = KittiTracking(wall, ("0", "1", "2", "3"))
-    for index in range(3):
-        T = RigidTransform.from_translation([index, 0.0, 0.0])
-        (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
-        assert truth.track_id == index
-        np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
-    assert load_truth(drive, 3, frame) == []
-    assert len(parsed) == 1
-    far = RigidTransform.from_translation([1e9, 0.0, 0.0])
-    with pytest.raises(FormatError, match=r"label_02\.txt: frame 1: a box must be within .*; correct its boxes or its"):
-        load_truth(drive, 1, replace(frame, T_camera_label=far))
-    (wall / "label_02.txt").write_text(row.format(7) * 2)
-    assert len(load_truth(drive, 0, frame)) == 2
-    assert len(parsed) == 2
 
 
 def test_errors_of_broken_labels_name_the_frame(wall: Path) -> None:

@@ -72,56 +72,6 @@ def test_a_detector_is_loaded_once_and_again_for_another_model(people: Project, 
     ready.close()
 
 
-def test_a_detector_is_loaded_ahead_after_a_while_or_when_it_is_asked_for(
-    people: Project, loads: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    register(people, DetectorKind.VIEW, "a")
-    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.0)
-    ready = ReadyDetectors()
-    ready.warm(people)
-    # the loader works in order
-    ready._loader.submit(int).result(60)
-    assert len(loads) == 1
-    ready.close()
-    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
-    ready = ReadyDetectors()
-    ready.warm(people)
-    assert len(loads) == 1
-    assert ready.get(people, DetectorKind.VIEW) is not None and len(loads) == 2
-    ready.close()
-    ready = ReadyDetectors()
-    ready.warm(people)
-    ready.warm(people, at_once=True)
-    ready._loader.submit(int).result(60)
-    assert len(loads) == 3
-    ready.close()
-
-
-def test_no_detector_is_loaded_ahead_while_this_is_held_off(
-    people: Project, loads: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    register(people, DetectorKind.VIEW, "a")
-    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.01)
-    ready = ReadyDetectors()
-    with ready.holding_off():
-        ready.warm(people)
-        with pytest.raises(TimeoutError):
-            ready._loader.submit(int).result(0.5)
-        assert loads == []
-        assert ready.get(people, DetectorKind.VIEW) is not None, "one that is asked for is loaded"
-    ready.close()
-
-
-def test_a_server_that_ends_does_not_wait_to_load_a_detector(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
-    ready = ReadyDetectors()
-    ready.warm(people)
-    (waiting,) = ready._loader._threads
-    ready.close()
-    waiting.join(60)
-    assert not waiting.is_alive()
-
-
 def test_the_state_of_loading_and_its_problem_are_reported(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
