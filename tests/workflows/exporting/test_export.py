@@ -393,7 +393,7 @@ def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) ->
         (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
         (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
-        (lambda record: record["camera"].update(width_px=7), "but its camera 7 x"),
+        (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
     ):
         sound = label.read_text()
         changed(label, change)
