@@ -52,12 +52,7 @@ class Stopwatch:
 
     @contextmanager
     def over(self, *functions: tuple[Any, ...]) -> Iterator[None]:
-        """Times one run.
-
-        Args:
-            functions: for each function, its module or object, its name there, the stage to which its time is added,
-                and True if a call starts a new step.
-        """
+        """Times one run of functions, each an object, its name there, its stage, and True if it starts a step."""
         self.runs.append([])
         with ExitStack() as stack:
             for holder, name, stage, *starts_step in functions:
