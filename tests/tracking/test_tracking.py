@@ -183,6 +183,13 @@ def test_a_size_that_changes_over_time_is_not_averaged() -> None:
     assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
 
 
+def test_without_motion_the_majority_determines_the_front() -> None:
+    still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
+    mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)])
+    assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
+
+
 def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:
     # a reviewed box says that the car drives backwards
     boxes = [car(n, 0.0, (4.0 + 0.1 * n, 1.8, 1.5)) for n in range(6)]

@@ -25,6 +25,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     FITS_IOU,
+    MIN_VISIBLE_POINTS,
     confirm_whole_boxes,
     simulate_recording,
     visible_objects,
@@ -118,6 +119,17 @@ def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callab
         np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
 
 
+def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    path = folder / "truth" / "mask" / "000000.png"
+    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    hidden = np.flatnonzero(mask.ravel() == 2)[MIN_VISIBLE_POINTS - 1 :]
+    mask.ravel()[hidden] = 0
+    cv2.imwrite(str(path), mask)
+    recording = open_recording(folder)
+    assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
+
+
 def masks_only(folder: Path) -> Path:
     (folder / "truth" / "boxes.json").unlink()
     return folder
@@ -131,6 +143,28 @@ def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Ca
     with_boxes, without = (people.boxes.on_images([r.id]) for r in people.recordings.all())
     assert [b.boxes for b in with_boxes] == [b.boxes for b in without]
     assert all(len(b.boxes) == 3 for b in without)
+
+
+@pytest.mark.parametrize("boxes", [True, False])
+def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Callable[[str], Path], boxes: bool) -> None:
+    folder = own_copy("people") if boxes else masks_only(own_copy("people"))
+    path = folder / "depth" / "000000.png"
+    cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]))
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    assert frame.cloud.pixel_index is None
+    mask = cv2.imread(str(folder / "truth" / "mask" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    objects = visible_objects(recording, 0, frame, ("person",))
+    assert len(objects) > 1
+    # a depth pixel covers two by two pixels of the image
+    for number, item in enumerate(objects, 1):
+        around = np.stack([mask[dv::2, du::2] for dv in (0, 1) for du in (0, 1)]) == number
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0
+        assert (
+            np.count_nonzero(raw & around.all(axis=0))
+            <= item.points.sum()
+            <= np.count_nonzero(raw & around.any(axis=0))
+        )
 
 
 def without_truth(folder: Path) -> Path:

@@ -295,3 +295,20 @@ def test_labels_get_the_values_that_they_lack_and_the_rest_is_reported(project: 
     project.history.undo("ann")
     assert values(project) == [{"pose": "sitting"}, {}, {}]
     assert project.boxes.on_image(project.frames.of()[0].id) is None
+
+
+def test_a_drawn_box_has_the_values_of_its_label(project: Project, tmp_path: Path) -> None:
+    """A box drawn on the image replaces the outline of its label, not its values."""
+    out = changed(project, tmp_path / "out", lambda annotations: annotations.pop())
+    import_image_boxes(project, out, None)
+    frame = project.frames.of()[0]
+    project.frames.set_attributes(frame.id, {"night": True}, WriteContext(project.frames.get(frame.id).revision, "me"))
+    report = export_project(project, tmp_path / "again", ExportFormat.COCO, choose=ExportFilter())
+    assert "attribute" not in {each.kind.value for each in report.losses}
+    (file,) = (tmp_path / "again" / "annotations").iterdir()
+    content = json.loads(file.read_text())
+    assert [each.get("attributes") for each in content["annotations"]] == [{"pose": "sitting"}, None]
+    assert [each.get("attributes") for each in content["images"]] == [{"night": True}]
+    # an image of a finalised frame changes nothing
+    project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "me"))
+    assert import_image_boxes(project, tmp_path / "again", None)[Note.SHOWN] == 0

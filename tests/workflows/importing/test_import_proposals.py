@@ -20,7 +20,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.types.errors import FormatError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -164,6 +164,13 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
         ["one"],
         ["second detector"],
     ]
+
+
+@pytest.mark.parametrize("source", [" ", "annotator", "x" * 201])
+def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> None:
+    path = boxes_file(tmp_path / "b.json", {people.frames.of()[0].key: []})
+    with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+        import_proposals(people, read_labels(BoxFormat.BOXES, path), source)
 
 
 def tracked(path: Path, frames: dict[str, list[tuple[float, int]]], score: float = 0.9) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from moving import ANN, Walking, accept, box_of, labels_of, proposal_of, tracks_
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.log.event_types import LabelTracked
-from annotator.types import ReviewState, Source
+from annotator.types import OrientedBox, ReviewState, Source
 from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
 from annotator.workflows.workbench.save_object import copy_boxes
 
@@ -75,6 +76,13 @@ def test_no_box_is_left_out_before_a_reviewed_one_that_was_reached(people: Proje
     (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
     assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
     people.history.undo(ANN)
+    # the other way, or again
+    (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0)}), 4, forward=False).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    people.history.undo(ANN)
+    people.history.undo(ANN)
     # it is expected there, but not found
     (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0), (0, 4)}), 0).tracks
     assert (done.boxes, done.doubtful, done.stops) == (0, 3, ())
@@ -97,6 +105,24 @@ def test_a_reviewed_box_is_met_where_the_object_should_be_although_it_is_not_fou
     people.labels.create(frame.id, [NewLabel("person", box_of(0, 2, off_m))], WriteContext(frame.revision, ANN))
     follow(people, Walking(lost={(0, 2)}), 0)
     assert tracks_of(people) == ["1", "1?", "1", "1?", "1?"]
+
+
+@pytest.mark.parametrize(
+    ("turned", "size_m", "is_met"),
+    [(False, [0.3, 0.4, 1.2], True), (True, [2.0, 0.2, 1.7], True), (False, [4.2, 0.5, 1.7], False)],
+)
+def test_boxes_at_one_place_may_differ_in_size_and_heading(
+    people: Project, turned: bool, size_m: Sequence[float], is_met: bool
+) -> None:
+    """The last one is as wide as two people apart: its centre is another one's."""
+    accept(people, 0, 0)
+    rotation = np.eye(3)[:, [1, 0, 2]] * [1, 1, -1] if turned else np.eye(3)
+    center = box_of(0, 2).center_m + ([0, 0, 0] if is_met else [1.0, 0, 0])
+    box = OrientedBox.from_parts(center, rotation, np.array(size_m))
+    frame = people.frames.of()[2]
+    people.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision, ANN))
+    follow(people, Walking(), 0)
+    assert tracks_of(people)[2] == ("1" if is_met else "1? -")
 
 
 def test_an_object_stops_at_a_reviewed_box_of_another_track(people: Project) -> None:
@@ -128,6 +154,22 @@ def test_a_new_run_leaves_nothing_of_an_earlier_one_where_it_passes(people: Proj
     # nor beyond the frame in which it stops
     assert tracks_of(people) == ["1", "1?", "1", "", ""]
     assert [stop.key for stop in track.stops] == [people.frames.of()[3].key]
+
+
+@pytest.mark.parametrize(
+    ("start", "lost", "between"), [(0, [1], ["", "1?"]), (3, [2], ["1?", ""]), (0, [1, 2], ["", ""])]
+)
+def test_a_new_run_leaves_nothing_of_an_earlier_one_up_to_the_next_reviewed_box(
+    people: Project, start: int, lost: list[int], between: list[str]
+) -> None:
+    (uid,) = accept(people, 0, (0, 1))
+    follow(people, Walking(), 0, uid)
+    frame, (label,) = people.frames.of()[3], labels_of(people, 3)
+    people.labels.accept(frame.id, label.uid, WriteContext(frame.revision, ANN))
+    assert tracks_of(people) == ["1", "1?", "1?", "1", "1?"]
+    (track,) = follow(people, Walking(lost={(0, index) for index in lost}), start, forward=start == 0).tracks
+    assert not track.is_open
+    assert tracks_of(people) == ["1", *between, "1", "1?"]
 
 
 @pytest.mark.parametrize("lost", [1, 2])
@@ -187,3 +229,9 @@ def test_boxes_of_a_reviewed_frame_are_followed_both_ways_by_the_command(people:
     assert tracks_of(people) == ["1?", "1?", "1", "1?", "1?"]
     for index in (0, 4):
         assert iou_3d(labels_of(people, index)[0].box, box_of(0, index)) > 0.9
+
+
+def test_only_the_given_tracks_are_followed_in_the_given_direction(people: Project) -> None:
+    accept(people, 2, (0, 1), (1, 2))
+    follow_all(people, Walking(), tracks=[2], forward=False, backward=True)
+    assert tracks_of(people) == ["2?", "2?", "1 2", "", ""]

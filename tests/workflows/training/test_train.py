@@ -16,18 +16,18 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, WriteContext, create_project
-from annotator.rcv.config import RcvConfig
+from annotator.project import Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import DetectionError
+from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, rounds
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
-from annotator.workflows.training.samples import SampleConfig
+from annotator.workflows.training.samples import SampleConfig, gather, view_samples
 from annotator.workflows.training.train import TrainPlan, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
@@ -113,6 +113,22 @@ def test_the_same_labels_and_settings_give_the_same_run(
     assert len(drawn.models.all()) == 2, "no second model is registered"
 
 
+def test_a_finished_training_does_not_need_its_initial_weights(
+    drawn: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = TrainPlan(
+        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=QUICK.samples
+    )
+    with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
+        train(drawn, plan, roles=(DetectorKind.IMAGE,))
+    with monkeypatch.context() as there:
+        there.setattr(workflow, "check_start", lambda config: None)
+        (first,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
+    first.result.write(first.model.path.parent)
+    (again,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
+    assert again.model.id == first.model.id
+
+
 def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
         (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
@@ -143,6 +159,16 @@ def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
     monkeypatch.setattr(rounds, "held_out_groups", lambda project: learned)
     (other,) = train(drawn, replace(QUICK, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
     assert other.result.config.pretrained == "auto"
+
+
+def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+    deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
+    simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
+    people.configure(settings=ProjectSettings(rcv={"view": {"deep": 0.1}}))
+    (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
+    samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
+    tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
+    assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
 def test_left_out_samples_are_reported(

@@ -83,6 +83,8 @@ def test_a_pool_of_unusable_workers_is_an_error(messages: list[Message], error: 
     ("name", "cores", "gpus", "options", "workers"),
     [
         ("auto", 4, (), {}, 4),
+        ("auto", 4, (), {"workers": 1}, None),
+        ("auto", 1, (), {}, None),
         ("auto", 1, ("0",), {}, 1),
         ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
         ("local", 8, ("0", "1"), {}, 2),
@@ -213,20 +215,21 @@ def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, know
     assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were detected and used"
 
 
-def test_a_frame_that_kills_every_worker_is_stored_as_failed_and_the_others_are_bitwise_equal(
+def test_a_frame_that_kills_every_worker_fails_and_the_others_of_its_task_and_of_later_ones_are_bitwise_equal(
     new_people: NewPeople, expected: list[str], knowing: Knowing, generated: Path
 ) -> None:
     project = new_people("deadly")
     # read through a mirror
     elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
-    with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000004",)), 1, 1, elsewhere)) as engine:
+    with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000002",)), 1, 1, elsewhere)) as engine:
         done = annotate_with(project, engine, CONFIG)
     ((key, reason),) = done.failed
-    assert (done.done, key) == (4, "000004")
-    assert "killed, possibly out of memory" in reason
+    assert (done.done, key) == (4, "000002")
+    assert "a worker has ended 2 times on this frame, the last time killed, possibly out of memory" in reason
     (failure,) = project.jobs.results(status=Status.FAILED)
     assert failure.reason == reason
-    assert stored(project)[:4] == expected[:4]
+    for number in (0, 1, 3, 4):
+        assert stored(project)[number] == expected[number]
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc of Linux")
