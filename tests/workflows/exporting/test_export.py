@@ -69,7 +69,6 @@ def exported(project: Project, out: Path, **options: object) -> RcvManifest:
     ("states", "objects"),
     [
         ((ReviewState.ACCEPTED,), 4),
-        ((ReviewState.REJECTED,), 2),
         (STATES, 6),
         ((ReviewState.PROPOSED, ReviewState.REJECTED), 2),
     ],

@@ -52,19 +52,6 @@ def test_true_boxes_contain_points(shared: Path, folder: str) -> None:
     assert held >= 0.8 * found
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("folder", ["human_turn", "hand_gesture"])
-def test_true_boxes_contain_the_masks_points(shared: Path, folder: str) -> None:
-    recording = open_recording(shared / "data" / folder)
-    frame = recording.frame(3)
-    mask = load_mask(recording, frame)
-    assert mask is not None
-    assert frame.cloud.pixel_index is not None
-    (truth,) = load_truth(recording, 3, frame)
-    own = frame.cloud.xyz_m[mask.ravel()[frame.cloud.pixel_index] == 1]
-    assert contains(truth.box, own, 0.02).mean() > 0.9
-
-
 def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)

@@ -214,20 +214,6 @@ def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copyin
     assert [label.uid for label in copying.labels(1)] == [other]
 
 
-def test_copies_count_as_copied_and_not_as_proposals(copying: Copying) -> None:
-    copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
-    copying.copy(1, effort=Effort(1, 3.0))
-    same, moved, wrong = copying.labels(1)
-    copying.project.labels.accept(copying.ids[1], same.uid, copying.context(1))
-    copying.edit(1, moved, 2.3)
-    copying.reject(1, wrong.uid)
-    for _ in range(2):
-        numbers = copying.project.statistics()
-        origins = {name: part.boxes for name, part in numbers.effort.by_origin.items() if part.boxes}
-        assert (origins, numbers.accepted_untouched, numbers.iou_proposal_to_final) == ({"copied": 2}, None, None)
-        copying.project.log.rebuild()
-
-
 def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(copying: Copying) -> None:
     copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
     copying.copy(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,18 +18,9 @@ from annotator.workflows.proposing.tasks import GivenDetectors
 
 
 @pytest.fixture
-def new_people(generated: Path, tmp_path: Path) -> Iterator[Callable[[str], Project]]:
-    """Creates a project of the generated people: `new_people("name")`."""
-    made: list[Project] = []
-
-    def make(name: str) -> Project:
-        made.append(create_project(tmp_path / "projects", name, ("person",)))
-        register_recording(made[-1], open_recording(generated / "people"))
-        return made[-1]
-
-    yield make
-    for project in made:
-        project.close()
+def new_people(generated: Path, make_project: Callable[..., Project]) -> Callable[[], Project]:
+    """Creates projects of the generated people."""
+    return lambda: make_project(generated / "people")
 
 
 @pytest.fixture(scope="session")

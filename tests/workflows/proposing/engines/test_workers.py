@@ -163,7 +163,7 @@ def test_weights_are_unpacked_once_into_a_private_folder(tmp_path: Path, monkeyp
 
 
 Knowing = Callable[..., Detectors]
-NewPeople = Callable[[str], Project]
+NewPeople = Callable[[], Project]
 
 DRIVER = """
 import pickle, sys
@@ -206,7 +206,7 @@ def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, know
     api().torch.save({"model": model}, tmp_path / "detector.pt")
     source, config = RealViews(knowing("people"), tmp_path / "detector.pt"), RcvConfig(max_steps=2, min_view_score=0)
     engines = {"here": InlineEngine(source, 1), "there": engine_of(source, 1)}
-    projects = {name: new_people(name) for name in engines}
+    projects = {name: new_people() for name in engines}
     for name, engine in engines.items():
         with closing(engine):
             assert annotate_with(projects[name], engine, config, limit=1).failed == []
@@ -218,7 +218,7 @@ def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, know
 def test_a_frame_that_kills_every_worker_fails_and_the_others_of_its_task_and_of_later_ones_are_bitwise_equal(
     new_people: NewPeople, expected: list[str], knowing: Knowing, generated: Path
 ) -> None:
-    project = new_people("deadly")
+    project = new_people()
     # read through a mirror
     elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
     with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000002",)), 1, 1, elsewhere)) as engine:
@@ -236,7 +236,7 @@ def test_a_frame_that_kills_every_worker_fails_and_the_others_of_its_task_and_of
 def test_a_killed_driver_leaves_no_workers_and_a_restart_continues(
     new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path
 ) -> None:
-    project, told, source = new_people("killed"), tmp_path / "told", tmp_path / "source"
+    project, told, source = new_people(), tmp_path / "told", tmp_path / "source"
     told.mkdir()
     source.write_bytes(pickle.dumps(HarmfulPair(knowing("people"), slow_s=0.3, told=told)))
     here = str(Path(__file__).parent)
@@ -267,7 +267,7 @@ def test_interrupting_the_batch_ends_the_workers(new_people: NewPeople, knowing:
     # no frame is ever done: the heartbeat calls the progress function
     engine = engine_of(HarmfulPair(knowing("people"), slow_s=100, told=told), 1)
     with pytest.raises(KeyboardInterrupt):
-        annotate_with(new_people("stopped"), engine, CONFIG, progress=stop)
+        annotate_with(new_people(), engine, CONFIG, progress=stop)
     (pid,) = (int(path.name) for path in told.iterdir())
     with pytest.raises(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
@@ -280,7 +280,7 @@ def test_detectors_that_cannot_be_loaded_are_an_error(
     (tmp_path / "queue.py").write_text("raise SystemExit('somebody else's queue')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
-    project = new_people("unloadable")
+    project = new_people()
     with pytest.raises(WorkerError, match="cannot be read as detector weights"):
         annotate_with(project, engine_of(Unloadable(), 1), CONFIG)
     assert project.jobs.all() == ()
@@ -312,7 +312,7 @@ def test_results_are_bitwise_equal_even_with_a_killed_actor(
     if find_spec("ray") is None:  # not imported here, since the switches must be set before
         pytest.skip("ray is not installed")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    project, once, before = new_people("ray"), tmp_path / "once", listening()
+    project, once, before = new_people(), tmp_path / "once", listening()
     source = HarmfulPair(knowing("people"), deadly=("000001",), once=once)
     with closing(RayEngine(source, 1, 1, Storage())) as engine:
         done = annotate_with(project, engine, CONFIG)
