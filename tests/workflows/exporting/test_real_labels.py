@@ -32,6 +32,34 @@ def boxes(project: Project) -> dict[str, list[tuple[str, OrientedBox]]]:
     return {f.key: [(x.label, x.box) for x in project.labels.of_frame(f.id)] for f in project.frames.of()}
 
 
+AREA = "DontCare -1 -1 -10 12.25 20.50 44.75 60.00 -1 -1 -1 -1000 -1000 -1000 -10"
+
+
+@pytest.fixture
+def folder(make_project: MakeProject, generated: Path, tmp_path: Path) -> Path:
+    """A KITTI object folder of 5 labelled frames; the second one has a DontCare area."""
+    people = make_project(generated / "people")
+    import_own_labels(people, people.recordings.all()[0].id)
+    export_project(people, tmp_path / "folder", ExportFormat.KITTI, choose=ALL)
+    training = tmp_path / "folder" / "training"
+    with (training / "label_2" / "000001.txt").open("a") as stream:
+        stream.write(f"{AREA}\n")
+    return training
+
+
+def labels_of_export(project: Project, out: Path) -> list[list[str]]:
+    export_project(project, out, ExportFormat.KITTI, choose=ALL)
+    return [file.read_text().splitlines() for file in sorted((out / "training" / "label_2").iterdir())]
+
+
+def test_a_partly_labelled_folder_can_be_exported(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
+    (folder / "label_2" / "000003.txt").unlink()
+    before = [file.read_text().splitlines() for file in sorted((folder / "label_2").iterdir())]
+    project = make_project(folder)
+    import_labels(project, read_labels(BoxFormat.KITTI, folder / "label_2"))
+    assert labels_of_export(project, tmp_path / "out") == [*before[:3], [], before[3]]
+
+
 def test_imported_labels_are_shifted_by_the_calibration_beside_them(
     make_project: MakeProject, generated: Path, tmp_path: Path
 ):

@@ -83,6 +83,19 @@ def test_an_rcv_export_can_be_imported(
             np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["rcv", "openlabel"])
+def test_boxes_around_what_is_seen_stay_such(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, name: str
+) -> None:
+    new = [NewLabel("person", BOX, box_kind=kind) for kind in (BoxKind.SILHOUETTE, BoxKind.BOX)]
+    people.labels.create(people.frames.of()[0].id, new, WriteContext(0, "me", Source.MANUAL))
+    export_project(people, tmp_path / "out", ExportFormat(name))
+    other = make_project(generated / "people")
+    import_labels(other, read_labels(BoxFormat(name), tmp_path / "out"))
+    imported = other.labels.of_frame(other.frames.of()[0].id)
+    assert sorted(label.box_kind for label in imported) == [BoxKind.BOX, BoxKind.SILHOUETTE]
+
+
 def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: Project) -> None:
     first, second = people.frames.of()[:2]
     people.labels.create(first.id, [NewLabel("person", BOX)], WriteContext(0, "me", Source.MANUAL))

@@ -197,6 +197,23 @@ def test_a_later_file_of_a_source_keeps_the_ids_that_its_tracks_got(people: Proj
     assert tracks_by_place(people) == {0.0: {2}, 5.0: {3}}
 
 
+def test_ids_that_other_sources_use_are_not_used_again_although_both_see_the_object(
+    people: Project, tmp_path: Path
+) -> None:
+    first, second = people.frames.of()[:2]
+    one = tracked(tmp_path / "one.json", {first.key: [(0.0, 3)]})
+    two = tracked(tmp_path / "two.json", {first.key: [(0.0, 8)]}, 0.5)
+    three = tracked(tmp_path / "three.json", {second.key: [(9.0, 8)]})
+    for path in (one, two, three):
+        import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    # the track of the hidden box is its source's
+    assert tracks_by_place(people) == {0.0: {3}, 9.0: {9}}
+    import_proposals(people, read_labels(BoxFormat.BOXES, tracked(two, {second.key: [(5.0, 3)]}, 0.5)))
+    assert tracks_by_place(people) == {0.0: {3}, 5.0: {10}, 9.0: {9}}
+    import_proposals(people, read_labels(BoxFormat.BOXES, tracked(one, {first.key: []})))
+    assert tracks_by_place(people) == {0.0: {8}, 5.0: {10}, 9.0: {9}}
+
+
 def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewed(
     people: Project, tmp_path: Path
 ) -> None:

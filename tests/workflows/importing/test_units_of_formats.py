@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from annotator.cli.main import main
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import OrientedBox
@@ -232,7 +233,7 @@ def test_exchanged_sizes_are_said_by_every_import(
 
 @pytest.mark.shared
 def test_labels_beside_a_recording_are_judged_together(
-    make_project: Callable[..., Project], shared: Path, tmp_path: Path
+    make_project: Callable[..., Project], shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A frame whose only angle may be radians is not labelled, because others show degrees."""
     training = shared / "data/kitti/training"
@@ -250,6 +251,10 @@ def test_labels_beside_a_recording_are_judged_together(
     put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-1.5) + FLAT)
     done = import_own_labels(project, project.recordings.all()[0].id)
     assert (done.boxes, done[Note.FLAT], list(done.of(Note.UNREADABLE))) == ({"Car": 2}, 1, [])
+    put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-90.0))
+    project.close()
+    assert main(["add", project.path.name, str(tmp_path), "--projects", str(project.path.parent)]) == 2
+    assert f"{tmp_path.name} is in the project, without the labels beside it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -39,7 +41,7 @@ from annotator.workflows.proposing.pool import (
     Report,
     WorkerPool,
 )
-from annotator.workflows.proposing.ray_engine import RayEngine, max_workers
+from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
     DetectorSource,
@@ -327,6 +329,28 @@ def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatc
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+
+
+def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # must be set before the import
+        monkeypatch.setenv(name, value)
+    from ray import exceptions
+
+    told: list[Message] = []
+    for error in (
+        exceptions.OutOfMemoryError("killed, the node was low on memory"),
+        exceptions.NodeDiedError("its node died"),
+        exceptions.ObjectLostError("00", None, ""),
+        exceptions.ActorDiedError(),
+        exceptions.RuntimeEnvSetupError("no such package"),
+    ):
+        future: Future[object] = Future()
+        future.set_exception(error)
+        call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
+        RayWorker(1, lambda _, message: told.append(message), lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Fault]
 
 
 def test_the_number_of_workers_is_limited_per_machine() -> None:
