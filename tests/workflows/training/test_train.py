@@ -20,7 +20,7 @@ from annotator.project import Project, ProjectSettings, WriteContext, create_pro
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import DetectionError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
@@ -111,22 +111,6 @@ def test_the_same_labels_and_settings_give_the_same_run(
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
     assert len(drawn.models.all()) == 2, "no second model is registered"
-
-
-def test_a_finished_training_does_not_need_its_initial_weights(
-    drawn: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = TrainPlan(
-        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=QUICK.samples
-    )
-    with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
-        train(drawn, plan, roles=(DetectorKind.IMAGE,))
-    with monkeypatch.context() as there:
-        there.setattr(workflow, "check_start", lambda config: None)
-        (first,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
-    first.result.write(first.model.path.parent)
-    (again,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
-    assert again.model.id == first.model.id
 
 
 def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
