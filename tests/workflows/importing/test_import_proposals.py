@@ -166,13 +166,6 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     ]
 
 
-@pytest.mark.parametrize("source", [" ", "annotator", "x" * 201])
-def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> None:
-    path = boxes_file(tmp_path / "b.json", {people.frames.of()[0].key: []})
-    with pytest.raises(ConfigError, match="cannot name a source of boxes"):
-        import_proposals(people, read_labels(BoxFormat.BOXES, path), source)
-
-
 def tracked(path: Path, frames: dict[str, list[tuple[float, int]]], score: float = 0.9) -> Path:
     """A `boxes.json` with x and track id of each box."""
     return boxes_file(path, {key: [("person", x, score, track) for x, track in each] for key, each in frames.items()})
@@ -223,6 +216,9 @@ def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewe
         second.key: [("person", 0.0, 0.55)],
     }
     dataset = read_labels(BoxFormat.BOXES, boxes_file(tmp_path / "det.json", boxes))
+    for source in (" ", "annotator", "x" * 201):
+        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+            import_proposals(people, dataset, source)
 
     def proposed(min_score: float | None) -> list[tuple[str, float]]:
         done = import_proposals(people, dataset, min_score=min_score)
