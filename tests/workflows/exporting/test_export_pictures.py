@@ -142,6 +142,17 @@ def test_a_copy_of_a_view_without_a_frame_is_not_exported_again(people: Project,
     assert {loss.kind: loss.count for loss in report.losses} == {Lost.SAME: 1}
 
 
+def test_a_thin_outline_is_exported_like_a_thin_drawn_box(people: Project, tmp_path: Path) -> None:
+    frame = FrameSource(people).read(people.frames.of()[4])
+    solid = np.array([0.5, 1.5 / frame.camera.fx * 3.0, 1e-3])
+    # axes of the camera: x to the right is the width in pixels
+    axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), axes, solid)
+    people.labels.create(people.frames.of()[4].id, [NewLabel("person", box)], WriteContext(0, "me"))
+    report = exported(people, tmp_path / "out", ExportFormat.YOLO)
+    assert report.objects == 1 and {loss.kind for loss in report.losses} == {Lost.SOLID}
+
+
 def test_half_reviewed_frames_give_a_note_in_ground_truth_formats(people: Project, tmp_path: Path) -> None:
     labelled(people)
     report = exported(people, tmp_path / "kitti", ExportFormat.KITTI)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -224,6 +225,14 @@ def test_missing_frames_are_neither_processed_nor_counted(
     add_recordings(project, [folder])
     done = annotate(project, knowing("people"), FAST)
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
+
+
+def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
+    blind = Mock(wraps=knowing("people").image, fingerprint="blind", detect=lambda images: [[] for _ in images])
+    blind.labels = ("person",)
+    done = annotate(people, Detectors(blind, knowing("people").view), FAST)
+    assert (done.done, done.proposals, done.without) == (5, 0, 5)
+    assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
 def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:

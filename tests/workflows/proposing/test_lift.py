@@ -213,6 +213,11 @@ def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyD
     manifest = json.loads((tmp_path / "out" / "dataset.json").read_text())
     named = {detector["role"]: detector["name"] for detector in manifest["detectors"]}
     assert named == {"image": "test", "view": TITLE}
+    chosen = ExportFilter(states=(ReviewState.PROPOSED,))
+    export_project(people, tmp_path / "openlabel", ExportFormat.OPENLABEL, choose=chosen)
+    (document,) = (tmp_path / "openlabel").glob("*.json")
+    comment = json.loads(document.read_text())["openlabel"]["metadata"]["comment"]
+    assert comment == f"Detectors that proposed boxes: image: test; view: {TITLE}"
 
 
 def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base: ReadyDetector) -> None:
