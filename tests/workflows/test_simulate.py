@@ -115,7 +115,9 @@ def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callab
     (folder / "truth" / "mask").rmdir()
     recording = open_recording(folder)
     frame = recording.frame(0)
-    for item in visible_objects(recording, 0, frame, ["person"]):
+    objects = visible_objects(recording, 0, frame, ["person"])
+    assert len(objects) == 3
+    for item in objects:
         np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
 
 

@@ -32,7 +32,6 @@ from annotator.types import (
     Suggestion,
 )
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.types.label import Said
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project, parse_shares
@@ -434,26 +433,16 @@ def test_values_have_the_kinds_of_the_projects_attributes_again(
     ]
 
 
-@pytest.fixture
-def reviewed(make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> Project:
-    """A project with one accepted box, which two detectors had proposed."""
-    project = make_project(generated / "people")
-    propose(project, tmp_path, "centerpoint v2", score=0.9, track=7)
-    propose(project, tmp_path, "my own", score=0.4, center=[0.25, 0.1, 3.0])
-    (entry,) = project.labels.select()
-    frame = project.frames.get(entry.frame_id)
-    project.labels.accept(frame.id, entry.label.uid, WriteContext(frame.revision, "me"))
-    return project
-
-
-def said_in(project: Project) -> list[Said]:
-    (entry,) = project.labels.select()
-    return [each.said() for each in entry.said]
-
-
 def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
-    reviewed: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+    make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:
+    """Of a box that two detectors had proposed."""
+    reviewed = make_project(generated / "people")
+    propose(reviewed, tmp_path, "centerpoint v2", score=0.9, track=7)
+    propose(reviewed, tmp_path, "my own", score=0.4, center=[0.25, 0.1, 3.0])
+    (entry,) = reviewed.labels.select()
+    frame = reviewed.frames.get(entry.frame_id)
+    reviewed.labels.accept(frame.id, entry.label.uid, WriteContext(frame.revision, "me"))
     export_project(reviewed, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
     (file,) = (tmp_path / "out" / "labels").iterdir()
     content = json.loads(file.read_text())
@@ -461,7 +450,8 @@ def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
     file.write_text(json.dumps(content))
     project = make_project(generated / "people", classes=("human",))
     import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"), names={"person": "human"})
-    assert [(each.source, each.label) for each in said_in(project)] == [("centerpoint v2", "human")]
+    (entry,) = project.labels.select()
+    assert [(each.source, each.label) for each in entry.said] == [("centerpoint v2", "human")]
 
 
 def test_imported_proposals_have_attributes_of_the_file_defaults_and_those_of_their_track(

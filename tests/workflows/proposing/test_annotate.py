@@ -337,7 +337,9 @@ def test_boxes_are_upright_along_the_projects_up_direction(
     assert free.done == 1
     told = make_project(folder, up=tilted)
     annotate(told, knowing("people"), FAST, limit=1)
-    for label in told.labels.of_frame(told.frames.of()[0].id):
+    labels = told.labels.of_frame(told.frames.of()[0].id)
+    assert labels
+    for label in labels:
         assert np.abs(label.box.rotation.T @ np.array(other.up)).max() == pytest.approx(1)
 
 
