@@ -265,13 +265,11 @@ class Rigs:
 
     def others_on_image(self, frame: StoredFrame, camera: Camera, own: Sequence[Label]) -> list[Label]:
         """Returns the labels of `others` that the image shows, without rejected ones and those of objects in `own`."""
-        seen = [
+        return [
             other.label
-            for other in self.others(frame)
-            if other.label.state is not ReviewState.REJECTED
-            and is_seen(other.label.box, camera.matrix, camera.width_px, camera.height_px)
+            for other in uncovered(self.others(frame), own)
+            if is_seen(other.label.box, camera.matrix, camera.width_px, camera.height_px)
         ]
-        return [label for label, cover in zip(seen, covered_by(seen, own), strict=True) if cover is None]
 
     def is_better_seen(self, box: OrientedBox, siblings: Sequence[Sibling]) -> bool:
         """Returns True if another camera sees the middle of a box nearer to the middle of its view than this one.
@@ -299,6 +297,13 @@ class Rigs:
             camera = self._camera(recording_id)
             self._indices[recording_id] = {camera.moment(index): index for index in range(len(camera))}
         return self._indices[recording_id]
+
+
+def uncovered(others: Sequence[OtherLabel], own: Sequence[Label]) -> list[OtherLabel]:
+    """Returns the labels of other cameras that are not rejected, of objects that no own label covers."""
+    present = [other for other in others if other.label.state is not ReviewState.REJECTED]
+    covers = covered_by([other.label for other in present], own)
+    return [other for other, cover in zip(present, covers, strict=True) if cover is None]
 
 
 def once(project: Project, labels: Mapping[int, tuple[StoredLabel, ...]]) -> dict[int, tuple[StoredLabel, ...]]:

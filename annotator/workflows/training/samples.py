@@ -24,7 +24,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
-from annotator.project.sources import covered_by
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
@@ -32,7 +31,7 @@ from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_vie
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.detectors import Picture
-from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
+from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for, uncovered
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 
@@ -146,9 +145,8 @@ def _of_other_cameras(project: Project, frame_ids: Set[int]) -> dict[int, tuple[
     in_rigs = rigs.recordings()
     for frame in project.frames.of(in_rigs) if in_rigs else ():
         if frame.id in frame_ids:
-            others = [other.label for other in rigs.others(frame) if other.label.state in REVIEWED]
-            covers = covered_by(others, project.labels.of_frame(frame.id))
-            found[frame.id] = tuple(label for label, cover in zip(others, covers, strict=True) if cover is None)
+            others = uncovered(rigs.others(frame), project.labels.of_frame(frame.id))
+            found[frame.id] = tuple(other.label for other in others if other.label.state in REVIEWED)
     return found
 
 

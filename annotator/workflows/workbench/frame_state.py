@@ -17,14 +17,13 @@ from annotator.geometry.projection import inside_image, project, thin
 from annotator.project import Project, StoredLabel, StoredRecording, ViewBoxes
 from annotator.project.adjusting import Up
 from annotator.project.overview import FramePage, read_page
-from annotator.project.sources import covered_by
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
 from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.recordings.ros.topics import TopicReport
-from annotator.types import Box2D, Frame, ReviewState
+from annotator.types import Box2D, Frame
 from annotator.types.errors import InputError, MissingExtraError
-from annotator.workflows.frame_source import OtherLabel
+from annotator.workflows.frame_source import OtherLabel, uncovered
 from annotator.workflows.inspect import bag_topics
 from annotator.workflows.views import ObjectViews, front_and_side, outlines, views_by_object
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
@@ -109,14 +108,9 @@ def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opene
     Args:
         others: their boxes are in this frame's camera.
     """
-    present = [other for other in others if other.label.state is not ReviewState.REJECTED]
-    if not present:
-        return []
-    covers = covered_by([other.label for other in present], [each.label for each in own])
-    on_image = outlines(opened.frame.camera, [other.label for other in present])
-    seen = [
-        other for other, cover in zip(present, covers, strict=True) if cover is None and other.label.uid in on_image
-    ]
+    new = uncovered(others, [each.label for each in own])
+    on_image = outlines(opened.frame.camera, [other.label for other in new])
+    seen = [other for other in new if other.label.uid in on_image]
     edges = visible_edges(opened.frame.camera, [other.label.box for other in seen])
     return [ShownOther(other, outline) for other, outline in zip(seen, edges, strict=True)]
 

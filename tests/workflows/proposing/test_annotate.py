@@ -31,36 +31,24 @@ Knowing = Callable[..., Detectors]
 
 
 class Wrapped:
-    """Forwards to another detector, with hooks for subclasses."""
+    """Forwards to another detector; calls `act` while the frame `key` is being processed."""
 
-    def __init__(self, inner: Detectors, fingerprint: str = "") -> None:
-        self.inner = inner.image
-        self.labels = self.inner.labels
+    def __init__(
+        self, inner: Detectors, fingerprint: str = "", *, key: str = "", act: Callable[[], object] = lambda: None
+    ) -> None:
+        self.inner, self.labels = inner.image, inner.image.labels
         self.fingerprint = fingerprint or self.inner.fingerprint
+        self.key, self.act = key, act
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         for image in images:
             assert isinstance(image, Frame)
-            self.before(image)
+            if image.key == self.key:
+                self.act()
         return self.inner.detect(images)
-
-    def before(self, frame: Frame) -> None:
-        pass
 
     def pair(self, views: Detectors) -> Detectors:
         return Detectors(self, views.view, views.box_kind)
-
-
-class Interfering(Wrapped):
-    """Calls a function while a frame is being processed."""
-
-    def __init__(self, inner: Detectors, key: str, act: Callable[[], None]) -> None:
-        super().__init__(inner)
-        self.key, self.act = key, act
-
-    def before(self, frame: Frame) -> None:
-        if frame.key == self.key:
-            self.act()
 
 
 def keys(project: Project, status: Status) -> list[str]:
@@ -167,7 +155,7 @@ def test_an_unexpected_error_affects_only_its_frame(people: Project, knowing: Kn
     def raising() -> None:
         raise ValueError("operands could not be broadcast")
 
-    done = annotate(people, Interfering(knowing("people"), "000001", raising).pair(knowing("people")), FAST)
+    done = annotate(people, Wrapped(knowing("people"), key="000001", act=raising).pair(knowing("people")), FAST)
     assert keys(people, Status.DONE) == ["000000", "000002", "000003", "000004"]
     ((key, reason),) = done.failed
     assert key == "000001"
@@ -285,7 +273,9 @@ def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) ->
 
 def test_a_frame_finalised_during_processing_is_not_changed(people: Project, knowing: Knowing) -> None:
     stored = people.frames.of()[1]
-    image = Interfering(knowing("people"), stored.key, lambda: people.frames.finalise(stored.id, WriteContext(0, "me")))
+    image = Wrapped(
+        knowing("people"), key=stored.key, act=lambda: people.frames.finalise(stored.id, WriteContext(0, "me"))
+    )
     done = annotate(people, image.pair(knowing("people")), FAST)
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 1, [])
     assert people.labels.of_frame(stored.id) == ()
@@ -347,7 +337,7 @@ def test_results_of_an_earlier_calibration_are_not_stored(people: Project, knowi
     recording = people.recordings.all()[0]
     turned = Correction((0.0, 0.02, 0.0))
     views = knowing("people")
-    meddling = Interfering(views, "000002", lambda: people.adjustments.correct(recording.id, turned, "me"))
+    meddling = Wrapped(views, key="000002", act=lambda: people.adjustments.correct(recording.id, turned, "me"))
     done = annotate(people, meddling.pair(views), FAST)
     assert done.done + len(done.failed) == 5
     assert done.failed
