@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from moving import ANN, Walking, accept, box_of, labels_of, proposal_of, tracks_
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.log.event_types import LabelTracked
-from annotator.types import OrientedBox, ReviewState, Source
+from annotator.types import ReviewState, Source
 from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
 from annotator.workflows.workbench.save_object import copy_boxes
 
@@ -105,24 +104,6 @@ def test_a_reviewed_box_is_met_where_the_object_should_be_although_it_is_not_fou
     people.labels.create(frame.id, [NewLabel("person", box_of(0, 2, off_m))], WriteContext(frame.revision, ANN))
     follow(people, Walking(lost={(0, 2)}), 0)
     assert tracks_of(people) == ["1", "1?", "1", "1?", "1?"]
-
-
-@pytest.mark.parametrize(
-    ("turned", "size_m", "is_met"),
-    [(False, [0.3, 0.4, 1.2], True), (True, [2.0, 0.2, 1.7], True), (False, [4.2, 0.5, 1.7], False)],
-)
-def test_boxes_at_one_place_may_differ_in_size_and_heading(
-    people: Project, turned: bool, size_m: Sequence[float], is_met: bool
-) -> None:
-    """The last one is as wide as two people apart: its centre is another one's."""
-    accept(people, 0, 0)
-    rotation = np.eye(3)[:, [1, 0, 2]] * [1, 1, -1] if turned else np.eye(3)
-    center = box_of(0, 2).center_m + ([0, 0, 0] if is_met else [1.0, 0, 0])
-    box = OrientedBox.from_parts(center, rotation, np.array(size_m))
-    frame = people.frames.of()[2]
-    people.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision, ANN))
-    follow(people, Walking(), 0)
-    assert tracks_of(people)[2] == ("1" if is_met else "1? -")
 
 
 def test_an_object_stops_at_a_reviewed_box_of_another_track(people: Project) -> None:
