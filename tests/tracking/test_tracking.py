@@ -174,6 +174,22 @@ def test_flipped_headings_are_corrected_by_the_motion() -> None:
     assert after > before + 0.02
 
 
+def test_a_size_that_changes_over_time_is_not_averaged() -> None:
+    strides = [0.7 + 0.3 * np.sin(0.5 * n) for n in range(20)]
+    boxes = [car(0.1 * n, 0.0, (2.0, length, 1.5 + 0.02 * (-1) ** n)) for n, length in enumerate(strides)]
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(boxes)])
+    # a constant length would have a mean error of 0.19
+    assert np.mean(np.abs(np.array([box.size_m[1] for box in better]) - strides)) < 0.04
+    assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
+
+
+def test_without_motion_the_majority_determines_the_front() -> None:
+    still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
+    mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
+    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)])
+    assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
+
+
 def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:
     # a reviewed box says that the car drives backwards
     boxes = [car(n, 0.0, (4.0 + 0.1 * n, 1.8, 1.5)) for n in range(6)]

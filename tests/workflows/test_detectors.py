@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,8 +11,8 @@ from annotator.project import Project
 from annotator.project.classes import edit
 from annotator.rcv.starts import is_warm
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import AnnotatorError, DetectionError
-from annotator.workflows.detectors import active_detectors, image_model
+from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
+from annotator.workflows.detectors import active_detectors, image_model, load_detector
 from annotator.workflows.warm_up import warm_up
 
 
@@ -36,6 +37,13 @@ def test_weights_without_their_record_are_an_error(people: Project) -> None:
         register(people, role)
     with pytest.raises(AnnotatorError, match=r"model\.json: no such file"):
         active_detectors(people)
+
+
+@pytest.mark.parametrize(("name", "value"), [("image_size_px", 7), ("threads", 0)])
+def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: object) -> None:
+    settings: dict[str, Any] = {"image_size_px": 96, name: value}
+    with pytest.raises(ConfigError, match=f"detector setting {name}: .*, not {value!r}"):
+        load_detector(tmp_path / "detector.pt", **settings)
 
 
 def test_a_detector_follows_classes_that_were_changed_after_its_training(people: Project) -> None:

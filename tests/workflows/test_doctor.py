@@ -11,7 +11,9 @@ import time
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ import pytest
 from annotator import __version__
 from annotator.detection import pretrained, ultralytics_api
 from annotator.detection.backends import agreement, choose
+from annotator.detection.backends.agreement import Agreements
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.ultralytics_api import api, pick_device
@@ -169,6 +172,32 @@ def test_published_weights_and_the_base_detector_are_found(monkeypatch: pytest.M
     assert broken.state is State.FAILED and "model.json" in broken.found
 
 
+def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> None:
+        raise DetectionError("no torch")
+
+    monkeypatch.setattr(choose, "find_spec", lambda _: None)
+    monkeypatch.setattr(choose, "has_cuda", lambda: False)
+    monkeypatch.setattr(ultralytics_api, "api", broken)
+    found = lines(doctor.choices)["image, auto"]
+    assert found.state is State.FAILED and "no torch" in found.found
+
+
+def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    library = ModuleType("pyk4a")
+    library.__spec__ = ModuleSpec("pyk4a", None)
+    library.connected_device_count = lambda: 1
+    monkeypatch.setitem(sys.modules, "pyk4a", library)
+    assert lines(doctor.kinect)["Azure Kinect"].found == "1 connected"
+    monkeypatch.delitem(sys.modules, "pyk4a")
+    (tmp_path / "pyk4a.py").write_text("raise ImportError('libk4a.so.1.4 is missing')")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = lines(doctor.kinect)["Azure Kinect"]
+    assert found.state is State.WARNING and "libk4a.so.1.4 is missing" in found.found
+
+
 def fine(projects: Path) -> Iterator[Line]:
     # libraries may print to standard output
     os.write(1, b"noise")
@@ -236,6 +265,8 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
         "right": lambda answer: answer,
         "moved": moved(0.5),
         "classes": lambda answer: answer[:, [0, 1, 2, 3, 5, 4, *range(6, answer.shape[1])]],
+        "spreads": lambda answer: answer[:, [*range(answer.shape[1] - 4), -3, -4, -2, -1]],
+        "pictures": lambda answer: answer[::-1].copy(),
         "nan": lambda answer: np.where(np.arange(answer.shape[2]) == 0, np.float32(np.nan), answer),
         "shape": lambda answer: answer[:, :, 1:],
     }
@@ -248,8 +279,27 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
     assert "no such operation" in found["broken"].found
 
 
+def test_half_precision_has_a_larger_but_limited_tolerance(tmp_path: Path) -> None:
+    pretrained.write_seeded_network(tmp_path / "network.safetensors")
+    pictures = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), np.uint8)
+    agreements = Agreements(tmp_path / "network.safetensors", pictures)
+    for name, device, precision in (("openvino-bf16", "cpu", "bfloat16"), ("torch", "cuda:0", "float16")):
+        small = agreements.of(lambda path, name=name, device=device: Wrong(path, moved(0.5), name, device))
+        assert small.holds and small.reference == precision
+        assert not agreements.of(lambda path, name=name, device=device: Wrong(path, moved(100), name, device)).holds
+
+
 @pytest.mark.slow
 def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
     found = lines(doctor.backends, tmp_path)
     assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
     assert all(each.state is State.OK for each in found.values()), found
+
+
+def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def missing() -> None:
+        raise DetectionError("no ultralytics")
+
+    monkeypatch.setattr(pretrained, "api", missing)
+    (found,) = lines(doctor.backends, tmp_path).values()
+    assert (found.state, found.found) == (State.WARNING, "not tested (no ultralytics)")

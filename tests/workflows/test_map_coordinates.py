@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kitti_samples import OBJECT_CALIB
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.project import BoxRotation, NewLabel, Project, WriteContext
@@ -111,6 +112,17 @@ def test_a_moved_recording_in_map_coordinates_is_recognised(cars: Callable[[], P
     with pytest.raises(MovedError, match="is the recording drive"):
         add_recordings(project, [new])
     assert move_recording(project, added.recording.id, new, "me").options == added.recording.options
+
+
+def test_a_recording_with_a_camera_is_not_one_that_has_moved_and_had_none(cars: Callable[[], Project], tmp_path: Path):
+    project, folder = cars(), scans(tmp_path / "drive", 0, 4)
+    add_recordings(project, [folder])
+    folder.rename(tmp_path / "gone")
+    other = scans(tmp_path / "other", 0, 4)
+    (other / "calib.txt").write_text(OBJECT_CALIB)
+    (added,) = add_recordings(project, [other])
+    assert (added.is_new, added.recording.options) == (True, "")
+    assert len(project.recordings.all()) == 2
 
 
 # --- exports and imports ---------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
-from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.config import RcvConfig, Strategy, ViewConfig
+from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.config import RcvConfig, Strategy, ViewConfig, typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -153,12 +153,19 @@ def test_pseudo_views_have_the_detectors_training_size_unless_set(
 ) -> None:
     weights = project.models_folder / "detector.pt"
     weights.write_bytes(b"weights")
+    assert rcv_config(project) == RcvConfig()
+    assert rcv_config(project, view_px=96).view.size_px == 96
     project.models.register(
         DetectorKind.VIEW, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="of the weights"
     )
     monkeypatch.setattr("annotator.workflows.settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320))
     assert rcv_config(project).view.size_px == 320
-    assert rcv_config(project, options={"view": {"size_px": 64}}).view.size_px == 64
+    # a new training uses its own size
+    assert rcv_config(project, view_px=96).view.size_px == 96
+    assert rcv_config(project, options={"view": {"size_px": 64}}, view_px=96).view.size_px == 64
+    monkeypatch.undo()
+    # an unreadable model is ignored here; running it raises the error
+    assert rcv_config(project).view.size_px == ViewConfig().size_px
 
 
 ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()
@@ -204,6 +211,64 @@ def test_the_first_box_gives_the_size_and_further_ones_make_it_sure(sized: Proje
     assert four.size_m == pytest.approx((2.0, 1.0, 0.5))
     assert max(four.spread) < min(one.spread) < 0.2
     assert rcv_config(sized).reviewed_sizes == (four,)
+
+
+def test_boxes_of_unlike_sizes_have_a_wide_spread(sized: Project) -> None:
+    for frame, factor in enumerate((0.5, 1.0, 2.0)):
+        add(sized, frame, (2.0 * factor, 1.0, 0.5))
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((2.0, 1.0, 0.5))
+    assert size.spread[0] > 0.4 > 0.15 > size.spread[2]
+
+
+def test_some_frames_do_not_count(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5))
+    add(sized, 1, (8.0, 1.0, 0.5))
+    held_out = sized.frames.of()[1].id
+    (size,) = reviewed_sizes(sized, [held_out])
+    assert size.size_m[0] == pytest.approx(2.0)
+    assert rcv_config(sized, without_frames=[held_out]).reviewed_sizes == (size,)
+
+
+def test_free_boxes_are_compared_in_the_order_in_which_they_are_most_alike(sized: Project) -> None:
+    add(sized, 0, (2.0, 1.0, 0.5))
+    add(sized, 1, (1.0, 0.5, 2.0), Rotation.from_euler("x", 1.2).as_matrix())
+    (size,) = reviewed_sizes(sized)
+    assert sorted(size.size_m) == pytest.approx([0.5, 1.0, 2.0])
+    assert max(size.spread) < 0.2
+
+
+def test_upright_boxes_keep_their_height_however_the_camera_is_tilted(sized: Project) -> None:
+    for frame, tilt in enumerate((0.0, 0.3, 0.6)):
+        add(sized, frame, (0.5, 0.3, 1.6 + 0.05 * frame), Rotation.from_euler("x", tilt).as_matrix())
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((0.5, 0.3, 1.65), rel=0.01)
+
+
+def test_boxes_of_free_projects_are_like_those_of_a_well_known_class(tmp_path: Path, generated: Path) -> None:
+    settings = ProjectSettings(rotation=BoxRotation.FREE)
+    known = typical_size("pedestrian")
+    assert known is not None
+    length, width, height = known.size_m
+    with create_project(tmp_path, "free", ("pedestrian",), settings=settings) as sized:
+        register_recording(sized, open_recording(generated / "hands"))
+        add(sized, 0, (height, length, width), label="pedestrian")
+        (size,) = reviewed_sizes(sized)
+        assert size.size_m == pytest.approx(known.size_m)
+
+
+def test_a_well_known_class_begins_with_its_size(sized: Project) -> None:
+    known = typical_size("Car")
+    assert known is not None
+    add(sized, 0, (4.6, 1.7, 1.5), label="Car")
+    (size,) = reviewed_sizes(sized)
+    assert known.size_m[0] < size.size_m[0] < 4.6
+
+
+def test_toy_cars_are_no_cars(sized: Project) -> None:
+    add(sized, 0, (0.08, 0.04, 0.03), label="Car")
+    (size,) = reviewed_sizes(sized)
+    assert size.size_m == pytest.approx((0.08, 0.04, 0.03))
 
 
 def test_a_track_counts_once(sized: Project) -> None:

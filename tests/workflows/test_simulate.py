@@ -13,17 +13,20 @@ import numpy as np
 import pytest
 
 from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.web.context import Caches
 from annotator.workflows import simulate
-from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.add_recordings import move_recording, register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     FITS_IOU,
+    MIN_VISIBLE_POINTS,
     confirm_whole_boxes,
     simulate_recording,
     visible_objects,
@@ -106,6 +109,30 @@ def test_mask_numbers_count_objects_of_all_classes(
         np.testing.assert_array_equal(item.points, mask.ravel()[frame.cloud.pixel_index] == number)
 
 
+def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    for path in (folder / "truth" / "mask").iterdir():
+        path.unlink()
+    (folder / "truth" / "mask").rmdir()
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    objects = visible_objects(recording, 0, frame, ["person"])
+    assert len(objects) == 3
+    for item in objects:
+        np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
+
+
+def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    path = folder / "truth" / "mask" / "000000.png"
+    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    hidden = np.flatnonzero(mask.ravel() == 2)[MIN_VISIBLE_POINTS - 1 :]
+    mask.ravel()[hidden] = 0
+    cv2.imwrite(str(path), mask)
+    recording = open_recording(folder)
+    assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
+
+
 def masks_only(folder: Path) -> Path:
     (folder / "truth" / "boxes.json").unlink()
     return folder
@@ -119,6 +146,28 @@ def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Ca
     with_boxes, without = (people.boxes.on_images([r.id]) for r in people.recordings.all())
     assert [b.boxes for b in with_boxes] == [b.boxes for b in without]
     assert all(len(b.boxes) == 3 for b in without)
+
+
+@pytest.mark.parametrize("boxes", [True, False])
+def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Callable[[str], Path], boxes: bool) -> None:
+    folder = own_copy("people") if boxes else masks_only(own_copy("people"))
+    path = folder / "depth" / "000000.png"
+    cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]))
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    assert frame.cloud.pixel_index is None
+    mask = cv2.imread(str(folder / "truth" / "mask" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    objects = visible_objects(recording, 0, frame, ("person",))
+    assert len(objects) > 1
+    # a depth pixel covers two by two pixels of the image
+    for number, item in enumerate(objects, 1):
+        around = np.stack([mask[dv::2, du::2] for dv in (0, 1) for du in (0, 1)]) == number
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0
+        assert (
+            np.count_nonzero(raw & around.all(axis=0))
+            <= item.points.sum()
+            <= np.count_nonzero(raw & around.any(axis=0))
+        )
 
 
 def without_truth(folder: Path) -> Path:
@@ -213,3 +262,18 @@ def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhou
     drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
     seen.append(offered(offers))
     assert seen[2] == offered(WholeBoxes(drawn)) and seen[0] != seen[1] != seen[2]
+
+
+def test_frames_of_a_moved_recording_are_read_at_their_new_place(
+    drawn: Project, own_copy: Callable[[str], Path]
+) -> None:
+    caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
+    move_recording(drawn, recording, here, "Ann")
+    first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
+    offers = caches.whole_boxes(drawn)
+    assert offers._objects(first)
+    there = here.rename(here.with_name("there"))
+    move_recording(drawn, recording, there, "Ann")
+    caches.frames.forget(drawn)  # as the server does
+    assert offers._objects(second)
+    caches.close()

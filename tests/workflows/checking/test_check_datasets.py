@@ -19,10 +19,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
 from annotator.formats.kitti_rows import KittiLabel, derived_box, label_box, observation_angle
+from annotator.recordings import open_recording
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
-from annotator.workflows.checking.findings import RULES
+from annotator.workflows.checking.findings import RULES, Findings, Severity
+from annotator.workflows.checking.label_files import stray_names
 from annotator.workflows.importing.report import SizeOrders
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
@@ -178,6 +180,15 @@ def test_clouds_in_millimetres_and_outside_the_image_are_found(kitti: Path) -> N
     assert not any(file.endswith("000002.txt") for _, file in rules)
 
 
+def test_repeated_findings_are_counted_once(tmp_path: Path) -> None:
+    findings = Findings()
+    for _ in range(3):
+        for number in range(30):
+            findings.add(RULES["broken-label"], tmp_path, f"fault {number}")
+    assert findings.counts() == {Severity.ERROR: 30, Severity.WARNING: 0, Severity.NOTE: 0}, "also those not listed"
+    assert len(findings.all()) == 21 and findings.all()[-1].message == "and 10 more like this in this file"
+
+
 SET_RULES = {"angle-unit", "length-unit", "quaternion-order", "size-order", "mirrored-boxes", "flat-label"}
 FLAT_ROW = replace(ROWS[0], height=-1.0, width=-1.0, length=-1.0, x=-1000.0, y=-1000.0, z=-1000.0, rotation_y=-10.0)
 Change = Callable[[KittiLabel], KittiLabel]
@@ -227,6 +238,7 @@ def test_rows_without_3d_boxes_are_a_note_and_no_fault(tmp_path: Path) -> None:
         ([("vehicle.car", (1.9, 4.4, 1.6))], "1 of 1 box .* length and width"),
         ([("Car", (1.9, 4.4, 1.6))] * 2, "2 of 2 boxes .* only if length and width are exchanged"),
         ([("bicycle", (1.7, 0.6, 1.2)), ("bicycle", (1.2, 0.6, 1.7))], None),
+        ([("Pedestrian", (1.75, 0.6, 0.8))], "1 of 1 box .* length and height"),
         # furniture may be wider than long, and one chair on its side shows nothing
         ([("bed", (1.6, 2.1, 0.95)), ("desk", (0.7, 1.3, 0.75))], None),
         # as nuScenes has barriers
@@ -336,6 +348,15 @@ def test_errors_in_rcv_datasets_are_found(exported: Path, tmp_path: Path) -> Non
     }
 
 
+def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path) -> None:
+    for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
+    reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
+    assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
+
+
 def test_all_datasets_in_a_folder_are_checked(kitti: Path, exported: Path) -> None:
     shutil.copytree(exported, kitti.parent / "deep" / "rcv")
     (kitti.parent / "empty" / "color").mkdir(parents=True)
@@ -414,6 +435,25 @@ def test_labels_of_other_tools_are_read_and_all_their_errors_found(
     for file, line, message in faults:
         assert any(each[:2] == (file, line) and each[2].startswith(message) for each in reported), reported
     assert len(reported) == len(faults)
+
+
+def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = {
+        "metadata": {"schema_version": "1.0.0"},
+        "streams": {"cam": {"type": "camera"}},
+        "frames": {"0": {}, "1": {}},
+    }
+    (tmp_path / "out/train").mkdir(parents=True)
+    (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
+    (tmp_path / "out/train/other.json").write_text("{}")
+    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels, so only its files were checked"
+    for path in ("out", "out/train"):
+        assert main(["check", str(tmp_path / path)]) == 0
+        assert whole in capsys.readouterr().out.splitlines()
+    for file in ("a.json", "other.json"):
+        cut(tmp_path / "out/train" / file, 1)
+    assert main(["check", str(tmp_path / "out")]) == 1
+    assert "2 errors" in capsys.readouterr().out
 
 
 def test_the_check_command_prints_findings_and_sets_the_exit_code(

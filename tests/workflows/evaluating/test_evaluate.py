@@ -63,6 +63,13 @@ def test_exact_kitti_detections_have_full_precision(tmp_path: Path) -> None:
     assert len(report.diagrams) == 4
 
 
+def test_the_truth_of_kitti_may_be_a_whole_dataset(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path)
+    (tmp_path / "dataset" / "training").mkdir(parents=True)
+    truth.rename(tmp_path / "dataset" / "training" / "label_2")
+    assert list(content(evaluate_files(found, tmp_path / "dataset", Protocol.KITTI))) == ["Car"]
+
+
 def test_kitti_frames_must_match(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path)
     (found / "000001.txt").unlink()
@@ -74,6 +81,13 @@ def test_kitti_frames_must_match(tmp_path: Path) -> None:
         evaluate_files(found, truth, Protocol.KITTI, Options(frames=["000001"]))
     (truth / "000002.txt").unlink()
     with pytest.raises(ConfigError, match=r"label_2: has no file 000002\.txt"):
+        evaluate_files(found, truth, Protocol.KITTI)
+
+
+def test_kitti_evaluates_its_classes_only(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path, 1)
+    (found / "000000.txt").write_text(CAR.format("person", 100, 190, 0) + " 1\n")
+    with pytest.raises(ConfigError, match="no detection, of 1 in all, is of a class"):
         evaluate_files(found, truth, Protocol.KITTI)
 
 

@@ -384,6 +384,9 @@ def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) ->
     label = rcv / "labels" / f"{first}.json"
     for change, complaint in (
         (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
+        (lambda record: record.update(cloud="labels/x.json"), "is none of"),
+        (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
+        (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
         (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
     ):
@@ -438,6 +441,52 @@ def test_values_that_the_project_cannot_hold_are_reported(
         "helmet (not an attribute of the project)": 1,
         "occlusion must be a whole number from 0 to 2, not 3": 1,
     }
+
+
+def test_values_have_the_kinds_of_the_projects_attributes_again(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+) -> None:
+    """nuScenes has them as names, such as `pose.1.5`."""
+    pose = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing up", "1.5"]}
+    state, mass = ({"name": name, "kind": kind} for name, kind in (("state", "text"), ("mass", "number")))
+    values: list[dict[str, Any]] = [
+        {"pose": "standing up", "helmet": True, "mass": 7.0, "occlusion": 2},
+        {"pose": "1.5", "helmet": False, "state": "true", "mass": -81.125, "occlusion": 0},
+    ]
+    one, other = (
+        with_attributes(make_project(generated / "people"), HELMET, OCCLUSION, pose, state, mass) for _ in range(2)
+    )
+    boxes = [OrientedBox.from_parts(np.array([x, 0.0, 4.0]), np.eye(3), np.full(3, 0.4)) for x in (0.0, 1.0)]
+    new = [NewLabel("person", box, attributes=each) for box, each in zip(boxes, values, strict=True)]
+    one.labels.create(one.frames.of()[0].id, new, WriteContext(0, "ann"))
+    export_project(one, tmp_path / "out", ExportFormat.NUSCENES, choose=ExportFilter())
+    import_labels(other, read_labels(BoxFormat.NUSCENES, tmp_path / "out"))
+    found = [dict(entry.label.attributes) for entry in other.labels.select()]
+    assert found == values
+    assert [{name: type(value) for name, value in each.items()} for each in found] == [
+        {name: type(value) for name, value in each.items()} for each in values
+    ]
+
+
+def test_sources_keep_the_names_of_renamed_classes_and_nothing_of_unknown_ones(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+) -> None:
+    """Of a box that two detectors had proposed."""
+    reviewed = make_project(generated / "people")
+    propose(reviewed, tmp_path, "centerpoint v2", score=0.9, track=7)
+    propose(reviewed, tmp_path, "my own", score=0.4, center=[0.25, 0.1, 3.0])
+    (entry,) = reviewed.labels.select()
+    frame = reviewed.frames.get(entry.frame_id)
+    reviewed.labels.accept(frame.id, entry.label.uid, WriteContext(frame.revision, "me"))
+    export_project(reviewed, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
+    (file,) = (tmp_path / "out" / "labels").iterdir()
+    content = json.loads(file.read_text())
+    content["objects"][0]["said"][1]["label"] = "chair"
+    file.write_text(json.dumps(content))
+    project = make_project(generated / "people", classes=("human",))
+    import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"), names={"person": "human"})
+    (entry,) = project.labels.select()
+    assert [(each.source, each.label) for each in entry.said] == [("centerpoint v2", "human")]
 
 
 def test_imported_proposals_have_attributes_of_the_file_defaults_and_those_of_their_track(

@@ -29,7 +29,7 @@ from annotator.workflows.exporting import (
     export_project,
 )
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import FlatFormat, Note, format_of, import_image_boxes
+from annotator.workflows.importing import FlatFormat, Note, format_of, import_image_boxes, import_view_boxes
 from annotator.workflows.recorded.reading import load_truth
 
 FORMATS = (ExportFormat.COCO, ExportFormat.YOLO)
@@ -132,6 +132,27 @@ def test_exported_pictures_can_be_imported_into_another_project(
         assert two.box_kind is one.box_kind
 
 
+def test_a_copy_of_a_view_without_a_frame_is_not_exported_again(people: Project, tmp_path: Path) -> None:
+    """Otherwise the same picture could be in both train and val."""
+    labelled(people)
+    people.boxes.set_on_view(people.views.store(picture(1)), (ON_VIEW,), BoxKind.SILHOUETTE, WriteContext(0, "me"))
+    assert len([view for view in people.boxes.on_views() if view.frame_id is None]) == 2
+    report = exported(people, tmp_path / "out", ExportFormat.COCO, options=ExportOptions(pictures="views"))
+    assert report.frames == 3
+    assert {loss.kind: loss.count for loss in report.losses} == {Lost.SAME: 1}
+
+
+def test_a_thin_outline_is_exported_like_a_thin_drawn_box(people: Project, tmp_path: Path) -> None:
+    frame = FrameSource(people).read(people.frames.of()[4])
+    solid = np.array([0.5, 1.5 / frame.camera.fx * 3.0, 1e-3])
+    # axes of the camera: x to the right is the width in pixels
+    axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), axes, solid)
+    people.labels.create(people.frames.of()[4].id, [NewLabel("person", box)], WriteContext(0, "me"))
+    report = exported(people, tmp_path / "out", ExportFormat.YOLO)
+    assert report.objects == 1 and {loss.kind for loss in report.losses} == {Lost.SOLID}
+
+
 def test_half_reviewed_frames_give_a_note_in_ground_truth_formats(people: Project, tmp_path: Path) -> None:
     labelled(people)
     report = exported(people, tmp_path / "kitti", ExportFormat.KITTI)
@@ -224,6 +245,16 @@ def test_yolo_boxes_are_valid_for_scaled_but_not_for_cropped_copies(people: Proj
     cv2.imwrite(str(folder / "000001.png"), np.zeros((160, 160, 3), np.uint8))
     with pytest.raises(FormatError, match="frame is 320 x 240: another aspect ratio"):
         import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
+
+
+def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> None:
+    folder = yolo_of(tmp_path / "labels", front="0 0.5 0.5 0.25 0.5\n")
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite(str(tmp_path / "pictures/front.png"), picture(5))
+    done = import_view_boxes(people, folder, tmp_path / "pictures", BoxKind.SILHOUETTE, FlatFormat.YOLO)
+    assert (done.frames, done.boxes.total(), done.views) == (0, 1, 1)
+    (view,) = people.boxes.on_views()
+    assert view.boxes == (Box2D("person", 23.5, 11.5, 39.5, 35.5),) and view.frame_id is None
 
 
 def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(

@@ -27,6 +27,7 @@ from annotator.workflows.importing import (
     Preview,
     import_image_boxes,
     import_labels,
+    import_proposals,
     preview_boxes,
     read_labels,
 )
@@ -80,6 +81,19 @@ def test_an_rcv_export_can_be_imported(
         for a, b in zip(kept, other.labels.of_frame(after.id), strict=True):
             assert (b.label, b.score, b.track_id, b.source) == (a.label, a.score, a.track_id, Source.IMPORTED)
             np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["rcv", "openlabel"])
+def test_boxes_around_what_is_seen_stay_such(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, name: str
+) -> None:
+    new = [NewLabel("person", BOX, box_kind=kind) for kind in (BoxKind.SILHOUETTE, BoxKind.BOX)]
+    people.labels.create(people.frames.of()[0].id, new, WriteContext(0, "me", Source.MANUAL))
+    export_project(people, tmp_path / "out", ExportFormat(name))
+    other = make_project(generated / "people")
+    import_labels(other, read_labels(BoxFormat(name), tmp_path / "out"))
+    imported = other.labels.of_frame(other.frames.of()[0].id)
+    assert sorted(label.box_kind for label in imported) == [BoxKind.BOX, BoxKind.SILHOUETTE]
 
 
 def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: Project) -> None:
@@ -165,6 +179,32 @@ def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: 
     with pytest.raises(FormatError, match=problem):
         import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
     assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())
+
+
+ENTRY: dict[str, Any] = {"size": [4.0, 1.6, 1.5], "rotation": np.eye(3).tolist(), "center": [0.0, 0.0, 9.0]}
+
+
+def test_frames_that_an_import_leaves_unchanged_are_told_before(people: Project, tmp_path: Path) -> None:
+    """As labels: also those with proposals, and with rejected boxes only; as proposals: those that are finalised."""
+    proposed, rejected, finalised, free = people.frames.of()[:4]
+    box = OrientedBox.from_parts(np.array(ENTRY["center"]), np.eye(3), np.array(ENTRY["size"]))
+    people.labels.create(rejected.id, [NewLabel("person", box, state=ReviewState.REJECTED)], WriteContext(0, "me"))
+    people.frames.finalise(finalised.id, WriteContext(0, "me"))
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps({proposed.key: [ENTRY | {"label": "person"}]}))
+    import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    boxes = {frame.key: [ENTRY | {"label": "person", "score": 0.5}] for frame in (proposed, rejected, finalised, free)}
+    path.write_text(json.dumps(boxes | {"elsewhere": []}))
+    found = preview_boxes(people, path, BoxFormat.BOXES, None)
+    assert (found.is_3d, found.boxes, found.scores and found.scores.low) == (True, {"person": 4}, 0.5)
+    assert found.found == "4 3D boxes in 4 frames of this project."
+    assert found.notes == (
+        "2 of these frames have labels or proposals, and can only take proposals.",
+        "1 of these frames is finalised, and left unchanged.",
+        "Left out: 1 frame without a frame of the same name, such as elsewhere.",
+    )
+    assert import_labels(people, read_labels(BoxFormat.BOXES, path))[Note.ALREADY] == 3
+    assert import_proposals(people, read_labels(BoxFormat.BOXES, path))[Note.FINALISED] == 1
 
 
 def test_images_are_described_before_they_are_imported(
@@ -255,3 +295,20 @@ def test_labels_get_the_values_that_they_lack_and_the_rest_is_reported(project: 
     project.history.undo("ann")
     assert values(project) == [{"pose": "sitting"}, {}, {}]
     assert project.boxes.on_image(project.frames.of()[0].id) is None
+
+
+def test_a_drawn_box_has_the_values_of_its_label(project: Project, tmp_path: Path) -> None:
+    """A box drawn on the image replaces the outline of its label, not its values."""
+    out = changed(project, tmp_path / "out", lambda annotations: annotations.pop())
+    import_image_boxes(project, out, None)
+    frame = project.frames.of()[0]
+    project.frames.set_attributes(frame.id, {"night": True}, WriteContext(project.frames.get(frame.id).revision, "me"))
+    report = export_project(project, tmp_path / "again", ExportFormat.COCO, choose=ExportFilter())
+    assert "attribute" not in {each.kind.value for each in report.losses}
+    (file,) = (tmp_path / "again" / "annotations").iterdir()
+    content = json.loads(file.read_text())
+    assert [each.get("attributes") for each in content["annotations"]] == [{"pose": "sitting"}, None]
+    assert [each.get("attributes") for each in content["images"]] == [{"night": True}]
+    # an image of a finalised frame changes nothing
+    project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "me"))
+    assert import_image_boxes(project, tmp_path / "again", None)[Note.SHOWN] == 0

@@ -161,6 +161,15 @@ def test_playback_ends_repeats_or_reverses_after_the_last_frame(frame: Frame, re
     assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
 
 
+def test_a_stopped_reader_does_not_wait_for_the_next_frame(frame: Frame) -> None:
+    an_hour_ns = 3_600_000_000_000
+    playback = Playback(FakeRecording(frame, (0, an_hour_ns)))
+    stop = threading.Event()
+    assert playback.read(stop) is not None
+    stop.set()
+    assert playback.read(stop) is None
+
+
 def test_playback_of_an_unreadable_recording_ends_with_an_error(frame: Frame) -> None:
     playback = Playback(FakeRecording(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
     with pytest.raises(FrameError):

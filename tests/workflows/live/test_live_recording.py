@@ -108,6 +108,7 @@ def test_a_folder_has_one_camera_and_one_up_direction(frames: list[Frame], tmp_p
         ("key,time\n", ":1: the header must be key,timestamp_ns"),
         ("key,timestamp_ns\n000000,5\nx,1.5\n", ":3: must be a key and a time"),
         ("key,timestamp_ns\n000000,-5\n", ":2: must be a key and a time"),
+        (f"key,timestamp_ns\n000000,{2**63}\n", ":2: the time 9223372036854775808 ns is beyond the year 2262"),
         (f"key,timestamp_ns\n000000,{'9' * 5000}\n", ":2: must be a key and a time"),
         ("key,timestamp_ns\n000000,5\n000000,6\n", ":3: frame 000000 already has a line"),
     ],

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
+from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
@@ -160,6 +163,24 @@ def test_an_unexpected_error_affects_only_its_frame(people: Project, knowing: Kn
     assert only_reason(people) == reason
 
 
+def test_a_proposal_that_cannot_be_stored_affects_only_its_frame(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after removing a class from the project after the training."""
+    replace, third = type(people.proposals).replace, people.frames.of()[3].id
+
+    def renamed(self, frame_id, proposals, *rest, **named):
+        robots = [dataclasses.replace(each, label="robot") for each in proposals]
+        return replace(self, frame_id, robots if frame_id == third else proposals, *rest, **named)
+
+    monkeypatch.setattr(type(people.proposals), "replace", renamed)
+    done = annotate(people, knowing("people"), FAST)
+    assert done.done == 4
+    ((key, reason),) = done.failed
+    assert key == "000003"
+    assert "'robot' is not a class of the project" in reason
+
+
 def test_annotate_can_be_limited_to_recordings_and_a_number_of_frames(
     make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
@@ -180,6 +201,26 @@ def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: in
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
+
+
+def test_missing_frames_are_neither_processed_nor_counted(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
+        path.unlink()
+    add_recordings(project, [folder])
+    done = annotate(project, knowing("people"), FAST)
+    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
+
+
+def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing) -> None:
+    blind = Mock(wraps=knowing("people").image, fingerprint="blind", detect=lambda images: [[] for _ in images])
+    blind.labels = ("person",)
+    done = annotate(people, Detectors(blind, knowing("people").view), FAST)
+    assert (done.done, done.proposals, done.without) == (5, 0, 5)
+    assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
 def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:
@@ -287,6 +328,25 @@ def test_a_store_that_cannot_be_written_ends_the_batch(
     monkeypatch.setattr(type(people.jobs), "record_failure", full)
     with pytest.raises(ProjectError, match="the disk is full"):
         annotate(people, knowing("people"), FAST, limit=1)
+
+
+def test_boxes_are_upright_along_the_projects_up_direction(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    (folder / "gravity.json").unlink()
+    project = make_project(folder)
+    tilted = (0.0, -2.0, -2.0)
+    other = register_recording(make_project(), open_recording(folder), up=tilted)
+    assert other.up == pytest.approx((0, -np.sqrt(0.5), -np.sqrt(0.5)))
+    free = annotate(project, knowing("people"), FAST, limit=1)
+    assert free.done == 1
+    told = make_project(folder, up=tilted)
+    annotate(told, knowing("people"), FAST, limit=1)
+    labels = told.labels.of_frame(told.frames.of()[0].id)
+    assert labels
+    for label in labels:
+        assert np.abs(label.box.rotation.T @ np.array(other.up)).max() == pytest.approx(1)
 
 
 def test_results_of_an_earlier_calibration_are_not_stored(people: Project, knowing: Knowing) -> None:

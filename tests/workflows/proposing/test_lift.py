@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,15 +17,18 @@ from annotator.cli.main import main
 from annotator.detection.pretrained import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import NewLabel, Project, WriteContext
+from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.project.changes import FrameFinalised, ImageBoxesSet
-from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, ReviewState, Source
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
+from annotator.workflows.proposing import lift as module
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.proposing.lift import (
     GivenBoxes,
@@ -32,11 +36,36 @@ from annotator.workflows.proposing.lift import (
     boxes_of_file,
     drawn_boxes,
     lift,
+    propose_image_boxes,
 )
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
+    kind: BoxKind, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = open_recording(generated / "people")
+    asked: dict[Orientation, list[str]] = {}
+
+    def note(frames: Sequence[Frame], boxes: Any, view: Any, config: RcvConfig, **_: Any) -> list[FrameProposals]:
+        assert config.box_kind is kind
+        asked[config.orientation] = [frame.key for frame in frames]
+        return [FrameProposals(frame.key, (), ()) for frame in frames]
+
+    monkeypatch.setattr(module, "propose_from_boxes", note)
+    ups = (UP, None, UP)
+    frames = [replace(recording.frame(place), up=up) for place, up in enumerate(ups)]
+    keys = [frame.key for frame in frames]
+    pair = knowing("people", kind)
+    results = propose_image_boxes(frames, [[]] * 3, pair.view, pair.settings(RcvConfig()), BoxRotation.AUTO)
+    assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
+    assert [result.key for result in results] == keys
 
 
 class AnyClass:
@@ -184,6 +213,11 @@ def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyD
     manifest = json.loads((tmp_path / "out" / "dataset.json").read_text())
     named = {detector["role"]: detector["name"] for detector in manifest["detectors"]}
     assert named == {"image": "test", "view": TITLE}
+    chosen = ExportFilter(states=(ReviewState.PROPOSED,))
+    export_project(people, tmp_path / "openlabel", ExportFormat.OPENLABEL, choose=chosen)
+    (document,) = (tmp_path / "openlabel").glob("*.json")
+    comment = json.loads(document.read_text())["openlabel"]["metadata"]["comment"]
+    assert comment == f"Detectors that proposed boxes: image: test; view: {TITLE}"
 
 
 def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base: ReadyDetector) -> None:

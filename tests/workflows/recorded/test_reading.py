@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
+from annotator.recordings.kitti import KittiTracking
 from annotator.types.errors import FormatError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
@@ -72,6 +75,24 @@ def test_the_truth_folder_has_precedence_and_a_changed_file_is_read_again(wall: 
     assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"]
     put(wall / "truth/boxes.json", {"a": [BOX, BOX]})
     assert len(load_truth(recording, 0, frame)) == 2
+
+
+def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:
+    row = "{} {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
+    (wall / "label_02.txt").write_text("".join(row.format(n, n) for n in range(3)))
+    frame = open_recording(wall).frame(0)
+    drive = KittiTracking(wall, ("0", "1", "2", "3"))
+    for index in range(3):
+        T = RigidTransform.from_translation([index, 0.0, 0.0])
+        (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
+        assert truth.track_id == index
+        np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
+    assert load_truth(drive, 3, frame) == []
+    far = RigidTransform.from_translation([1e9, 0.0, 0.0])
+    with pytest.raises(FormatError, match=r"label_02\.txt: frame 1: a box must be within .*; correct its boxes or its"):
+        load_truth(drive, 1, replace(frame, T_camera_label=far))
+    (wall / "label_02.txt").write_text(row.format(0, 7) * 2)
+    assert len(load_truth(drive, 0, frame)) == 2
 
 
 def test_errors_of_broken_labels_name_the_frame(wall: Path) -> None:

@@ -75,6 +75,13 @@ def test_no_box_is_left_out_before_a_reviewed_one_that_was_reached(people: Proje
     (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
     assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
     people.history.undo(ANN)
+    # the other way, or again
+    (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0)}), 4, forward=False).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    people.history.undo(ANN)
+    people.history.undo(ANN)
     # it is expected there, but not found
     (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0), (0, 4)}), 0).tracks
     assert (done.boxes, done.doubtful, done.stops) == (0, 3, ())
@@ -128,6 +135,22 @@ def test_a_new_run_leaves_nothing_of_an_earlier_one_where_it_passes(people: Proj
     # nor beyond the frame in which it stops
     assert tracks_of(people) == ["1", "1?", "1", "", ""]
     assert [stop.key for stop in track.stops] == [people.frames.of()[3].key]
+
+
+@pytest.mark.parametrize(
+    ("start", "lost", "between"), [(0, [1], ["", "1?"]), (3, [2], ["1?", ""]), (0, [1, 2], ["", ""])]
+)
+def test_a_new_run_leaves_nothing_of_an_earlier_one_up_to_the_next_reviewed_box(
+    people: Project, start: int, lost: list[int], between: list[str]
+) -> None:
+    (uid,) = accept(people, 0, (0, 1))
+    follow(people, Walking(), 0, uid)
+    frame, (label,) = people.frames.of()[3], labels_of(people, 3)
+    people.labels.accept(frame.id, label.uid, WriteContext(frame.revision, ANN))
+    assert tracks_of(people) == ["1", "1?", "1?", "1", "1?"]
+    (track,) = follow(people, Walking(lost={(0, index) for index in lost}), start, forward=start == 0).tracks
+    assert not track.is_open
+    assert tracks_of(people) == ["1", *between, "1", "1?"]
 
 
 @pytest.mark.parametrize("lost", [1, 2])

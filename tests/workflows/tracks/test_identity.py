@@ -19,7 +19,7 @@ from typing import Any
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from moving import ANN, FRAMES, Walking, box_of, proposal_of
+from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
 from annotator.project.changes import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
@@ -226,3 +226,14 @@ def test_a_track_has_one_box_in_a_frame_and_reviewed_boxes_stay(
                 assert room.state() == state
                 project.history.redo(ANN)
                 assert room.state() == after
+
+
+def test_linking_never_gives_an_object_the_given_id_of_another(empty: Path) -> None:
+    with closing(open_project(empty)) as project:
+        room = Room(project, Walking())
+        room.do_label(0, 0, 2, 0.0, "person")
+        room.do_label(1, 1, 2, 0.0, "chair")
+        room.do_pass(2, [(0, None, "person"), (1, None, "chair")])
+        for _ in range(2):
+            link_tracks(project)
+            assert tracks_of(project) == ["2", "2", "3? 4?", "", ""]

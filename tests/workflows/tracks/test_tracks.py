@@ -28,9 +28,10 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next, corrected_alike
-from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
+from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
 from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, write
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import copy_boxes
 
 
@@ -199,13 +200,19 @@ def test_a_copied_box_without_a_track_gets_one_with_one_undo(room: Room) -> None
 
 @pytest.mark.parametrize("kind", BoxKind)
 def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(room: Room, kind: BoxKind) -> None:
-    people = room.project
+    people, frames = room.project, room.frames
     for n in (0, 3):
         uid = room.accept_box(n, room.box(n), box_kind=kind)
     interpolate(people, room.recording, 3, ANN)
     copy(room, 3, uid)
     assert [room.labels(index)[0].box_kind for index in range(5)] == [kind] * 5
     people.history.undo(ANN)
+    # the detector measures whole boxes only, so it fits no other ones
+    source = FrameSource(people)
+    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), room.view)
+    off = relabelled(room.box(4), FLIP)
+    off = OrientedBox.from_parts(off.center_m + 0.02, off.rotation, off.size_m)
+    assert (fit(frames[4], off, people.labels.get(uid).label) is off) == (kind is BoxKind.SILHOUETTE)
     people.history.undo(ANN)
     room.all(room.view)
     labels = [room.labels(index)[0] for index in range(5)]
@@ -277,6 +284,19 @@ def test_copied_and_followed_boxes_have_all_values(valued: Room) -> None:
     assert len(found) >= 4 and found == [SITTING] * len(found)
 
 
+def test_a_copied_box_takes_over_values_that_somebody_has_set(valued: Room) -> None:
+    people, second = valued.project, valued.frames[1].id
+    uid = valued.accept_box(0, valued.box(0))
+    (old,) = valued.propose(1, valued.box(1))
+    people.labels.set_attributes(second, old, {"pose": "standing"}, valued.context(1))
+    copy(valued, 0, uid)
+    (copied,) = valued.labels(1)
+    assert (copied.uid != old, copied.attributes["pose"]) == (True, "standing")
+    # the next pass leaves it alone
+    valued.propose(1, valued.box(1))
+    assert [label.uid for label in valued.labels(1)] == [copied.uid]
+
+
 def test_linked_boxes_have_the_values_of_their_track_and_keep_their_own(valued: Room) -> None:
     people, own = valued.project, {"height": 1.7}
     valued.propose(1, valued.box(1), valued.box(1, 1))
@@ -331,6 +351,29 @@ def corrected_car(folder: Path) -> tuple[Project, StoredFrame, StoredFrame, str]
 
 
 WAS, NOW = (box((x, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)) for x in (0.0, 0.2))
+
+
+def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
+    project, first, second, uid = corrected_car(tmp_path)
+    said = {"one": NewLabel("car", WAS, 0.9, 4), "two": NewLabel("car", WAS, 0.8, 4)}
+    for source, label in said.items():
+        project.proposals.bring(source, {second.id: [label]})
+    revision = project.frames.get(first.id).revision
+    carry_correction(project, first.id, uid, revision, WAS, "me")
+    for _ in range(2):
+        (stored,) = project.labels.select(states=[ReviewState.PROPOSED])
+        np.testing.assert_allclose(stored.label.box.center_m, NOW.center_m)
+        assert [(each.source, each.score, each.box.center_m[0]) for each in stored.said] == [
+            ("one", 0.9, 0.0),
+            ("two", 0.8, 0.0),
+        ]
+        # a source that comes again replaces what it said
+        project.proposals.bring("one", {second.id: [said["one"]]})
+    project.proposals.bring("one", {second.id: []})
+    (stored,) = project.labels.select(states=[ReviewState.PROPOSED])
+    assert [each.source for each in stored.said] == ["two"]
+    project.log.rebuild()
+    assert project.labels.select(states=[ReviewState.PROPOSED])[0].said == stored.said
 
 
 def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:

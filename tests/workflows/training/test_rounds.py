@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from view_detectors import CONFIG, HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, register, write_model
@@ -17,7 +18,8 @@ from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import TrainingStoppedError
 from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.project import Project
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
 from annotator.workflows.detectors import (
     AGNOSTIC,
     Detectors,
@@ -32,7 +34,8 @@ from annotator.workflows.training import train as workflow
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.training.rounds import Choice, choose_start
-from annotator.workflows.training.train import train
+from annotator.workflows.training.samples import gather
+from annotator.workflows.training.train import Trained, train
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
@@ -92,6 +95,21 @@ def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
     """The choice of a training with these settings that begins now."""
     measured = held(project, objects)
     return Choice(project, measured, choose_start(project, measured, CONFIG.model_copy(update=changes)))
+
+
+def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
+    register(labelled, "a", active=True)
+    ious.update(a=0.6, worse=0.3, better=0.7)
+    choice = choice_of(labelled, pretrained="never")
+    assert choice.start.model is None
+    for name, outcome in (
+        ("worse", "no better on held-out frames: the project's detector a stayed in use"),
+        ("better", "the best one on held-out frames: put into use"),
+    ):
+        new = register(labelled, name)
+        assert choice.add(new, "").outcome == outcome
+        # the next part goes on from the training's own result
+        assert choice.origin == own_model(labelled, new)
 
 
 def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
@@ -172,6 +190,43 @@ def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: 
     assert own_model(labelled, trained.model).class_agnostic
 
 
+@pytest.mark.parametrize(
+    ("changes", "pretrained", "parts", "anew"),
+    [
+        ({}, "auto", 5, [2]),
+        ({"decides": False}, "auto", 5, []),
+        ({"minutes": 12.0}, "auto", 3, []),
+        # after the first part, each continues the best one so far
+        ({}, "never", 5, [0]),
+    ],
+)
+def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
+    labelled: Project,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, Any],
+    pretrained: str,
+    parts: int,
+    anew: list[int],
+) -> None:
+    install_base()
+    origins: list[UsedModel | None] = []
+
+    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> Trained:
+        origins.append(origin)
+        model = register(labelled, f"part{number}")
+        folder = model.path.parent
+        decision = choice.add(model, "")
+        return Trained(DetectorKind.VIEW, model, read_trained(folder), read_manifest(folder), decision=decision)
+
+    monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
+    monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
+    view = CONFIG.model_copy(update={"epochs": None, "pretrained": pretrained})
+    (trained,) = train(labelled, replace(PLAN, view=view, **{"minutes": 60.0, **changes}), roles=(DetectorKind.VIEW,))
+    assert trained.model.fingerprint == f"part{parts - 1}"
+    assert len(origins) == parts
+    assert [number for number, origin in enumerate(origins) if origin is None] == anew
+
+
 class AnyClass:
     """The boxes of another detector without their classes."""
 
@@ -197,6 +252,23 @@ def test_the_reviewed_objects_of_held_out_frames_are_measured(
         results.append(measured.mean_iou(model))
     # without any detection, objects are still placed by the size of the reviewed boxes
     assert results[0] > 0.7 > results[1]
+
+
+@pytest.mark.parametrize("class_agnostic", [True, False])
+def test_a_class_agnostic_detector_is_measured_at_what_the_reviewed_boxes_enclose(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch, class_agnostic: bool
+) -> None:
+    kinds = set()
+
+    def lifted(frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, *rest: Any) -> Any:
+        kinds.add(config.box_kind)
+        return [None] * len(image_boxes)
+
+    monkeypatch.setattr(held_out, "lifted", lifted)
+    monkeypatch.setattr(held_out, "load_detector", lambda path, names=(): Fixed())
+    measured = HeldOut(labelled, gather(labelled).labels, kind=BoxKind.SILHOUETTE)
+    measured.mean_iou(UsedModel(write_model(labelled.models_folder / "m"), BoxKind.BOX, class_agnostic, "f"))
+    assert kinds == {BoxKind.SILHOUETTE if class_agnostic else BoxKind.BOX}
 
 
 @pytest.mark.parametrize("has_base", [True, False])

@@ -19,12 +19,15 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteContext
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
+from annotator.synthetic.snapshots import snapshot
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, DetectorKind, Proposal, Quality, Source
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
+from annotator.workflows.training.base_detector import BASE_TRAINING, views_of
 from annotator.workflows.training.samples import (
     DRAWN,
     PROJECTED,
@@ -36,8 +39,10 @@ from annotator.workflows.training.samples import (
     drawn_pictures,
     gather,
     image_samples,
+    known_objects,
     taught_by_drags,
     view_samples,
+    with_generated,
 )
 
 CONFIG = RcvConfig()
@@ -104,6 +109,15 @@ def test_the_majority_kind_of_boxes_is_used_and_others_are_left_out(people: Proj
     assert (len(material.views), len(material.views_of_kind)) == (4, 3), "pictures without boxes fit either kind"
 
 
+def test_a_few_accepted_boxes_do_not_change_the_majority_kind(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=3)  # 2 frames of 3 objects: 24 drawn views
+    accept(people, 1)
+    assert gather(people).kind is BoxKind.SILHOUETTE
+    accept(people, 2)
+    accept(people, 4)
+    assert gather(people).kind is BoxKind.BOX
+
+
 # --- after a correction of the calibration ---------------------------------------------------------------------------
 
 
@@ -127,6 +141,21 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     assert min(shown) > 0.5 and np.median(shown) > 0.9, "the boxes are on the same shapes"
     trained = [sample.load() for sample in views(people, gather(people)) if sample.origin == DRAWN]
     assert {rgb.tobytes() for rgb in trained} == {rgb.tobytes() for rgb in moved.values()}
+    people.adjustments.correct(recording.id, NO_CORRECTION, "me")
+    back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), CONFIG, never)}
+    assert max(np.mean((back[view] != before[view]).any(axis=2)) for view in before) < 0.01, "but for rounding"
+
+
+def test_drawn_views_whose_box_a_correction_leaves_empty_do_not_train(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    (recording,) = people.recordings.all()
+    people.adjustments.correct(recording.id, Correction((0.0, 0.0, 0.0), (40.0, 0.0, 0.0)), "me")
+    skipped: list[str] = []
+    material = gather(people)
+    assert not list(drawn_pictures(people, material.views, CONFIG, lambda _, error: skipped.append(str(error))))
+    assert len(skipped) == 12 and all(
+        "the corrected calibration leaves no points in its box" in line for line in skipped
+    )
 
 
 # --- camera images ---------------------------------------------------------------------------------------------------
@@ -203,7 +232,52 @@ def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> Non
     assert 0 < len(after) < len(before)
 
 
+def test_views_are_rendered_from_3d_labels_and_list_their_uids(people: Project) -> None:
+    uids = {*accept(people, 0), *accept(people, 2)}
+    samples = views(people, gather(people), 24)
+    assert {sample.origin for sample in samples} == {TAUGHT}
+    assert 0.8 * 24 <= len(samples) <= 24
+    assert {sample.group for sample in samples} == {"1/000000", "1/000002"}
+    assert {uid for sample in samples for uid in sample.label_uids} == uids
+    for sample in samples:
+        assert len(sample.label_uids) == len(sample.boxes)
+
+
 # --- pseudo-views ----------------------------------------------------------------------------------------------------
+
+
+def test_drawn_views_are_used_unchanged(people: Project) -> None:
+    material = simulate(people, BoxKind.BOX)
+    samples = views(people, material, 18)
+    origins = Counter(sample.origin for sample in samples)
+    assert origins[DRAWN] == 36
+    assert origins[TAUGHT] == 18, "one pair per object, nine objects"
+    for sample, view in zip(samples, material.views, strict=False):
+        assert sample.origin == DRAWN
+        assert len(sample.label_uids) == len(sample.boxes)
+        assert sample.boxes == view.boxes
+        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
+        assert view.frame_id is not None
+        assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
+
+
+def test_views_of_deep_frustums_have_the_size_used_in_detection(people: Project) -> None:
+    deep = CONFIG.model_copy(update={"view": CONFIG.view.model_copy(update={"deep": 0.1})})
+    (recording,) = people.recordings.all()
+    simulate_recording(people, recording.id, BoxKind.BOX, deep, 2)
+    samples = views(people, gather(people), 120, config=deep)
+    for origin in (DRAWN, TAUGHT):
+        looked_at = {sample.look_px: sample for sample in samples if sample.origin == origin}
+        assert set(looked_at) == {0, CONFIG.view.deep_size_px}
+        sizes = {look_px: max(sample.load().shape) for look_px, sample in looked_at.items()}
+        assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
+
+
+@pytest.mark.parametrize(("asked", "draws"), [(1, 1), (24, 4), (10**6, 20)])
+def test_few_objects_are_drawn_more_often_up_to_a_limit(people: Project, asked: int, draws: int) -> None:
+    accept(people, 0)
+    samples = views(people, gather(people), asked)
+    assert 0.8 * 2 * 3 * draws <= len(samples) <= 2 * 3 * draws
 
 
 def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
@@ -251,21 +325,53 @@ def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project)
         assert apart.min() > 3, "two boxes around one object"
 
 
-def first_whole_box_known(project: Project) -> Box2D | None:
-    """Gives the first drawn object a label with its true box, as if an operator had confirmed it."""
+def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> list[Box2D | None]:
+    """Gives drawn objects of the first frame a label with their true box, as if an operator had confirmed it."""
     stored = project.frames.of()[0]
     frame = FrameSource(project).read(stored)
     recording = open_recording(project.recordings.all()[0].path)
-    one = visible_objects(recording, 0, frame, ["person"])[0]
-    image_box = image_box_of(frame, one, BoxKind.SILHOUETTE)
-    new = NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box)
-    project.labels.create(stored.id, [new], WriteContext(stored.revision, "me"))
-    return image_box
+    objects = visible_objects(recording, 0, frame, ["person"])[:count]
+    drawn = [image_box_of(frame, one, BoxKind.SILHOUETTE) for one in objects]
+    new = [
+        NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind)
+        for one, image_box in zip(objects, drawn, strict=True)
+    ]
+    project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
+    return drawn
 
 
 def agnostic(project: Project, given: Fixed) -> list[TrainingSample]:
     """The samples of a class-agnostic detector that starts from one with given boxes."""
     return list(agnostic_samples(project, gather(project), CONFIG, SampleConfig(views=24), given, never))
+
+
+def test_an_object_whose_whole_box_is_known_counts_as_whole_although_its_silhouettes_are_drawn(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, count=2)
+    material = gather(people)
+    assert (material.kind, len(material.whole)) == (BoxKind.BOX, 2)
+    assert len(material.views) == 12 and not material.views_of_kind
+
+
+def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE)
+    material = gather(people)
+    assert material.kind is BoxKind.SILHOUETTE
+    assert not material.whole
+    assert {len(labels) for labels in material.labels_of(material.kind).values()} == {3}
+
+
+def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE)
+    given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(WHOLE, 3.0, 3.0, 9.0, 9.0, 0.8)))
+    samples = agnostic(people, given)
+    assert {sample.origin for sample in samples} == {"drawn", "taught"}
+    with_boxes = [sample for sample in samples if sample.boxes]
+    assert len(with_boxes) > 0.7 * len(samples)
+    for sample in with_boxes:
+        assert sorted(box.label for box in sample.boxes) == [SEEN, WHOLE]
+        assert next(box for box in sample.boxes if box.label == WHOLE) == given.boxes[0]
 
 
 # --- frames that cannot be read --------------------------------------------------------------------------------------
@@ -274,7 +380,7 @@ def agnostic(project: Project, given: Fixed) -> list[TrainingSample]:
 def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:
     simulate(people, BoxKind.SILHOUETTE, every=5)
     image_boxes = [view.geometry.image_box for view in people.boxes.on_views() if view.geometry is not None]
-    image_box = first_whole_box_known(people)
+    (image_box,) = whole_boxes_known(people, count=1)
     given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(SEEN, 2.0, 2.0, 50.0, 50.0, 0.9)))
     samples = agnostic(people, given)
     of_drawn = [sample for sample in samples if sample.origin == "drawn"]
@@ -290,10 +396,55 @@ def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project
     assert taught and not any(set(sample.boxes) & set(given.boxes) for sample in taught)
 
 
+def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
+    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 40
+    assert list(with_generated(own, 0.0, 64, 0)) == own
+    samples, others = (list(with_generated(own, 0.5, 64, seed)) for seed in (0, 1))
+    assert samples[:40] == own
+    assert 20 < len(samples) - 40 < 80
+    assert {sample.origin for sample in samples[40:]} == {"generated"}
+    assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}
+
+
+def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
+    accept(people, 1)
+    material = replace(gather(people), kind=BoxKind.BOX)
+    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
+    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
+    # 24 views of the 3 objects that are taught
+    assert {one.draws for one in known} == {4}
+
+
 # --- the base detector, from generated frames ----------------------------------------------------------------------
 
 
 ROOT = Path(__file__).resolve().parents[3]
+
+
+def agnostic_views(seed: int, draws: int = 8) -> list[TaughtView]:
+    shot = snapshot(seed)
+    objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
+    return teach_views(shot.frame, objects, None, draws, RcvConfig(), None, np.random.default_rng(0))
+
+
+def test_a_view_has_one_object_with_two_boxes_or_none() -> None:
+    taught = [view for seed in range(3, 6) for view in agnostic_views(seed)]
+    labels = [tuple(box.label for box in view.boxes) for view in taught]
+    assert labels.count((WHOLE, SEEN)) > 0.8 * len(labels)
+    assert labels.count(()) > 0  # crops that miss their object
+    assert set(labels) <= {(WHOLE, SEEN), (WHOLE,), (SEEN,), ()}
+
+
+def test_equal_seeds_give_equal_training_images() -> None:
+    one, two = (views_of(range(3), 2, BASE_TRAINING.image_size_px) for _ in range(2))
+    assert len(one) > 10
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a.load(), b.load())
+        assert (a.boxes, a.group) == (b.boxes, b.group)
+    assert {sample.group for sample in one} == {f"snapshot/{seed}" for seed in range(3)}
+    assert {max(sample.load().shape) for sample in one} == {BASE_TRAINING.image_size_px}
 
 
 @pytest.mark.slow

@@ -10,23 +10,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from view_detectors import PLAN, Fixed, register, trained_model
+from view_detectors import PLAN, Fixed, held, register, trained_model
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, WriteContext, create_project
-from annotator.rcv.config import RcvConfig
+from annotator.project import Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import DetectionError
 from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import rounds
+from annotator.workflows.training import held_out, rounds
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
-from annotator.workflows.training.samples import SampleConfig
+from annotator.workflows.training.samples import SampleConfig, gather, view_samples
 from annotator.workflows.training.train import TrainPlan, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
@@ -103,6 +104,15 @@ def test_both_detectors_are_trained_registered_and_active(
     assert {"drawn", "taught"} == {entry.origin for entry in views.entries}
 
 
+def test_the_same_labels_and_settings_give_the_same_run(
+    drawn: Project, trainings: list[tuple[str, Path, Path]]
+) -> None:
+    first, second = (train(drawn, QUICK) for _ in range(2))
+    assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
+    assert [result.model.id for result in first] == [result.model.id for result in second]
+    assert len(drawn.models.all()) == 2, "no second model is registered"
+
+
 def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
         (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
@@ -135,6 +145,16 @@ def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
     assert other.result.config.pretrained == "auto"
 
 
+def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+    deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
+    simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
+    people.configure(settings=ProjectSettings(rcv={"view": {"deep": 0.1}}))
+    (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
+    samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
+    tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
+    assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
+
+
 def test_left_out_samples_are_reported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], trainings: list[tuple[str, Path, Path]]
 ) -> None:
@@ -162,7 +182,9 @@ def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     assert people.models.all() == ()
 
 
-def test_a_training_can_be_stopped_while_it_draws_views(labelled: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
+    labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
     written: list[TrainingSample] = []
     monkeypatch.setattr(workflow, "write_dataset", lambda folder, samples, *_: written.extend(samples))
     for asked, role in ((2, DetectorKind.IMAGE), (6, DetectorKind.VIEW)):
@@ -170,6 +192,15 @@ def test_a_training_can_be_stopped_while_it_draws_views(labelled: Project, monke
         with pytest.raises(TrainingStoppedError):
             train(labelled, PLAN, roles=(role,), stop=lambda answers=answers: next(answers))
     assert 0 < len(written) < 10
+
+    def stopped() -> None:
+        raise TrainingStoppedError("here")
+
+    monkeypatch.setattr(held_out, "load_detector", lambda path, names=(): Fixed())
+    measured = held(labelled)
+    measured._check_stop = stopped
+    with pytest.raises(TrainingStoppedError):
+        measured.mean_iou(own_model(labelled, register(labelled, "a")))
 
 
 def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
@@ -204,9 +235,11 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
     )
     model = tmp_path / "model"
     model.mkdir()
-    paths = write_validation_pictures(tmp_path / "set", manifest, DETECTOR, model)
+    for _ in range(2):  # the second call replaces the first pictures
+        paths = write_validation_pictures(tmp_path / "set", manifest, DETECTOR, model)
     assert len(paths) == min(manifest.images[manifest.measured_on], PICTURES)
     assert paths == validation_pictures(model)
+    assert [path.name for path in model.iterdir()] == ["validation"]
     picture = cv2.imread(str(paths[0])).astype(int)
     assert max(picture.shape) == 448
     x, y = (round((number + 0.5) * picture.shape[1] / 100 - 0.5) for number in (10, 40))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Source
-from annotator.types.errors import ConfigError, FormatError
+from annotator.types.errors import ConfigError, FormatError, ProjectError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -223,6 +224,18 @@ def scale_last(file: Path, pictures: Path) -> None:
     cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=2, fy=2))
 
 
+def jpeg_last(file: Path, pictures: Path) -> None:
+    path = pictures / read_coco(file)[-1].file_name
+    path.write_bytes(cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes())
+
+
+def repeat_last(file: Path, pictures: Path) -> None:
+    images = read_coco(file)
+    shutil.copyfile(pictures / images[-1].file_name, pictures / images[0].file_name)
+    size = {"width_px": images[-1].width_px, "height_px": images[-1].height_px}
+    write_coco(file, [replace(images[0], boxes=images[-1].boxes, **size), *images[1:]])
+
+
 def break_sidecar(file: Path, pictures: Path) -> None:
     (pictures / "views.json").write_text('[{"file_name": "a.png"}]')
 
@@ -232,6 +245,8 @@ def break_sidecar(file: Path, pictures: Path) -> None:
     [
         (remove_last, "step1_side.png is not in"),
         (scale_last, "label the image itself, not a scaled copy"),
+        (jpeg_last, "step1_side.png: is not a PNG image"),
+        (repeat_last, "are the same image"),
         (break_sidecar, r"views.json: is damaged"),
     ],
 )
@@ -243,6 +258,13 @@ def test_unusable_pictures_are_errors_and_change_nothing(
     with pytest.raises(FormatError, match=problem):
         import_view_boxes(hands, file, pictures, BoxKind.SILHOUETTE)
     assert hands.boxes.on_views() == ()
+
+
+def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Project, tmp_path: Path) -> None:
+    file, pictures = good_views(hands, tmp_path)
+    people.configure(classes=["person", "hand"])
+    with pytest.raises(ProjectError, match="no recording 'hands'"):
+        import_view_boxes(people, file, pictures, BoxKind.SILHOUETTE)
 
 
 # --- camera images ---------------------------------------------------------------------------------------------------

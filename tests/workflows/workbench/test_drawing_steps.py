@@ -16,7 +16,7 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.audit.events import Effort
 from annotator.project.progress.action_log import draft_id
-from annotator.rcv.known_objects import Span
+from annotator.rcv.known_objects import Span, draw_object
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
@@ -97,6 +97,16 @@ def desk(people: Project, generated: Path) -> Desk:
     return Desk(people, generated / "people")
 
 
+def test_the_steps_are_those_of_the_labelling_procedure(desk: Desk) -> None:
+    whole = draw_object(desk.opened.with_normals, desk.image_box(), desk.draw, desk.config)
+    assert whole is not None
+    found = desk.steps(desk.four())
+    assert len(found.views) == len(whole.views) == 4
+    for view, drawn in zip(found.views, whole.views, strict=True):
+        assert (view.rgb == drawn.view.rgb).all()
+        assert (view.axes == drawn.view.axes).all()
+
+
 def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     four = desk.four()
     begun = desk.steps([])
@@ -169,8 +179,8 @@ def test_the_fit_knows_the_drawn_boxes_and_only_the_other_views_have_suggestions
     asked: list[Sequence[Span]] = []
     fit = desk.fit(desk.objects[0].box, asked)
     whole = label_steps(desk.opened, desk.image_box(), [], desk.config, desk.kind, fit=fit)
-    front = whole.steps[0].suggested[0]
-    assert front is not None
+    (front, side), (third, _) = (step.suggested for step in whole.steps)
+    assert front is not None and side is not None and third is not None
     corrected = replace(front, x_max=front.x_max - 5.0)
     found = label_steps(desk.opened, desk.image_box(), [corrected], desk.config, desk.kind, fit=fit)
     assert found.steps[0].suggested[0] is None and found.steps[0].suggested[1] is not None
@@ -178,6 +188,15 @@ def test_the_fit_knows_the_drawn_boxes_and_only_the_other_views_have_suggestions
     axes, span_m = asked[1][0]
     np.testing.assert_array_equal(axes, whole.views[0].axes)
     np.testing.assert_allclose(span_m, whole.views[0].interval_m(corrected))
+    # a box on the second step: its views keep their axes, and the other view takes over the shared span
+    shorter = replace(third, y_min=third.y_min + 8.0)
+    boxes, own = [front, side, shorter], whole.views[2].axes
+    found = label_steps(desk.opened, desk.image_box(), boxes, desk.config, desk.kind, axes=own, fit=fit)
+    assert [len(known) for known in asked] == [0, 1, 2, 3]
+    np.testing.assert_array_equal(found.views[2].axes, own)
+    last = found.steps[1].suggested[1]
+    assert found.steps[1].suggested[0] is None and last is not None
+    np.testing.assert_allclose(found.views[3].interval_m(last)[1], found.views[2].interval_m(shorter)[1], atol=0.02)
 
 
 def test_without_a_found_object_the_reason_is_told_and_boxes_can_be_drawn(desk: Desk) -> None:
@@ -310,6 +329,17 @@ def test_changing_the_class_keeps_a_corrected_box(desk: Desk) -> None:
     wider = replace(boxes[3], x_max=boxes[3].x_max + 2)
     desk.save([renamed], desk.object(renamed, [*boxes[:3], wider], uid))
     assert present()[1] is False, "another drag changes the box"
+
+
+def test_effort_is_kept_when_the_image_box_of_a_draft_changes(desk: Desk) -> None:
+    image_box = desk.image_box()
+    x_min, y_min, x_max, y_max = image_box.xyxy
+    sloppy = Box2D("person", x_min - 20, y_min - 20, x_max + 20, y_max)
+    desk.save([sloppy], None)
+    desk.save([image_box], None)
+    desk.save([image_box], desk.object(image_box, desk.four()))
+    numbers = desk.project.statistics().effort
+    assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
 
 
 def test_invalid_saves_are_errors_and_change_nothing(desk: Desk) -> None:

@@ -14,6 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains, same_box
 from annotator.project import Effort, NewLabel, Project, WriteContext
 from annotator.project.changes import LabelTracked
+from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import (
@@ -137,6 +138,17 @@ def test_an_unknown_class_or_missing_object_gives_a_note(
     assert found.box is empty
 
 
+def test_permuting_axes_keeps_the_box() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        rotation = Rotation.random(rng=rng).as_matrix()
+        box = OrientedBox.from_parts(rng.normal(size=3), rotation, rng.uniform(0.3, 2, 3))
+        reference = OrientedBox.from_parts(np.zeros(3), Rotation.random(rng=rng).as_matrix(), np.ones(3))
+        new = with_axes_like(box, reference)
+        assert iou_3d(new, box) == pytest.approx(1, abs=1e-6)
+        assert np.trace(new.rotation.T @ reference.rotation) >= np.trace(box.rotation.T @ reference.rotation) - 1e-9
+
+
 def label_at(x: float, track: int | None = None) -> NewLabel:
     box = OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.6, 0.5, 1.7]))
     return NewLabel("person", box, track_id=track)
@@ -212,6 +224,20 @@ def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copyin
     with pytest.raises(ConfigError, match=r"^frame 000001 is finalised; reopen it first$"):
         copying.copy(1)
     assert [label.uid for label in copying.labels(1)] == [other]
+
+
+def test_copies_count_as_copied_and_not_as_proposals(copying: Copying) -> None:
+    copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
+    copying.copy(1, effort=Effort(1, 3.0))
+    same, moved, wrong = copying.labels(1)
+    copying.project.labels.accept(copying.ids[1], same.uid, copying.context(1))
+    copying.edit(1, moved, 2.3)
+    copying.reject(1, wrong.uid)
+    for _ in range(2):
+        numbers = copying.project.statistics()
+        origins = {name: part.boxes for name, part in numbers.effort.by_origin.items() if part.boxes}
+        assert (origins, numbers.accepted_untouched, numbers.iou_proposal_to_final) == ({"copied": 2}, None, None)
+        copying.project.log.rebuild()
 
 
 def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(copying: Copying) -> None:

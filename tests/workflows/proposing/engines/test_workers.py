@@ -13,11 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -39,7 +41,7 @@ from annotator.workflows.proposing.pool import (
     Report,
     WorkerPool,
 )
-from annotator.workflows.proposing.ray_engine import RayEngine, max_workers
+from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
     DetectorSource,
@@ -83,6 +85,8 @@ def test_a_pool_of_unusable_workers_is_an_error(messages: list[Message], error: 
     ("name", "cores", "gpus", "options", "workers"),
     [
         ("auto", 4, (), {}, 4),
+        ("auto", 4, (), {"workers": 1}, None),
+        ("auto", 1, (), {}, None),
         ("auto", 1, ("0",), {}, 1),
         ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
         ("local", 8, ("0", "1"), {}, 2),
@@ -207,20 +211,21 @@ def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, know
     assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were detected and used"
 
 
-def test_a_frame_that_kills_every_worker_is_stored_as_failed_and_the_others_are_bitwise_equal(
+def test_a_frame_that_kills_every_worker_fails_and_the_others_of_its_task_and_of_later_ones_are_bitwise_equal(
     new_people: NewPeople, expected: list[str], knowing: Knowing, generated: Path
 ) -> None:
     project = new_people()
     # read through a mirror
     elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
-    with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000004",)), 1, 1, elsewhere)) as engine:
+    with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000002",)), 1, 1, elsewhere)) as engine:
         done = annotate_with(project, engine, CONFIG)
     ((key, reason),) = done.failed
-    assert (done.done, key) == (4, "000004")
-    assert "killed, possibly out of memory" in reason
+    assert (done.done, key) == (4, "000002")
+    assert "a worker has ended 2 times on this frame, the last time killed, possibly out of memory" in reason
     (failure,) = project.jobs.results(status=Status.FAILED)
     assert failure.reason == reason
-    assert stored(project)[:4] == expected[:4]
+    for number in (0, 1, 3, 4):
+        assert stored(project)[number] == expected[number]
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc of Linux")
@@ -318,6 +323,28 @@ def test_without_ray_the_error_says_what_to_install(knowing: Knowing, monkeypatc
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match="ray is not installed"):
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+
+
+def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # must be set before the import
+        monkeypatch.setenv(name, value)
+    from ray import exceptions
+
+    told: list[Message] = []
+    for error in (
+        exceptions.OutOfMemoryError("killed, the node was low on memory"),
+        exceptions.NodeDiedError("its node died"),
+        exceptions.ObjectLostError("00", None, ""),
+        exceptions.ActorDiedError(),
+        exceptions.RuntimeEnvSetupError("no such package"),
+    ):
+        future: Future[object] = Future()
+        future.set_exception(error)
+        call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
+        RayWorker(1, lambda _, message: told.append(message), lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Fault]
 
 
 def test_the_number_of_workers_is_limited_per_machine() -> None:
