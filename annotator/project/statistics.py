@@ -24,8 +24,7 @@ from annotator.project.database.schema import (
 from annotator.project.database.store import Store
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
-from annotator.project.progress.action_log import EffortStatistics
-from annotator.project.progress.report import Progress, ReviewReader
+from annotator.project.progress.report import Review, ReviewReader
 from annotator.project.recordings import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
@@ -67,7 +66,7 @@ class BoxCounts(BaseModel):
     boxes_by_source: dict[Source, int]
 
 
-class Statistics(BaseModel):
+class Statistics(Review):
     """Counts of one project at one moment.
 
     Attributes:
@@ -78,10 +77,7 @@ class Statistics(BaseModel):
         attributes: by name, then by value: labels that are not rejected, and frames, with that value. Frames without
             a value of their own have the default.
         without_value: by name of an attribute: the labels or frames that could have a value, but have none.
-        effort, accepted_untouched, iou_proposal_to_final, progress: as in `Review`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recordings: int
     frames: int
@@ -96,27 +92,17 @@ class Statistics(BaseModel):
     events: int
     runs: int
     models: int
-    attributes: dict[str, dict[str, int]] = {}
-    without_value: dict[str, int] = {}
-    effort: EffortStatistics
-    accepted_untouched: float | None
-    iou_proposal_to_final: float | None
-    progress: Progress
+    attributes: dict[str, dict[str, int]]
+    without_value: dict[str, int]
 
 
 def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Attribute]) -> Statistics:
-    """Counts everything, within one transaction.
-
-    Args:
-        reader: of the project; it keeps what takes long to compute.
-        attributes: of the project.
-    """
+    """Counts everything, within one transaction; the reader keeps what takes long to compute."""
     present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
     with store.read() as connection:
-        review = reader.read(connection)
         values = counts_with_defaults(connection, attributes)
         return Statistics(
             recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
@@ -134,10 +120,7 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
             models=_rows(connection, models),
             attributes=values.values,
             without_value=values.without,
-            effort=review.effort,
-            accepted_untouched=review.accepted_untouched,
-            iou_proposal_to_final=review.iou_proposal_to_final,
-            progress=review.progress,
+            **dict(reader.read(connection)),
         )
 
 

@@ -15,7 +15,7 @@ from store_samples import box_at, by_machine, proposal_at
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, RunShare, Statistics, WriteContext, create_project
 from annotator.project.changes import LabelProposed
-from annotator.project.progress.action_log import ActionLog, read_log
+from annotator.project.progress.reviewed import ActionLog, read_log
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
 from annotator.types.errors import ProjectError

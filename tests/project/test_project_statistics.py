@@ -13,7 +13,7 @@ from annotator.project import Effort, NewLabel, Origin, Project, RunShare, Store
 from annotator.project.changes import LabelAccepted, LabelCreated
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.progress.action_log import ORIGINS, draft_id
+from annotator.project.progress.reviewed import ORIGINS, draft_id
 from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Source
 
