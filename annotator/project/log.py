@@ -33,6 +33,15 @@ _FRAME = (
 
 
 @dataclass(frozen=True)
+class ChangedFrame:
+    """A changed frame: its latest revision, and the author of its latest event."""
+
+    frame_id: int
+    revision: int
+    author: str
+
+
+@dataclass(frozen=True)
 class FramePart:
     """The changes of one frame within an action over several frames."""
 
@@ -43,27 +52,19 @@ class FramePart:
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """Changes a project.
+    """The log of a project: changes it, and tells what was changed.
 
     Attributes:
-        store: the database.
         folder: the project's folder, whose `project.json` names the classes.
     """
 
     store: Store
     folder: Path
 
-    def to_frame(
+    def append(
         self, frame_id: int, payloads: Sequence[Payload], context: WriteContext, action: str | None = None
     ) -> Receipt:
-        """Changes one frame, all or nothing; `action` as in `to_frames`.
-
-        Raises:
-            StaleRevisionError: the frame has changed since `context.revision`.
-            FinalisedFrameError: an automatic pass may not change a finalised frame.
-            TrackTakenError: a track would get a second box in the frame.
-            ProjectError: an unknown frame, label or class; or the database cannot be written.
-        """
+        """Changes one frame, all or nothing; `action` as in `append_to_frames`."""
         if self.store.write_lock.locked():
             # rejects a stale change without waiting for the lock
             with self.store.read() as connection:
@@ -79,7 +80,7 @@ class Writer:
         context: WriteContext,
         action: str | None = None,
     ) -> Receipt:
-        """As `to_frame`, within the caller's write transaction, as a part of an action over several frames if any."""
+        """As `append`, within the caller's write transaction, as a part of an action over several frames if any."""
         where = require_writable(connection, frame_id, context)
         is_action = _is_undoable(context, action) and not any(
             isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads
@@ -98,7 +99,7 @@ class Writer:
                 make(write, payload)
         return write.finish()
 
-    def to_frames(
+    def append_to_frames(
         self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
     ) -> tuple[Receipt, ...]:
         """Changes several frames as one action, all or nothing; the first part's effort is that of the action.
@@ -115,17 +116,12 @@ class Writer:
     def to_frames_in(
         self, connection: Connection, parts: Sequence[FramePart], action: str | None = None
     ) -> tuple[Receipt, ...]:
-        """As `to_frames`, within the caller's write transaction."""
+        """As `append_to_frames`, within the caller's write transaction."""
         action = action or new_action()
         return tuple(self.to_frame_in(connection, part.frame_id, part.payloads, part.context, action) for part in parts)
 
     def to_view(self, payload: ViewBoxesSet, context: WriteContext) -> Receipt:
-        """Sets boxes on a pseudo-view that belongs to no frame of the project.
-
-        Raises:
-            StaleRevisionError: the view has changed since `context.revision` (0 for an unlabelled view).
-            ProjectError: an unknown class; or the database cannot be written.
-        """
+        """Sets boxes on a pseudo-view that belongs to no frame of the project."""
         where = f"view {payload.view[:12]}"
         with self.store.write() as connection:
             of_view = (events.c.view_id == payload.view) & events.c.frame_id.is_(None)
@@ -136,6 +132,43 @@ class Writer:
             with storable(f"{where}: {payload.kind}"):
                 make(write, payload)
             return write.finish()
+
+    # --- reading the log ----------------------------------------------------------------------------------------------
+
+    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
+        """All events of a frame, in order."""
+        with self.store.read() as connection:
+            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
+
+    def since(self, event_id: int = 0) -> Iterator[Event]:
+        """Yields all events after `event_id`, in order, as of the start of the iteration."""
+        with self.store.read() as connection:
+            yield from read_events(connection, after=event_id)
+
+    def last(self) -> int:
+        """The id of the newest event; 0 if there is none."""
+        with self.store.read() as connection:
+            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
+
+    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
+        """The id of the newest event, and the frames changed after the event `event_id`."""
+        last = func.max(events.c.id)
+        changed = (
+            select(events.c.frame_id, events.c.revision, events.c.author, last)
+            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
+            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
+            .order_by(last)
+        )
+        with self.store.read() as connection:
+            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
+            if newest <= event_id:
+                return newest, ()
+            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
+
+    def rebuild(self) -> int:
+        """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""
+        with self.store.write() as connection:
+            return rebuild(connection)
 
 
 def new_action() -> str:
@@ -179,72 +212,3 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     if row.revision != context.revision:
         raise StaleRevisionError(where, context.revision, row.revision)
     return where
-
-
-# --- reading the log --------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ChangedFrame:
-    """A changed frame: its latest revision, and the author of its latest event."""
-
-    frame_id: int
-    revision: int
-    author: str
-
-
-@dataclass(frozen=True, eq=False)
-class Log:
-    """The events of a project."""
-
-    writer: Writer
-
-    def append(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
-        """Makes several changes of a frame as one action, all or none."""
-        return self.writer.to_frame(frame_id, payloads, context)
-
-    def append_to_frames(
-        self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
-    ) -> tuple[Receipt, ...]:
-        """Changes several frames, all or none, as one action that a single undo reverts.
-
-        Args:
-            action: id of an action that is written in several calls (`new_action`); None = a new one.
-            new_tracks: track ids that must still be free in the recording of the first part's frame.
-        """
-        return self.writer.to_frames(parts, action, new_tracks)
-
-    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
-        """All events of a frame, in order."""
-        with self.writer.store.read() as connection:
-            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
-
-    def since(self, event_id: int = 0) -> Iterator[Event]:
-        """Yields all events after `event_id`, in order, as of the start of the iteration."""
-        with self.writer.store.read() as connection:
-            yield from read_events(connection, after=event_id)
-
-    def last(self) -> int:
-        """The id of the newest event; 0 if there is none."""
-        with self.writer.store.read() as connection:
-            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
-
-    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
-        """The id of the newest event, and the frames changed after the event `event_id`."""
-        last = func.max(events.c.id)
-        changed = (
-            select(events.c.frame_id, events.c.revision, events.c.author, last)
-            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
-            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
-            .order_by(last)
-        )
-        with self.writer.store.read() as connection:
-            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
-            if newest <= event_id:
-                return newest, ()
-            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
-
-    def rebuild(self) -> int:
-        """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""
-        with self.writer.store.write() as connection:
-            return rebuild(connection)

@@ -29,12 +29,7 @@ class FramePage:
 
     Attributes:
         frame: the frame; changes are based on its revision.
-        previous, next: ids of the neighbours in the recording, or None.
-        recording_name: of its recording.
         labels: in the order of their creation, rejected ones included.
-        image_boxes: on the camera image, or None if it is unlabelled.
-        view_boxes: on its pseudo-views.
-        attributes: values of the frame's own attributes.
     """
 
     frame: StoredFrame
@@ -52,10 +47,7 @@ class FrameRow:
     """One line of a list of frames.
 
     Attributes:
-        frame: the frame.
-        counts: number of labels by state.
         image_boxes: number of boxes on its image; None if it is unlabelled.
-        proposed: its open proposals.
     """
 
     frame: StoredFrame

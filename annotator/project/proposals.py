@@ -22,11 +22,9 @@ from annotator.project.sources import (
     KIND,
     Brought,
     OpenProposals,
-    SourceTracks,
     bring,
     covered_by,
     replace_open,
-    source_tracks,
 )
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 
@@ -46,8 +44,6 @@ class Replaced:
     Attributes:
         uids: of the new labels, in the proposals' order; None for a proposal that a reviewed label covers, or that a
             surer proposal of other software hides.
-        covered: number of such proposals.
-        receipt: of the write.
     """
 
     uids: tuple[str | None, ...]
@@ -60,9 +56,7 @@ class PassObject:
     """One proposal of a pass.
 
     Attributes:
-        uid: of the label created from it.
         covered_by: uid of the reviewed label of the same object; if set, no label was created.
-        proposal: with its whole trace.
     """
 
     uid: str
@@ -75,9 +69,6 @@ class Pass:
     """One automatic pass over one frame.
 
     Attributes:
-        event_id, author, time_ns: of its event.
-        run_id: the batch run, if it was part of one.
-        objects: all proposals.
         lost: frustums without a resulting box.
     """
 
@@ -180,10 +171,6 @@ class Proposals:
     ) -> dict[int, Brought]:
         """Makes boxes of other software the proposals of some frames, as `sources.bring.bring`."""
         return bring(self.writer, source, boxes, author, action)
-
-    def source_tracks(self, recording_id: int, source: str) -> SourceTracks:
-        """The track ids of a recording, and those of this source among them."""
-        return source_tracks(self.writer, recording_id, source)
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""

@@ -50,14 +50,7 @@ class StoredRecording:
     """A recording of the project.
 
     Attributes:
-        id: within the project.
-        path: absolute.
-        format: name of the reader.
-        name: unique within the project.
-        is_sequence: True if the frames are in time order.
         up: unit vector against gravity in the camera frame, if known and constant over the recording.
-        added_ns: UTC nanoseconds since the epoch.
-        frames: number of frames in the latest scan.
         options: how its reader reads it, as JSON; "" = as the reader decides.
         correction: of its calibration; `up` is in the corrected camera frame.
         adjusted: id of the event that set `up` and `correction`; 0 = as the recording was added.
@@ -114,11 +107,8 @@ class Recordings:
         """Registers a recording and its frames, at revision 0.
 
         Args:
-            path: of the recording; stored as an absolute path.
             name: "-2", "-3" ... is appended if another recording has this name.
-            keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
-            options, fingerprint: as in `StoredRecording`.
             left_out: keys of frames that get no index, as if a scan had not found them.
         """
         path = path.resolve()
@@ -157,7 +147,6 @@ class Recordings:
 
         Args:
             fingerprint: as in `StoredRecording`; kept if none is known yet.
-            left_out: as for `add`.
         """
         with self.store.write() as connection:
             before = _recording(connection, recording_id, removed=True)
@@ -185,7 +174,6 @@ class Recordings:
         Args:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
-            author: of the change, for the table `moves`.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
@@ -265,11 +253,7 @@ class Recordings:
             return _recording(connection, recording_id, removed=removed)
 
     def require_readable(self, recording: StoredRecording) -> None:
-        """Checks the place of a recording before it is opened.
-
-        Raises:
-            RecordingError: it lies outside the readable folders.
-        """
+        """Checks the place of a recording before it is opened."""
         if self.readable is not None and not any(is_within(folder, recording.path) for folder in self.readable):
             raise RecordingError(
                 f"recording {recording.name} lies outside the folders that this server offers to other computers; "

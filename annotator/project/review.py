@@ -23,13 +23,10 @@ class ValueFilter:
     """What the value of an attribute must be. Without any condition: there is no value.
 
     Attributes:
-        name: the attribute.
         of_frame: it is one of frames, not of boxes and tracks.
         usual: of frames that have no value of their own.
         known: any value will do.
-        text: the value as text.
         contains: part of the value as text; small and capital letters (a to z) count as equal.
-        low, high: least and greatest value of a number.
     """
 
     name: str
@@ -100,39 +97,37 @@ class By(StrEnum):
 
 
 @dataclass(frozen=True)
-class WaitingProposal:
-    """An open proposal with its frame.
+class QueueItem:
+    """A proposal to review, or (without uid and label) a frame to label.
 
     Attributes:
         doubt: in 0..1, if any signal has a value.
-        sources: all that see this object, that of the shown box first; `OWN` for annotator itself.
+        sources: all that see the object, that of the shown box first; `OWN` for annotator itself.
     """
 
     frame: StoredFrame
-    uid: str
-    label: str
-    track_id: int | None
+    uid: str | None
+    label: str | None
     doubt: float | None
-    sources: tuple[str, ...]
+    track_id: int | None = None
+    sources: tuple[str, ...] = ()
 
 
 def waiting(
     store: Store,
     formula: Formula,
     by: By,
-    recordings: Collection[int] | None,
-    classes: Collection[str] | None,
-    attribute: ValueFilter | None,
-    source: str | None,
-    most: int | None,
-) -> tuple[tuple[WaitingProposal, ...], int]:
+    *,
+    recordings: Collection[int] | None = None,
+    classes: Collection[str] | None = None,
+    attribute: ValueFilter | None = None,
+    source: str | None = None,
+    most: int | None = None,
+) -> tuple[tuple[QueueItem, ...], int]:
     """Returns the first open proposals on frames that are neither finalised nor gone, and the number of all.
 
     Args:
-        recordings, classes: only of these; None = all.
-        attribute: only with these values of an attribute.
         source: only of objects that this source sees; `OWN` for annotator itself.
-        most: number of proposals to return; None = all.
     """
     doubt = _doubt(formula)
     is_open = _is_open(recordings, classes)
@@ -147,7 +142,7 @@ def waiting(
     query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
         found = tuple(
-            WaitingProposal(frame_of(row), row.uid, row.label, row.track_id, row.doubt, _sources(row))
+            QueueItem(frame_of(row), row.uid, row.label, row.doubt, row.track_id, _sources(row))
             for row in connection.execute(query)
         )
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()

@@ -136,7 +136,6 @@ class Brought:
         is_open: for each of them, False if a reviewed label covers it, so that it is not proposed.
         merged: number of the others that other sources see as well, or our own proposals.
         conflicts: number of their values that another source says otherwise; the surest box's are shown.
-        receipt: of the write.
     """
 
     is_open: tuple[bool, ...]
@@ -159,7 +158,6 @@ def bring(
     (`merged`).
 
     Args:
-        source: name of the detector, person or file that the boxes come from.
         frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
             used again. All are stored in one transaction, so give a few frames at once.
         author: who brings them; None = the source itself.
@@ -239,7 +237,6 @@ class SourceTracks:
     """Track ids of a recording.
 
     Attributes:
-        used: of all labels, also what hidden boxes of sources say.
         given: id in the files of one source -> its track id.
     """
 
@@ -300,7 +297,6 @@ class OpenProposals:
 
     Attributes:
         others: boxes of other software, in their own words; boxes of ours that one of them hides, as well.
-        ours: our own open proposals.
         kept: uids of proposals that stay as they are; neither list has them.
         taken: track ids of the labels that stay, except rejected ones.
         borrows: uids of the proposals to which hidden boxes have lent values.
@@ -365,9 +361,7 @@ def replace_open(
     A proposal that stays the same keeps its row.
 
     Args:
-        others: what other software says; boxes of ours that one of them hid, as well.
         leaving_out: uids of our own proposals that are removed.
-        never_kept: as for `OpenProposals.of`.
 
     Returns:
         The objects, each source in its own words.

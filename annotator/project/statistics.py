@@ -47,7 +47,6 @@ class SuggestedCounts(BaseModel):
 
     Attributes:
         as_suggested: the operator accepted all boxes, and nobody has changed the 3D box since.
-        corrected: the others.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -71,9 +70,7 @@ class Statistics(Review):
 
     Attributes:
         frames: found by the latest scans.
-        frames_with_proposals: with at least one unreviewed proposal.
         frames_failed: with a failed latest automatic pass.
-        suggested: by the name of the detector.
         attributes: by name, then by value: labels that are not rejected, and frames, with that value. Frames without
             a value of their own have the default.
         without_value: by name of an attribute: the labels or frames that could have a value, but have none.

@@ -25,8 +25,6 @@ class ClassCounts:
     """Numbers of boxes of a class.
 
     Attributes:
-        labels: 3D labels.
-        boxes_2d: 2D boxes on images and views.
         said: what sources say of objects, apart from the boxes that are shown.
     """
 
@@ -59,7 +57,6 @@ class ValueCounts:
     """How often values of attributes occur, by attribute.
 
     Attributes:
-        values: by value.
         without: labels and frames that have no value, but could have one.
     """
 
@@ -77,9 +74,6 @@ def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]
 
     These are all frames that the latest scans found, labelled or not, since labels are counted before their review,
     too. Exports write the default for those of them that they contain.
-
-    Args:
-        attributes: of the project; those without any value have an entry, too.
     """
     stored = list(_stored(connection))
     counts, without = _counted(stored), dict[str, int]()

@@ -31,9 +31,6 @@ def after_edit(
     """The values of a label after its class or its track has changed.
 
     Args:
-        attributes: of the project.
-        present: its values.
-        before, after: its class.
         of_track: the values of its new track; empty for the same one.
     """
     values = dict(present)
@@ -119,12 +116,6 @@ def is_kept(row: Mapping[str, Any], label: str, said: Sequence[SaidRecord], attr
 
     Values that follow from those of another label of the track do not count: whoever sets the colour of a car does not
     keep its boxes in all frames.
-
-    Args:
-        row: of the label.
-        label: its class.
-        said: what sources say of the object.
-        attributes: of the project.
     """
     if not row["values_set"] or row["state"] != ReviewState.PROPOSED.value:
         return False
@@ -191,8 +182,6 @@ def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], other
     """Returns the values of an object; what surer boxes say comes first.
 
     Args:
-        of_label: attributes of the shown box's class.
-        own: values of the shown box.
         others: the hidden boxes, the surest first.
     """
     values = fitting(of_label, own)
@@ -207,12 +196,7 @@ def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], other
 
 
 def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
-    """Number of values that `source` says of an object, and another source says otherwise.
-
-    Args:
-        of_label: attributes of the shown box's class.
-        said: all boxes of the object, each in its own words.
-    """
+    """Number of values that `source` says of an object, and another source says otherwise."""
     told = [(each.source, _told(of_label, each.attributes)) for each in said]
     others = [values for of, values in told if of != source]
     return sum(

@@ -9,7 +9,7 @@ from dataclasses import replace
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.values import ValueReader
 from annotator.project.records import OWN
-from annotator.project.sources import SourceTracks
+from annotator.project.sources import SourceTracks, source_tracks
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
@@ -317,7 +317,7 @@ class _Proposals:
         if track_id is None:
             return None
         if recording_id not in self._tracks:
-            self._tracks[recording_id] = _Tracks(self._project.proposals.source_tracks(recording_id, self._source))
+            self._tracks[recording_id] = _Tracks(source_tracks(self._project.log, recording_id, self._source))
         return self._tracks[recording_id].of(track_id)
 
 

@@ -22,7 +22,7 @@ from enum import StrEnum
 from itertools import zip_longest
 
 from annotator.project import REVIEWED, Project, StoredFrame
-from annotator.project.review import By, Formula, Signal, ValueFilter
+from annotator.project.review import By, Formula, QueueItem, Signal, ValueFilter, waiting, worst_of_frames
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
@@ -71,26 +71,6 @@ class Order(StrEnum):
 
 
 @dataclass(frozen=True)
-class QueueItem:
-    """A proposal to review, or a frame to label.
-
-    Attributes:
-        uid: of the proposal, or None for a whole frame.
-        label: the proposal's class, or None.
-        doubt: in 0..1, or None if unknown.
-        track_id: of the proposal, if it has one.
-        sources: of the proposal, all that see its object.
-    """
-
-    frame: StoredFrame
-    uid: str | None
-    label: str | None
-    doubt: float | None
-    track_id: int | None = None
-    sources: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Queue:
     """The first items of a queue, and the number of all."""
 
@@ -127,7 +107,8 @@ def queue(
         items = _to_teach(project, frames, present, chosen)
         return Queue(tuple(items[:most]), len(items))
     classes = None if label is None else [label]
-    found, total = project.labels.waiting(
+    found, total = waiting(
+        project.store,
         FORMULA,
         _BY[order],
         recordings=chosen,
@@ -136,15 +117,14 @@ def queue(
         source=source,
         most=most,
     )
-    proposals = (QueueItem(each.frame, each.uid, each.label, each.doubt, each.track_id, each.sources) for each in found)
-    return Queue(tuple(proposals), total)
+    return Queue(found, total)
 
 
 def _to_teach(
     project: Project, frames: Mapping[int, StoredFrame], present: Sequence[StoredFrame], chosen: list[int] | None
 ) -> list[QueueItem]:
     known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED, recordings=chosen)
-    worst = project.labels.worst_of_frames(FORMULA, chosen)
+    worst = worst_of_frames(project.store, FORMULA, chosen)
     untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
     seen = [frame for frame in present if frame.id in known]
     ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]
