@@ -193,13 +193,14 @@ def config_bytes(config: ProjectConfig) -> bytes:
     return (config.model_dump_json(indent=2) + "\n").encode()
 
 
-def write_config(folder: Path, config: ProjectConfig) -> None:
-    """Writes `project.json` atomically."""
-    path = folder / CONFIG_FILE
+def write_config(folder: Path, config: ProjectConfig, name: str = CONFIG_FILE) -> Path:
+    """Writes `project.json` (or the file that is to take its place) atomically; returns its path."""
+    path = folder / name
     try:
         write_atomic(path, config_bytes(config))
     except OSError as error:
         raise ProjectError(f"{path}: cannot be written: {error}") from error
+    return path
 
 
 class _Version(BaseModel):
@@ -224,12 +225,7 @@ def config_hash(config: ProjectConfig) -> str:
 
 def prepare_config(folder: Path, config: ProjectConfig, number: int) -> Path:
     """Writes the configuration that counts once the transaction of a change has ended; returns its file."""
-    path = folder / f"{_PREPARED}{number}"
-    try:
-        write_atomic(path, config_bytes(config))
-    except OSError as error:
-        raise ProjectError(f"{path}: cannot be written: {error}") from error
-    return path
+    return write_config(folder, config, f"{_PREPARED}{number}")
 
 
 def take_config(folder: Path, connection: Connection) -> ProjectConfig:

@@ -43,7 +43,10 @@ class Frames:
     def get(self, frame_id: int) -> StoredFrame:
         """One frame."""
         with self.writer.store.read() as connection:
-            return read_frame(connection, frame_id)
+            row = connection.execute(_FRAME, {"frame": frame_id}).first()
+        if row is None:
+            raise NotFoundError(f"the project has no frame with id {frame_id}")
+        return frame_of(row)
 
     def find(self, recording_id: int, key: str) -> StoredFrame:
         """The frame with that key."""
@@ -111,14 +114,6 @@ class Frames:
 # Built once, since building these frequent queries takes longer than running them.
 _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
 _VALUES = select(frames.c.attributes).where(frames.c.id == bindparam("frame"), KEPT)
-
-
-def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
-    """One frame, within the caller's transaction."""
-    row = connection.execute(_FRAME, {"frame": frame_id}).first()
-    if row is None:
-        raise NotFoundError(f"the project has no frame with id {frame_id}")
-    return frame_of(row)
 
 
 def frame_values(connection: Connection, frame_id: int) -> dict[str, AttributeValue]:

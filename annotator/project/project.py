@@ -20,8 +20,8 @@ from annotator.project.backup.make import Reason, back_up_automatically, back_up
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
+from annotator.project.classes.changing import MadeChange, made_changes
 from annotator.project.classes.changing import change_classes as change_rows
-from annotator.project.classes.changing import made_changes
 from annotator.project.classes.counts import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
@@ -145,15 +145,10 @@ class Project:
         require_fitting(connection, old.attributes, new.attributes)
         return number
 
-    def class_changes(self, since_ns: int) -> tuple[Relabelling, ...]:
-        """What changes of the classes after a time (UTC nanoseconds since the epoch) did to labels, in order."""
+    def class_changes(self, event_id: int = 0) -> list[MadeChange]:
+        """The changes of the classes after an event, in order."""
         with self.store.read() as connection:
-            return tuple(made.change for made in made_changes(connection) if made.time_ns > since_ns)
-
-    def class_changes_after(self, event_id: int) -> tuple[tuple[str, Relabelling], ...]:
-        """The changes of the classes after an event, with their authors, in order."""
-        with self.store.read() as connection:
-            return tuple((made.author, made.change) for made in made_changes(connection, event_id))
+            return made_changes(connection, event_id)
 
     def value_counts(self) -> dict[str, dict[str, int]]:
         """How often each stored value of an attribute occurs, by attribute."""

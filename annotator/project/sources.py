@@ -387,9 +387,9 @@ def replace_open(
         if not attributes:
             return group
         of_label = [each for each in attributes if each.is_of(group[0].label)]
-        lent = lend(of_label, group[0].attributes, group[1:])
-        values = new_values(of_label, tracks.get(track_id, {}), lent.values)
-        return group[0].model_copy(update={"attributes": values, "lent": ()}), *lent.others
+        lent, others = lend(of_label, group[0].attributes, group[1:])
+        values = new_values(of_label, tracks.get(track_id, {}), lent)
+        return group[0].model_copy(update={"attributes": values, "lent": ()}), *others
 
     after = dict[str, Row]()
     for group in of_ours:

@@ -100,7 +100,7 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
     with store.read() as connection:
-        values = counts_with_defaults(connection, attributes)
+        values, without = counts_with_defaults(connection, attributes)
         return Statistics(
             recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
             frames=_number(connection, present),
@@ -115,8 +115,8 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
             events=_rows(connection, events),
             runs=_rows(connection, runs),
             models=_rows(connection, models),
-            attributes=values.values,
-            without_value=values.without,
+            attributes=values,
+            without_value=without,
             **dict(reader.read(connection)),
         )
 

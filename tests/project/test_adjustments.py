@@ -92,7 +92,7 @@ def test_boxes_of_finalised_frames_and_open_proposals_move_and_other_recordings_
     assert all(same_box(box, expected) for box in project.proposals.boxes(recording.id).values())
     latest = project.proposals.latest(open_)
     assert latest is not None
-    assert same_box(latest.objects[0].proposal.box, expected)
+    assert same_box(latest.objects[0].proposal.box.box(), expected)
     assert same_box(box_of(project, foreign), box_at())
     assert revision_of(project, foreign) == 1
 

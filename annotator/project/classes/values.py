@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, Select, select
@@ -165,21 +164,10 @@ class ValueReader:
 # it, until that source says otherwise. A value that is the default says nothing, whoever has it.
 
 
-@dataclass(frozen=True)
-class Lent:
-    """The values of one object.
-
-    Attributes:
-        values: those of the shown box, and those lent to it.
-        others: the hidden boxes; each knows what it has lent.
-    """
-
-    values: Values
-    others: tuple[SaidRecord, ...]
-
-
-def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]) -> Lent:
-    """Returns the values of an object; what surer boxes say comes first.
+def lend(
+    of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]
+) -> tuple[Values, tuple[SaidRecord, ...]]:
+    """The values of an object, and the hidden boxes, each with what it lends; what surer boxes say comes first.
 
     Args:
         others: the hidden boxes, the surest first.
@@ -192,7 +180,7 @@ def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], other
         values |= new
         said |= new.keys()
         lenders.append(each.model_copy(update={"lent": tuple(sorted(new))}))
-    return Lent(values, tuple(lenders))
+    return values, tuple(lenders)
 
 
 def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
