@@ -82,7 +82,9 @@ class Writer:
     ) -> Receipt:
         """As `append`, within the caller's write transaction, as a part of an action over several frames if any."""
         where = require_writable(connection, frame_id, context)
-        is_action = _is_undoable(context, action) and not any(
+        # an operator can undo an import if its caller says so, by passing an action
+        is_by_hand = context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
+        is_action = is_by_hand and not any(
             isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads
         )
         write = Write(
@@ -174,16 +176,6 @@ class Writer:
 def new_action() -> str:
     """Returns an id for an action."""
     return uuid.uuid4().hex
-
-
-def _is_undoable(context: WriteContext, action: str | None) -> bool:
-    """True for changes that an operator can undo; an import is one if its caller says so, by passing an action."""
-    return context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
-
-
-def import_action(context: WriteContext, action: str | None) -> str | None:
-    """The action of an import: the one that its caller passes."""
-    return action if _is_undoable(context, action) else None
 
 
 def _require_free(connection: Connection, frame_id: int, tracks: Collection[int]) -> None:

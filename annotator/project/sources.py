@@ -13,7 +13,7 @@ from sqlalchemy import func, select, true
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.audit.making import new_label, said_json
-from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.classes.values import (
     Values,
     borrowed,
@@ -28,8 +28,9 @@ from annotator.project.classes.values import (
 )
 from annotator.project.config import read_config
 from annotator.project.database.schema import columns_of, frames, labels
+from annotator.project.database.store import Store
 from annotator.project.labels import NewLabel
-from annotator.project.log import Writer, import_action
+from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
@@ -141,7 +142,6 @@ class Brought:
     is_open: tuple[bool, ...]
     merged: int
     conflicts: int
-    receipt: Receipt
 
 
 def bring(
@@ -187,8 +187,7 @@ def bring(
             if not finalised:
                 context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
-                made_in = import_action(context, action)
-                write = Write(writer.store, writer.folder, connection, frame_id, where, context, made_in, config, terms)
+                write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
                 write.know_all(present[frame_id])
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
@@ -215,7 +214,8 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     attributes = write.config.attributes
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
     differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
-    return Brought(tuple(uid is None for uid in covering), together, differing, write.finish())
+    write.finish()
+    return Brought(tuple(uid is None for uid in covering), together, differing)
 
 
 def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -> None:
@@ -232,20 +232,8 @@ def _is_open(row: Row, kept: Collection[str]) -> bool:
     return row["state"] == ReviewState.PROPOSED.value and row["uid"] not in kept
 
 
-@dataclass(frozen=True)
-class SourceTracks:
-    """Track ids of a recording.
-
-    Attributes:
-        given: id in the files of one source -> its track id.
-    """
-
-    used: frozenset[int]
-    given: Mapping[int, int]
-
-
-def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTracks:
-    """Returns the track ids of a recording, and those of `source` among them."""
+def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
+    """All track ids of a recording, also of hidden boxes; and those of `source`, by the ids in its files."""
     said = func.json_each(labels.c.said).table_valued("value")
     values = [func.json_extract(said.c.value, f"$.{name}") for name in ("track_id", "source", "file_track_id")]
     of_recording = labels.join(frames, frames.c.id == labels.c.frame_id)
@@ -253,27 +241,18 @@ def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTrack
     of_labels = select(labels.c.track_id).select_from(of_recording).where(here, labels.c.track_id.is_not(None))
     is_known = values[0].is_not(None)
     of_sources = select(*values).select_from(of_recording.join(said, true())).where(here, is_known).distinct()
-    with writer.store.read() as connection:
+    with store.read() as connection:
         used, given = set(connection.execute(of_labels.distinct()).scalars()), dict[int, int]()
         for track_id, name, file_track_id in connection.execute(of_sources):
             used.add(track_id)
             if name == source:
                 given[track_id if file_track_id is None else file_track_id] = track_id
-    return SourceTracks(frozenset(used), given)
+    return used, given
 
 
 def _said(source: str, box: NewLabel) -> SaidRecord:
-    return SaidRecord(
-        uid=uuid.uuid4().hex,
-        source=source,
-        label=box.label,
-        score=box.score,
-        box=BoxRecord.of(box.box),
-        track_id=box.track_id,
-        file_track_id=box.file_track_id,
-        box_kind=box.box_kind,
-        attributes=dict(box.attributes),
-    )
+    values = {name: value for name, value in vars(box).items() if name in SaidRecord.model_fields}
+    return SaidRecord(uid=uuid.uuid4().hex, source=source, **values | {"box": BoxRecord.of(box.box)})
 
 
 def _with_free_tracks(groups: Sequence[Group], taken: Collection[int | None]) -> tuple[Group, ...]:

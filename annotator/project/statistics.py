@@ -11,6 +11,7 @@ from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.counts import counts_with_defaults
 from annotator.project.database.schema import (
+    AnyRow,
     events,
     frame_results,
     frames,
@@ -129,25 +130,26 @@ def _rows(connection: Connection, table: FromClause) -> int:
     return _number(connection, select(func.count()).select_from(table))
 
 
-def _grouped(connection: Connection, table: FromClause, column: str, number: Any) -> dict[str, int]:
-    query = select(table.c[column], number).group_by(table.c[column]).order_by(table.c[column])
-    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
-
-
-def _by_source(counts: dict[str, int]) -> dict[Source, int]:
-    return {source: counts.get(source.value, 0) for source in Source}
-
-
 def _label_counts(connection: Connection) -> LabelCounts:
-    states = _grouped(connection, labels, "state", func.count())
-    kinds = _grouped(connection, labels, "box_kind", func.count())
+    columns = [labels.c[name] for name in ("label", "state", "source", "box_kind")]
+    rows: Sequence[AnyRow] = connection.execute(
+        select(*columns, func.count()).group_by(*columns).order_by(labels.c.label)
+    ).all()
+    by_class, states = dict[str, int](), dict[str, dict[ReviewState, int]]()
+    of_state, of_source, of_kind = dict.fromkeys(ReviewState, 0), dict.fromkeys(Source, 0), dict.fromkeys(BoxKind, 0)
+    for name, state, source, kind, number in rows:
+        by_class[name] = by_class.get(name, 0) + number
+        states.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] += number
+        of_state[state] += number
+        of_source[source] += number
+        of_kind[kind] += number
     return LabelCounts(
-        total=_rows(connection, labels),
-        by_state={state: states.get(state.value, 0) for state in ReviewState},
-        by_class=_grouped(connection, labels, "label", func.count()),
-        by_class_and_state=_class_and_state(connection),
-        by_source=_by_source(_grouped(connection, labels, "source", func.count())),
-        by_kind={kind: kinds.get(kind.value, 0) for kind in BoxKind},
+        total=sum(of_state.values()),
+        by_state=of_state,
+        by_class=by_class,
+        by_class_and_state=states,
+        by_source=of_source,
+        by_kind=of_kind,
     )
 
 
@@ -162,14 +164,7 @@ def _suggested_counts(connection: Connection) -> dict[str, SuggestedCounts]:
     }
 
 
-def _class_and_state(connection: Connection) -> dict[str, dict[ReviewState, int]]:
-    query = select(labels.c.label, labels.c.state, func.count()).group_by(labels.c.label, labels.c.state)
-    counts: dict[str, dict[ReviewState, int]] = {}
-    for name, state, number in connection.execute(query.order_by(labels.c.label)):
-        counts.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] = int(number)
-    return counts
-
-
 def _box_counts(connection: Connection, table: FromClause) -> BoxCounts:
-    by_source = _by_source(_grouped(connection, table, "source", func.sum(table.c["count"])))
+    query = select(table.c.source, func.sum(table.c["count"])).group_by(table.c.source)
+    by_source = dict.fromkeys(Source, 0) | {Source(of): int(sum_) for of, sum_ in connection.execute(query)}
     return BoxCounts(pictures=_rows(connection, table), boxes=sum(by_source.values()), boxes_by_source=by_source)

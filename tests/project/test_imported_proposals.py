@@ -23,7 +23,6 @@ from annotator.project.review import By, waiting, waiting_sources
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
-from annotator.workflows.workbench.review_queue import FORMULA
 
 
 def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[int, int, int]:
@@ -157,7 +156,7 @@ def test_the_queue_tells_the_sources_of_each_object_and_filters_by_them(project:
     bring(project, frame, odd, box(10.02, 0.1), box(20.0))
 
     def queued(source: str | None) -> list[tuple[str, ...]]:
-        found, total = waiting(project.store, FORMULA, By.FRAME, source=source, most=10)
+        found, total = waiting(project.store, By.FRAME, source=source, most=10)
         assert len(found) == total
         return sorted(each.sources for each in found)
 
