@@ -94,16 +94,6 @@ def test_finalised_and_missing_frames_are_left_out(project: Project, recording: 
     assert _pending(project, _start(project)) == "402"
 
 
-def test_pending_frames_can_be_limited_to_recordings(
-    project: Project, recording: StoredRecording, tmp_path: Path
-) -> None:
-    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
-    key = _start(project).key
-    assert [frame.key for frame in project.jobs.pending(key, [other.id])] == ["x"]
-    assert len(project.jobs.pending(key)) == 6
-    assert project.jobs.pending(key, []) == ()
-
-
 def test_refused_proposals_leave_no_result(project: Project, recording: StoredRecording, frame: int) -> None:
     run = _start(project)
     share = RunShare(run.id, 1.0)
