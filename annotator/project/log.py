@@ -112,7 +112,12 @@ class Writer:
         """
         with self.store.write() as connection:
             if new_tracks:
-                _require_free(connection, parts[0].frame_id, new_tracks)
+                recording = select(frames.c.recording_id).where(frames.c.id == parts[0].frame_id).scalar_subquery()
+                used = select(ALL_LABELS.c.track_id).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
+                used = used.where(frames.c.recording_id == recording, ALL_LABELS.c.track_id.in_(new_tracks)).limit(1)
+                if (track_id := connection.execute(used).scalar()) is not None:
+                    taken = f"track {track_id} has been given to another object in the meantime; try again"
+                    raise TrackTakenError(taken, track_id)
             return self.to_frames_in(connection, parts, action)
 
     def to_frames_in(
@@ -176,19 +181,6 @@ class Writer:
 def new_action() -> str:
     """Returns an id for an action."""
     return uuid.uuid4().hex
-
-
-def _require_free(connection: Connection, frame_id: int, tracks: Collection[int]) -> None:
-    recording = select(frames.c.recording_id).where(frames.c.id == frame_id).scalar_subquery()
-    used = (
-        select(ALL_LABELS.c.track_id)
-        .join(frames, frames.c.id == ALL_LABELS.c.frame_id)
-        .where(frames.c.recording_id == recording, ALL_LABELS.c.track_id.in_(tracks))
-        .limit(1)
-    )
-    track_id = connection.execute(used).scalar()
-    if track_id is not None:
-        raise TrackTakenError(f"track {track_id} has been given to another object in the meantime; try again", track_id)
 
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:

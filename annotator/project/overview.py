@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -128,19 +128,13 @@ def list_frames(
         rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
         terms = Terms(connection)
         stored = [stored_label(row, terms) for row in rows]
-    return tuple(_frame_rows(shown, boxes, stored)), total
-
-
-def _frame_rows(
-    shown: Sequence[StoredFrame], boxes: Mapping[int, int], stored: Sequence[StoredLabel]
-) -> list[FrameRow]:
     counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
     proposed: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in stored:
         counts[entry.frame_id][entry.label.state] += 1
         if entry.label.state is ReviewState.PROPOSED:
             proposed[entry.frame_id].append(entry)
-    return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown]
+    return tuple(FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown), total
 
 
 # --- the classes ------------------------------------------------------------------------------------------------------
@@ -188,5 +182,4 @@ def list_classes(project: Project) -> ClassList:
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    counted = {"labels": count.labels, "boxes_2d": count.boxes_2d, "said": count.said}
-    return ClassRow(name=name, **counted, colour=style.colour, key=style.key)
+    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key)

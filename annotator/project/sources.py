@@ -90,7 +90,7 @@ def merged(said: Sequence[SaidRecord]) -> list[Group]:
     """
     if len({each.source for each in said}) <= 1:
         return [(each,) for each in said]
-    ranked = sorted(said, key=lambda each: (-_certainty(each), each.source == OWN))
+    ranked = sorted(said, key=lambda each: (-1.0 if each.score is None else -each.score, each.source == OWN))
     overlaps = _overlaps(ranked)
     groups: list[list[int]] = []
     for index, each in enumerate(ranked):
@@ -118,10 +118,6 @@ def _overlaps(said: Sequence[SaidRecord]) -> dict[tuple[int, int], float]:
     shared, volumes = intersection_volume_pairs(*parts), sizes.prod(axis=1)
     iou = shared / (volumes[first] + volumes[second] - shared)
     return dict(zip(zip(first.tolist(), second.tolist(), strict=True), iou.tolist(), strict=True))
-
-
-def _certainty(said: SaidRecord) -> float:
-    return 1.0 if said.score is None else said.score
 
 
 # --- storing what a source says ---------------------------------------------------------------------------------------
@@ -257,17 +253,13 @@ def _said(source: str, box: NewLabel) -> SaidRecord:
 
 def _with_free_tracks(groups: Sequence[Group], taken: Collection[int | None]) -> tuple[Group, ...]:
     """The groups without track ids that other labels of the frame have: a track has one box in a frame."""
-    taken, free = set(taken), list[Group]()
+    taken, free, none = set(taken) - {None}, list[Group](), {"track_id": None, "file_track_id": None}
     for group in groups:
-        group = tuple(_without_track(each) if each.track_id in taken else each for each in group)
+        group = tuple(each.model_copy(update=none) if each.track_id in taken else each for each in group)
         taken.add(track_of(group))
         taken.discard(None)
         free.append(group)
     return tuple(free)
-
-
-def _without_track(said: SaidRecord) -> SaidRecord:
-    return said if said.track_id is None else said.model_copy(update={"track_id": None, "file_track_id": None})
 
 
 @dataclass(frozen=True)

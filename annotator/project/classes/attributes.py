@@ -160,9 +160,7 @@ class Attribute(_Sparse):
         text = str(value).strip().lower()
         if self.kind is AttributeKind.BOOLEAN and text in YES + NO:
             return text in YES
-        if self.kind is AttributeKind.TEXT and not isinstance(value, str):
-            return self.checked(json.dumps(value))
-        if self.kind is AttributeKind.CHOICE and not isinstance(value, str):
+        if self.kind in (AttributeKind.TEXT, AttributeKind.CHOICE) and not isinstance(value, str):
             return self.checked(json.dumps(value))
         if self.kind in (AttributeKind.INTEGER, AttributeKind.NUMBER) and not isinstance(value, bool):
             try:

@@ -34,17 +34,14 @@ def after_edit(
     """
     values = dict(present)
     if after != before:
-        values = {name: value for name, value in values.items() if not _lacks(attributes, name, after)}
+        lacks = {each.name for each in attributes if not each.is_of(after)}
+        values = {name: value for name, value in values.items() if name not in lacks}
         for each in attributes:
             if each.is_of(after) and each.default is not None:
                 values.setdefault(each.name, each.default)
     return values | {
         each.name: of_track[each.name] for each in attributes if each.is_of(after) and each.name in of_track
     }
-
-
-def _lacks(attributes: Iterable[Attribute], name: str, label: str) -> bool:
-    return any(each.name == name and not each.is_of(label) for each in attributes)
 
 
 def new_values(of_label: Iterable[Attribute], of_track: Mapping[str, AttributeValue], given: Values) -> Values:
