@@ -67,7 +67,12 @@ class Views:
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
         """The image, (H, W, 3) uint8, RGB order."""
-        return _decode(self._file(view_id), self.content(view_id))
+        import cv2
+
+        bgr = cv2.imdecode(np.frombuffer(self.content(view_id), np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise ProjectError(f"{self._file(view_id)}: cannot be decoded as an image; {RESTORE}")
+        return np.ascontiguousarray(bgr[..., ::-1])
 
     def content(self, view_id: str) -> bytes:
         """The bytes of an image's PNG file."""
@@ -112,15 +117,6 @@ def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
     if not is_encoded:
         raise ProjectError(f"an image of shape {rgb.shape} cannot be encoded as PNG")
     return content.tobytes()
-
-
-def _decode(path: Path, content: bytes) -> np.ndarray:
-    import cv2
-
-    bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise ProjectError(f"{path}: cannot be decoded as an image; {RESTORE}")
-    return np.ascontiguousarray(bgr[..., ::-1])
 
 
 @dataclass(frozen=True)

@@ -281,10 +281,9 @@ class OpenProposals:
 
     @classmethod
     def of(cls, write: Write, never_kept: Collection[str] = ()) -> OpenProposals:
-        """Reads them from the rows of a frame, without boxes of classes that the project no longer has.
+        """Reads them from a frame's rows, without boxes of classes that the project no longer has.
 
-        Args:
-            never_kept: uids of proposals that may be replaced, though a person has set values.
+        Proposals of `never_kept` may be replaced, though a person has set values.
         """
         others, ours, borrows, taken, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[int](), set[str]()
         for row in write.labels():

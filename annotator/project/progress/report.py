@@ -22,7 +22,7 @@ from annotator.types import ReviewState
 
 
 class _Result(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 # --- the effort per box -----------------------------------------------------------------------------------------------
@@ -75,6 +75,8 @@ class WorkOfDay(_Result):
         actions, seconds: as the page counted them, for whatever became of them.
         hours: at work, breaks left out.
     """
+
+    model_config = ConfigDict(frozen=False)  # summed up in place
 
     day: date
     person: str
