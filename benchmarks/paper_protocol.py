@@ -356,7 +356,7 @@ class ProjectStages:
             )
         run = self.project.jobs.all()[-1]
         # includes the frames of an interrupted run
-        results = {r.frame_id: r for r in self.project.jobs.results(key=run.key, status=Status.DONE)}
+        results = {r.frame_id: r for r in self.project.jobs.results(Status.DONE) if r.key == run.key}
         missing = [f for f in self.project.frames.of([self._recording(VAL)]) if f.id not in results]
         if missing:
             raise ConfigError(

@@ -19,7 +19,7 @@ from annotator.project.project import (
     list_projects,
     open_project,
 )
-from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
+from annotator.project.proposals import Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
@@ -37,8 +37,6 @@ __all__ = [
     "ListedProject",
     "NewLabel",
     "Origin",
-    "Pass",
-    "PassObject",
     "Project",
     "ProjectConfig",
     "ProjectSettings",

@@ -29,7 +29,6 @@ class Adjustment:
 
     Attributes:
         up: unit vector against gravity in the (corrected) camera frame; None = as the files give it.
-        correction: of the calibration.
     """
 
     up: Up | None
@@ -79,11 +78,7 @@ def unit_up(up: Sequence[float | int] | np.ndarray) -> Up:
 
 @lru_cache(maxsize=1024)
 def moving(correction: str) -> RigidTransform | None:
-    """From the frame of the recorded cloud to that of the camera; None if they are the same.
-
-    Args:
-        correction: as it is stored.
-    """
+    """From the frame of the recorded cloud to that of the camera; None if they are the same."""
     stored = parsed(_CORRECTION.validate_json, correction)
     if (stored.turn_rad, stored.shift_m) == (NO_CORRECTION.turn_rad, NO_CORRECTION.shift_m):
         return None

@@ -27,7 +27,6 @@ class Basis:
     Attributes:
         adjusted: the recording's `adjusted` when the change was made; None = the present one.
         frame_id: the frame on screen; None = the recording's first one.
-        effort: of the operator, if counted.
     """
 
     adjusted: int | None = None
@@ -72,12 +71,7 @@ class Adjustments:
         return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis)
 
     def correct(self, recording_id: int, correction: Correction, author: str, basis: Basis = NO_BASIS) -> Receipt:
-        """Corrects the calibration. Boxes and views stay where they are in the clouds, and so does a set up direction.
-
-        Raises:
-            StaleRevisionError: someone else has adjusted the recording since.
-            ProjectError: the recording has no frames.
-        """
+        """Corrects the calibration. Boxes, views and a set up direction stay where they are in the clouds."""
         return self._set(recording_id, author, lambda present: present.corrected(correction), basis)
 
     def _set(

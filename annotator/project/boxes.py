@@ -6,9 +6,10 @@ import hashlib
 import re
 import struct
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -41,11 +42,7 @@ class Views:
     folder: Path
 
     def store(self, image: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
-        """Stores an image unless it is stored already; returns its id, the SHA-256 (hex) of its PNG.
-
-        Args:
-            image: the bytes of a PNG file, or (H, W, 3) uint8, RGB order.
-        """
+        """Stores an image, a PNG file or (H, W, 3) uint8 RGB, once; returns its id, the SHA-256 (hex) of its PNG."""
         content = image if isinstance(image, bytes) else png(image)
         if not content.startswith(_PNG):
             raise ProjectError(f"{self.folder}: only PNG images can be stored; convert the image first")
@@ -70,7 +67,12 @@ class Views:
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
         """The image, (H, W, 3) uint8, RGB order."""
-        return _decode(self._file(view_id), self.content(view_id))
+        import cv2
+
+        bgr = cv2.imdecode(np.frombuffer(self.content(view_id), np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise ProjectError(f"{self._file(view_id)}: cannot be decoded as an image; {RESTORE}")
+        return np.ascontiguousarray(bgr[..., ::-1])
 
     def content(self, view_id: str) -> bytes:
         """The bytes of an image's PNG file."""
@@ -117,23 +119,12 @@ def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
     return content.tobytes()
 
 
-def _decode(path: Path, content: bytes) -> np.ndarray:
-    import cv2
-
-    bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise ProjectError(f"{path}: cannot be decoded as an image; {RESTORE}")
-    return np.ascontiguousarray(bgr[..., ::-1])
-
-
 @dataclass(frozen=True)
 class ImageBoxes:
     """All boxes on the camera image of one frame; an empty tuple = the image shows no object.
 
     Attributes:
-        frame_id: the frame.
         boxes: in the image's pixels.
-        box_kind: what the boxes enclose.
         author, time_ns, source, event_id: of the latest change.
     """
 
@@ -148,17 +139,14 @@ class ImageBoxes:
 
 @dataclass(frozen=True)
 class ViewBoxes:
-    """All boxes on one pseudo-view; an empty tuple = the view shows no object.
+    """As `ImageBoxes`, on one pseudo-view.
 
     Attributes:
         view_id: id of the view's image, for `Views.load`.
         frame_id: the frame that the view was rendered from, or None.
         revision: of the frame, or of a view without a frame, after the latest change.
-        boxes: in the view's pixels.
-        box_kind: what the boxes enclose.
         step: the step of the recursion that rendered the view, from 0, if known.
         geometry: pose and scale of the view, if known.
-        author, time_ns, source, event_id: of the latest change.
     """
 
     view_id: str
@@ -185,7 +173,7 @@ class Boxes:
         """Sets all boxes on the camera image of a frame."""
         with storable("boxes on the image"):
             payload = ImageBoxesSet(boxes=tuple(boxes), box_kind=box_kind)
-        return self.writer.to_frame(frame_id, (payload,), context)
+        return self.writer.append(frame_id, (payload,), context)
 
     def set_on_view(
         self,
@@ -209,7 +197,7 @@ class Boxes:
             payload = ViewBoxesSet(view=view_id, boxes=tuple(boxes), box_kind=box_kind, step=step, geometry=geometry)
         if frame_id is None:
             return self.writer.to_view(payload, context)
-        return self.writer.to_frame(frame_id, (payload,), context)
+        return self.writer.append(frame_id, (payload,), context)
 
     def on_image(self, frame_id: int) -> ImageBoxes | None:
         """The boxes on the image of one frame, or None if it is unlabelled."""
@@ -277,28 +265,14 @@ def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, .
 
 
 def _image_boxes(row: AnyRow, terms: Terms) -> ImageBoxes:
-    return ImageBoxes(
-        row.frame_id,
-        terms.boxes_2d(row.boxes),
-        BoxKind(row.box_kind),
-        row.author,
-        row.time_ns,
-        Source(row.source),
-        row.event_id,
-    )
+    return ImageBoxes(**_columns(ImageBoxes, row, terms))
 
 
 def _view_boxes(row: AnyRow, terms: Terms) -> ViewBoxes:
-    return ViewBoxes(
-        row.view_id,
-        row.frame_id,
-        row.revision,
-        terms.boxes_2d(row.boxes),
-        BoxKind(row.box_kind),
-        row.step,
-        terms.geometry(row.geometry, row.frame_id),
-        row.author,
-        row.time_ns,
-        Source(row.source),
-        row.event_id,
-    )
+    return ViewBoxes(**_columns(ViewBoxes, row, terms) | {"geometry": terms.geometry(row.geometry, row.frame_id)})
+
+
+def _columns(kind: type[ImageBoxes | ViewBoxes], row: AnyRow, terms: Terms) -> dict[str, Any]:
+    columns = {each.name: getattr(row, each.name) for each in fields(kind)}
+    values = {"boxes": terms.boxes_2d(row.boxes), "box_kind": BoxKind(row.box_kind), "source": Source(row.source)}
+    return columns | values

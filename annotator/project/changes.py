@@ -33,11 +33,7 @@ class Origin(StrEnum):
 
 
 class Payload(BaseModel):
-    """One change of a frame.
-
-    Attributes:
-        kind: the name of the change in the audit.
-    """
+    """One change of a frame."""
 
     model_config = EXACT
 
@@ -53,13 +49,7 @@ class ImageBoxesSet(Payload):
 
 
 class ViewBoxesSet(Payload):
-    """Replaces all 2D boxes on one pseudo-view.
-
-    Attributes:
-        view: SHA-256 of the view's PNG, as returned by `Views.store`.
-        step: the step of the recursion that rendered the view, from 0, if known.
-        geometry: pose and scale of the view, if known.
-    """
+    """Replaces all 2D boxes on one pseudo-view."""
 
     kind = "view_boxes_set"
     view: ViewId
@@ -97,10 +87,8 @@ class ProposalsReplaced(Payload):
     """An automatic pass: its proposals replace all unreviewed labels but `kept`, and those of other software.
 
     Attributes:
-        run: id of the batch run, if it was part of one.
         objects: every proposal with its trace, also those covered by a reviewed label.
         lost: frustums without a resulting box.
-        box_kind: what the proposed boxes enclose.
         kept: uids of open proposals that stay, because a person has set values of their attributes.
     """
 
@@ -112,31 +100,38 @@ class ProposalsReplaced(Payload):
     kept: tuple[Uid, ...] = ()
 
 
-class LabelCreated(Payload):
-    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+class _NewBox(Payload):
+    """A new 3D box.
 
     Attributes:
-        origin: how an operator made it, if one did.
-        image_box: box on the camera image that the label was made from, if any.
-        suggestion: the detector that suggested its boxes, if the operator accepted any.
-        box_kind: what the 3D box encloses.
         attributes: values by name; the store adds those of its track, and defaults.
-        said: what sources said of the object in the dataset that it was imported from.
+        origin: how an operator made it, if one did.
+        said: what sources say of the object.
     """
 
-    kind = "label_created"
     uid: Uid
     label: ClassName
     box: BoxRecord
-    score: Finite | None = None
     track_id: TrackId | None = None
-    state: ReviewState = ReviewState.ACCEPTED
-    origin: Origin | None = None
-    image_box: Box2D | None = None
-    suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX
     attributes: Values = Field(default_factory=dict)
+    origin: Origin | None = None
     said: tuple[SaidRecord, ...] = ()
+
+
+class LabelCreated(_NewBox):
+    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+
+    Attributes:
+        image_box: box on the camera image that the label was made from, if any.
+        suggestion: the detector that suggested its boxes, if the operator accepted any.
+    """
+
+    kind = "label_created"
+    score: Finite | None = None
+    state: ReviewState = ReviewState.ACCEPTED
+    image_box: Box2D | None = None
+    suggestion: Suggestion | None = None
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -146,29 +141,18 @@ class LabelCreated(Payload):
         return self
 
 
-class LabelProposed(Payload):
+class LabelProposed(_NewBox):
     """A proposal that an operator requested: copied or interpolated from other frames of its track, or detected.
 
-    Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it.
+    Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it. Values of
+    attributes that do not fit are left out.
 
     Attributes:
         proposal: with its trace, if the recursion found the box.
-        box_kind: what the box encloses.
-        attributes: as in `LabelCreated`; those that do not fit are left out.
-        origin: of a copy, which an operator has made.
-        said: what other software says of the object, if this takes the place of its proposal.
     """
 
     kind = "label_proposed"
-    uid: Uid
-    label: ClassName
-    box: BoxRecord
-    track_id: TrackId | None = None
     proposal: ProposalRecord | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Values = Field(default_factory=dict)
-    origin: Origin | None = None
-    said: tuple[SaidRecord, ...] = ()
 
 
 class LabelTracked(Payload):

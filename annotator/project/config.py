@@ -89,14 +89,12 @@ class ProjectSettings(BaseModel):
     """Defaults for options that are not given on the command line.
 
     Attributes:
-        rotation: permitted rotations of boxes.
         rcv: settings of the recursion that differ from the defaults, groups as JSON objects. They are validated when
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
             None: never.
         backup_hours: while a server runs, an automatic backup so many hours after the first change since the last one;
             None: never.
-        backups_kept: number of automatic backups that are kept.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -113,12 +111,8 @@ class ProjectConfig(BaseModel):
 
     Attributes:
         name: the project's name; moving or renaming the folder does not change it.
-        format_version: of this file.
-        created_ns: when the project was created, UTC nanoseconds since the epoch.
         classes: permitted class names of boxes, in the detectors' order.
         class_styles: colours and keys of classes; a class without an entry has those by default.
-        attributes: of boxes, tracks and frames, in the page's order.
-        settings: defaults for the commands.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -199,13 +193,14 @@ def config_bytes(config: ProjectConfig) -> bytes:
     return (config.model_dump_json(indent=2) + "\n").encode()
 
 
-def write_config(folder: Path, config: ProjectConfig) -> None:
-    """Writes `project.json` atomically."""
-    path = folder / CONFIG_FILE
+def write_config(folder: Path, config: ProjectConfig, name: str = CONFIG_FILE) -> Path:
+    """Writes `project.json` (or the file that is to take its place) atomically; returns its path."""
+    path = folder / name
     try:
         write_atomic(path, config_bytes(config))
     except OSError as error:
         raise ProjectError(f"{path}: cannot be written: {error}") from error
+    return path
 
 
 class _Version(BaseModel):
@@ -230,12 +225,7 @@ def config_hash(config: ProjectConfig) -> str:
 
 def prepare_config(folder: Path, config: ProjectConfig, number: int) -> Path:
     """Writes the configuration that counts once the transaction of a change has ended; returns its file."""
-    path = folder / f"{_PREPARED}{number}"
-    try:
-        write_atomic(path, config_bytes(config))
-    except OSError as error:
-        raise ProjectError(f"{path}: cannot be written: {error}") from error
-    return path
+    return write_config(folder, config, f"{_PREPARED}{number}")
 
 
 def take_config(folder: Path, connection: Connection) -> ProjectConfig:
@@ -278,11 +268,7 @@ def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
 
 @contextmanager
 def not_in_use(folder: Path) -> Iterator[None]:
-    """In the block, nobody has the project in `folder` open.
-
-    Raises:
-        InUseError: another process has it open.
-    """
+    """In the block, nobody has the project in `folder` open."""
     try:
         lock = lock_folder(folder, is_told=True)
     except BlockingIOError:
@@ -303,12 +289,7 @@ REMOVED = ".removed"
 
 
 def set_aside(project: Path) -> Path:
-    """Moves a project, which may be damaged, into the folder `.removed` beside it; returns its new folder.
-
-    Raises:
-        InUseError: another process has it open.
-        ProjectError: it cannot be moved.
-    """
+    """Moves a project, which may be damaged, into the folder `.removed` beside it; returns its new folder."""
     removed = project.parent / REMOVED
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     aside = removed / f"{project.name}-{stamp}"
@@ -325,13 +306,7 @@ def set_aside(project: Path) -> Path:
 
 
 def rename_project(project: Path, name: str) -> str:
-    """Gives a project and the folder of its automatic backups another name, which it returns.
-
-    Raises:
-        ConfigError: an invalid name.
-        InUseError: another process has it open.
-        ProjectError: not a project, the name is taken, or the folder cannot be renamed.
-    """
+    """Gives a project and the folder of its automatic backups another name, which it returns."""
     read_config(project)
     path = free_path(project.parent, name)
     try:

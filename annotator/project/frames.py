@@ -22,12 +22,8 @@ class StoredFrame:
     """A frame of a recording.
 
     Attributes:
-        id: within the project.
-        recording_id: its recording.
-        key: its name within the recording.
         index: its index in the recording's latest scan, or None if that scan did not find it.
         revision: number of changes so far; the next change must be based on it.
-        finalised: True if an operator has finalised it.
     """
 
     id: int
@@ -47,7 +43,10 @@ class Frames:
     def get(self, frame_id: int) -> StoredFrame:
         """One frame."""
         with self.writer.store.read() as connection:
-            return read_frame(connection, frame_id)
+            row = connection.execute(_FRAME, {"frame": frame_id}).first()
+        if row is None:
+            raise NotFoundError(f"the project has no frame with id {frame_id}")
+        return frame_of(row)
 
     def find(self, recording_id: int, key: str) -> StoredFrame:
         """The frame with that key."""
@@ -104,36 +103,17 @@ class Frames:
             return self.writer.to_frame_in(connection, frame_id, (FrameAttributesSet(attributes=values),), context)
 
     def finalise(self, frame_id: int, context: WriteContext) -> Receipt:
-        """Protects a frame from automatic passes.
-
-        Raises:
-            StaleRevisionError: the frame has changed since.
-            ProjectError: no such frame, or it is already finalised.
-        """
-        return self.writer.to_frame(frame_id, (FrameFinalised(),), context)
+        """Protects a frame from automatic passes."""
+        return self.writer.append(frame_id, (FrameFinalised(),), context)
 
     def reopen(self, frame_id: int, context: WriteContext) -> Receipt:
-        """Reopens a finalised frame.
-
-        Raises:
-            StaleRevisionError: the frame has changed since.
-            FinalisedFrameError: an automatic pass may not reopen a frame.
-            ProjectError: no such frame, or it is not finalised.
-        """
-        return self.writer.to_frame(frame_id, (FrameReopened(),), context)
+        """Reopens a finalised frame."""
+        return self.writer.append(frame_id, (FrameReopened(),), context)
 
 
 # Built once, since building these frequent queries takes longer than running them.
 _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
 _VALUES = select(frames.c.attributes).where(frames.c.id == bindparam("frame"), KEPT)
-
-
-def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
-    """One frame, within the caller's transaction."""
-    row = connection.execute(_FRAME, {"frame": frame_id}).first()
-    if row is None:
-        raise NotFoundError(f"the project has no frame with id {frame_id}")
-    return frame_of(row)
 
 
 def frame_values(connection: Connection, frame_id: int) -> dict[str, AttributeValue]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
-from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, literal, select, tuple_, update
+from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
-from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
+from annotator.project.database.schema import adjustments, events, frame_results, frames, runs
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.types.errors import ConfigError, NotFoundError
@@ -29,10 +28,7 @@ class Run:
     """One batch run.
 
     Attributes:
-        id: within the project.
-        key: hash of the detectors and settings, from `run_key`.
         image_detector, view_detector: fingerprints.
-        config: settings, JSON.
         started_ns, finished_ns: UTC nanoseconds since the epoch; finished_ns is None for a running or killed run.
     """
 
@@ -47,13 +43,7 @@ class Run:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """The latest result of a frame under one key.
-
-    Attributes:
-        reason: of a failure; None for a frame that is done.
-        seconds: processing time.
-        proposals: number of proposals found.
-    """
+    """The latest result of a frame under one key."""
 
     frame_id: int
     key: str
@@ -67,7 +57,11 @@ class FrameResult:
 
 def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
     """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields."""
-    text = json.dumps([image_detector, view_detector, _parsed(config_json)], sort_keys=True, separators=(",", ":"))
+    try:
+        config = json.loads(config_json)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"the settings of a run must be JSON: {error}") from error
+    text = json.dumps([image_detector, view_detector, config], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -100,79 +94,56 @@ class Jobs:
     def all(self) -> tuple[Run, ...]:
         """All runs, the oldest first."""
         with self.store.read() as connection:
-            return tuple(map(_run, connection.execute(select(runs).order_by(runs.c.id))))
+            return tuple(Run(**row._mapping) for row in connection.execute(select(runs).order_by(runs.c.id)))
 
     def record_failure(self, run_id: int, frame_id: int, reason: str, seconds: float) -> None:
         """Records a failure (`Proposals.replace` records a success); the next run retries the frame."""
         with self.store.write() as connection:
             record_result(connection, run_id, frame_id, seconds, reason=reason, time_ns=self.store.clock())
 
-    def results(
-        self, *, key: str | None = None, run_id: int | None = None, status: Status | None = None
-    ) -> tuple[FrameResult, ...]:
-        """Results of frames, the oldest first; None = no condition."""
-        query = select(frame_results).order_by(frame_results.c.id)
-        if key is not None:
-            query = query.where(frame_results.c.key == key)
-        if run_id is not None:
-            query = query.where(frame_results.c.run_id == run_id)
+    def results(self, status: Status | None = None) -> tuple[FrameResult, ...]:
+        """Results of frames, the oldest first; None = done and failed ones."""
+        query = select(*(frame_results.c[each.name] for each in fields(FrameResult))).order_by(frame_results.c.id)
         if status is not None:
             query = query.where(frame_results.c.status == status.value)
         with self.store.read() as connection:
-            return tuple(map(_result, connection.execute(query)))
+            return tuple(
+                FrameResult(**{**row._mapping, "status": Status(row.status)}) for row in connection.execute(query)
+            )
 
     def pending(
         self,
         key: str,
         recordings: Collection[int] | None = None,
-        *,
-        after: StoredFrame | None = None,
-        limit: int | None = None,
     ) -> tuple[StoredFrame, ...]:
         """The frames that a run with this key still has to process, in order.
 
         Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this
         key and succeeded since their recording was adjusted. (After a pass with another key the frame holds that pass's
         proposals, so it is processed again.)
-
-        Args:
-            after: only frames after this one, which must have an index.
-            limit: maximum number of frames.
         """
-        query = _pending(key, recordings).order_by(frames.c.recording_id, frames.c.position)
-        if after is not None:
-            position = tuple_(literal(after.recording_id), literal(after.index))
-            query = query.where(tuple_(frames.c.recording_id, frames.c.position) > position)
-        with self.store.read() as connection:
-            return tuple(map(frame_of, connection.execute(query.limit(limit))))
-
-    def count_pending(self, key: str, recordings: Collection[int] | None = None) -> int:
-        """Number of frames that `pending` returns without `after` and `limit`."""
-        with self.store.read() as connection:
-            query = select(func.count()).select_from(_pending(key, recordings).subquery())
-            return int(connection.execute(query).scalar_one())
-
-
-def _pending(key: str, recordings: Collection[int] | None) -> Select[Any]:
-    adjusted = select(frames.c.id, events.c.time_ns).join(
-        adjustments, adjustments.c.recording_id == frames.c.recording_id
-    )
-    adjusted_ns = adjusted.join(events, events.c.id == adjustments.c.event_id).subquery()
-    latest = frame_results.outerjoin(adjusted_ns, adjusted_ns.c.id == frame_results.c.frame_id)
-    done = (
-        select(frame_results.c.frame_id)
-        .select_from(latest)
-        .where(
-            frame_results.c.id.in_(latest_results()),
-            frame_results.c.key == key,
-            frame_results.c.status == Status.DONE.value,
-            frame_results.c.time_ns > func.coalesce(adjusted_ns.c.time_ns, -1),
+        adjusted = select(frames.c.id, events.c.time_ns).join(
+            adjustments, adjustments.c.recording_id == frames.c.recording_id
         )
-    )
-    query = select(frames).where(
-        frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)
-    )
-    return query if recordings is None else query.where(frames.c.recording_id.in_(recordings))
+        adjusted_ns = adjusted.join(events, events.c.id == adjustments.c.event_id).subquery()
+        latest = frame_results.outerjoin(adjusted_ns, adjusted_ns.c.id == frame_results.c.frame_id)
+        done = (
+            select(frame_results.c.frame_id)
+            .select_from(latest)
+            .where(
+                frame_results.c.id.in_(latest_results()),
+                frame_results.c.key == key,
+                frame_results.c.status == Status.DONE.value,
+                frame_results.c.time_ns > func.coalesce(adjusted_ns.c.time_ns, -1),
+            )
+        )
+        query = select(frames).where(
+            frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)
+        )
+        if recordings is not None:
+            query = query.where(frames.c.recording_id.in_(recordings))
+        with self.store.read() as connection:
+            return tuple(map(frame_of, connection.execute(query.order_by(frames.c.recording_id, frames.c.position))))
 
 
 def latest_results() -> Select[tuple[int]]:
@@ -214,28 +185,4 @@ def read_run(connection: Connection, run_id: int) -> Run:
     row = connection.execute(select(runs).where(runs.c.id == run_id)).first()
     if row is None:
         raise NotFoundError(f"the project has no run with id {run_id}")
-    return _run(row)
-
-
-def _parsed(config_json: str) -> Any:
-    try:
-        return json.loads(config_json)
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"the settings of a run must be JSON: {error}") from error
-
-
-def _run(row: AnyRow) -> Run:
-    return Run(row.id, row.key, row.image_detector, row.view_detector, row.config, row.started_ns, row.finished_ns)
-
-
-def _result(row: AnyRow) -> FrameResult:
-    return FrameResult(
-        row.frame_id,
-        row.key,
-        row.run_id,
-        Status(row.status),
-        row.reason,
-        row.seconds,
-        row.proposals,
-        row.time_ns,
-    )
+    return Run(**row._mapping)

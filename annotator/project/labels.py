@@ -17,7 +17,6 @@ from annotator.project.changes import (
     LabelCreated,
     LabelDeleted,
     LabelEdited,
-    LabelMoved,
     LabelRejected,
     Origin,
 )
@@ -27,15 +26,6 @@ from annotator.project.config import read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
 from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
-from annotator.project.review import (
-    By,
-    Formula,
-    ValueFilter,
-    WaitingProposal,
-    waiting,
-    waiting_sources,
-    worst_of_frames,
-)
 from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
@@ -46,18 +36,11 @@ REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 
 @dataclass(frozen=True, eq=False)
 class NewLabel:
-    """A 3D box not proposed by an automatic pass.
+    """A 3D box, camera frame, that no automatic pass proposed.
 
     Attributes:
-        label: class name.
-        box: camera frame.
-        score: detector confidence in 0..1, if any.
-        track_id: the object's id over the recording, if known.
         state: any but PROPOSED, which the next automatic pass would remove.
-        origin: how an operator made it, if one did.
-        suggestion: as in `Label`.
         image_box: box on the camera image that it was drawn from, if any.
-        box_kind: what the box encloses.
         attributes: values by name; those of its track and defaults are added.
         said: what sources of boxes said of the object before.
         file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
@@ -89,11 +72,7 @@ class StoredLabel:
     """A label as stored in the project.
 
     Attributes:
-        frame_id: its frame.
-        label: the label itself.
         quality: the recursion's signals for the review, if it was proposed; NaN for a signal without a value.
-        run_id: of the batch run that proposed it, if one did.
-        origin: how an operator made it, if one did.
         image_box: box on the camera image that it was drawn from, if any.
         track_linked: True if linking assigned the track id, not a person or a file.
         said: what each source says of the object, if other software proposed it; of ours, only the others.
@@ -161,7 +140,9 @@ class Labels:
     ) -> tuple[StoredLabel, ...]:
         """Labels of the whole project, ordered by frame; None = no condition. `REVIEWED` holds accepted and edited."""
         query = _filtered(select(labels), states, recordings, classes)
-        ordered = _in_order(query if tracks is None else query.where(labels.c.track_id.in_(tracks)))
+        if tracks is not None:
+            query = query.where(labels.c.track_id.in_(tracks))
+        ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
         with self.writer.store.read() as connection:
             terms = Terms(connection)
             return tuple(stored_label(row, terms) for row in connection.execute(ordered))
@@ -195,28 +176,6 @@ class Labels:
         with self.writer.store.read() as connection:
             return int(connection.execute(query).scalar_one())
 
-    def waiting(
-        self,
-        formula: Formula,
-        by: By,
-        *,
-        recordings: Collection[int] | None = None,
-        classes: Collection[str] | None = None,
-        attribute: ValueFilter | None = None,
-        source: str | None = None,
-        most: int | None = None,
-    ) -> tuple[tuple[WaitingProposal, ...], int]:
-        """The first open proposals in an order, and the number of all, as `review.waiting`."""
-        return waiting(self.writer.store, formula, by, recordings, classes, attribute, source, most)
-
-    def waiting_sources(self) -> dict[str, int]:
-        """The number of objects that each source sees among the open proposals, as `review.waiting_sources`."""
-        return waiting_sources(self.writer.store)
-
-    def worst_of_frames(self, formula: Formula, recordings: Collection[int] | None = None) -> dict[int, float]:
-        """The greatest doubt of each frame's open proposals, as `review.worst_of_frames`."""
-        return worst_of_frames(self.writer.store, formula, recordings)
-
     def frames(
         self, *, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None
     ) -> frozenset[int]:
@@ -235,12 +194,12 @@ class Labels:
         """
         with storable("a label"):
             payloads = [_created(entry) for entry in new]
-        receipt = self.writer.to_frame(frame_id, payloads, context, action)
+        receipt = self.writer.append(frame_id, payloads, context, action)
         return Created(tuple(payload.uid for payload in payloads), receipt)
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Accepts a label unchanged."""
-        return self.writer.to_frame(frame_id, (LabelAccepted(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelAccepted(uid=uid),), context)
 
     def edit(
         self,
@@ -255,7 +214,7 @@ class Labels:
         """Changes a label's class, box and track."""
         with storable(f"label {uid}"):
             payload = LabelEdited(uid=uid, label=label, box=BoxRecord.of(box), track_id=track_id)
-        return self.writer.to_frame(frame_id, (payload,), context)
+        return self.writer.append(frame_id, (payload,), context)
 
     def set_attributes(
         self, frame_id: int, uid: str, changed: Mapping[str, AttributeValue | None], context: WriteContext
@@ -302,34 +261,19 @@ class Labels:
                 if is_kept(dict(row._mapping), row.label, terms.said(row.said, frame_id), attributes)
             )
 
-    def with_box(self, uid: str, box: OrientedBox) -> LabelMoved:
-        """The change that gives a label another box, and keeps all else that is known of it, its review state too."""
-        return LabelMoved(uid=uid, box=BoxRecord.of(box))
-
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
-        return self.writer.to_frame(frame_id, (LabelRejected(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelRejected(uid=uid),), context)
 
     def delete(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Removes a label; the object may be proposed again."""
-        return self.writer.to_frame(frame_id, (LabelDeleted(uid=uid),), context)
+        return self.writer.append(frame_id, (LabelDeleted(uid=uid),), context)
 
 
 def _created(entry: NewLabel) -> LabelCreated:
-    return LabelCreated(
-        uid=uuid.uuid4().hex,
-        label=entry.label,
-        box=BoxRecord.of(entry.box),
-        score=entry.score,
-        track_id=entry.track_id,
-        state=entry.state,
-        origin=entry.origin,
-        suggestion=entry.suggestion,
-        image_box=entry.image_box,
-        box_kind=entry.box_kind,
-        attributes=dict(entry.attributes),
-        said=tuple(map(SaidRecord.of, entry.said)),
-    )
+    values = {name: value for name, value in vars(entry).items() if name in LabelCreated.model_fields}
+    changed = {"box": BoxRecord.of(entry.box), "said": tuple(map(SaidRecord.of, entry.said))}
+    return LabelCreated(uid=uuid.uuid4().hex, **values | changed)
 
 
 # Built once, since building this frequent query takes longer than running it.
@@ -400,7 +344,3 @@ def _filtered(
     if classes is not None:
         query = query.where(labels.c.label.in_(classes))
     return query
-
-
-def _in_order(query: Select[Any]) -> Select[Any]:
-    return query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)

@@ -33,6 +33,15 @@ _FRAME = (
 
 
 @dataclass(frozen=True)
+class ChangedFrame:
+    """A changed frame: its latest revision, and the author of its latest event."""
+
+    frame_id: int
+    revision: int
+    author: str
+
+
+@dataclass(frozen=True)
 class FramePart:
     """The changes of one frame within an action over several frames."""
 
@@ -43,27 +52,19 @@ class FramePart:
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """Changes a project.
+    """The log of a project: changes it, and tells what was changed.
 
     Attributes:
-        store: the database.
         folder: the project's folder, whose `project.json` names the classes.
     """
 
     store: Store
     folder: Path
 
-    def to_frame(
+    def append(
         self, frame_id: int, payloads: Sequence[Payload], context: WriteContext, action: str | None = None
     ) -> Receipt:
-        """Changes one frame, all or nothing; `action` as in `to_frames`.
-
-        Raises:
-            StaleRevisionError: the frame has changed since `context.revision`.
-            FinalisedFrameError: an automatic pass may not change a finalised frame.
-            TrackTakenError: a track would get a second box in the frame.
-            ProjectError: an unknown frame, label or class; or the database cannot be written.
-        """
+        """Changes one frame, all or nothing; `action` as in `append_to_frames`."""
         if self.store.write_lock.locked():
             # rejects a stale change without waiting for the lock
             with self.store.read() as connection:
@@ -79,9 +80,11 @@ class Writer:
         context: WriteContext,
         action: str | None = None,
     ) -> Receipt:
-        """As `to_frame`, within the caller's write transaction, as a part of an action over several frames if any."""
+        """As `append`, within the caller's write transaction, as a part of an action over several frames if any."""
         where = require_writable(connection, frame_id, context)
-        is_action = _is_undoable(context, action) and not any(
+        # an operator can undo an import if its caller says so, by passing an action
+        is_by_hand = context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
+        is_action = is_by_hand and not any(
             isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads
         )
         write = Write(
@@ -98,7 +101,7 @@ class Writer:
                 make(write, payload)
         return write.finish()
 
-    def to_frames(
+    def append_to_frames(
         self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
     ) -> tuple[Receipt, ...]:
         """Changes several frames as one action, all or nothing; the first part's effort is that of the action.
@@ -109,23 +112,23 @@ class Writer:
         """
         with self.store.write() as connection:
             if new_tracks:
-                _require_free(connection, parts[0].frame_id, new_tracks)
+                recording = select(frames.c.recording_id).where(frames.c.id == parts[0].frame_id).scalar_subquery()
+                used = select(ALL_LABELS.c.track_id).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
+                used = used.where(frames.c.recording_id == recording, ALL_LABELS.c.track_id.in_(new_tracks)).limit(1)
+                if (track_id := connection.execute(used).scalar()) is not None:
+                    taken = f"track {track_id} has been given to another object in the meantime; try again"
+                    raise TrackTakenError(taken, track_id)
             return self.to_frames_in(connection, parts, action)
 
     def to_frames_in(
         self, connection: Connection, parts: Sequence[FramePart], action: str | None = None
     ) -> tuple[Receipt, ...]:
-        """As `to_frames`, within the caller's write transaction."""
+        """As `append_to_frames`, within the caller's write transaction."""
         action = action or new_action()
         return tuple(self.to_frame_in(connection, part.frame_id, part.payloads, part.context, action) for part in parts)
 
     def to_view(self, payload: ViewBoxesSet, context: WriteContext) -> Receipt:
-        """Sets boxes on a pseudo-view that belongs to no frame of the project.
-
-        Raises:
-            StaleRevisionError: the view has changed since `context.revision` (0 for an unlabelled view).
-            ProjectError: an unknown class; or the database cannot be written.
-        """
+        """Sets boxes on a pseudo-view that belongs to no frame of the project."""
         where = f"view {payload.view[:12]}"
         with self.store.write() as connection:
             of_view = (events.c.view_id == payload.view) & events.c.frame_id.is_(None)
@@ -137,33 +140,47 @@ class Writer:
                 make(write, payload)
             return write.finish()
 
+    # --- reading the log ----------------------------------------------------------------------------------------------
+
+    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
+        """All events of a frame, in order."""
+        with self.store.read() as connection:
+            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
+
+    def since(self, event_id: int = 0) -> Iterator[Event]:
+        """Yields all events after `event_id`, in order, as of the start of the iteration."""
+        with self.store.read() as connection:
+            yield from read_events(connection, after=event_id)
+
+    def last(self) -> int:
+        """The id of the newest event; 0 if there is none."""
+        with self.store.read() as connection:
+            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
+
+    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
+        """The id of the newest event, and the frames changed after the event `event_id`."""
+        last = func.max(events.c.id)
+        changed = (
+            select(events.c.frame_id, events.c.revision, events.c.author, last)
+            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
+            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
+            .order_by(last)
+        )
+        with self.store.read() as connection:
+            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
+            if newest <= event_id:
+                return newest, ()
+            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
+
+    def rebuild(self) -> int:
+        """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""
+        with self.store.write() as connection:
+            return rebuild(connection)
+
 
 def new_action() -> str:
     """Returns an id for an action."""
     return uuid.uuid4().hex
-
-
-def _is_undoable(context: WriteContext, action: str | None) -> bool:
-    """True for changes that an operator can undo; an import is one if its caller says so, by passing an action."""
-    return context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
-
-
-def import_action(context: WriteContext, action: str | None) -> str | None:
-    """The action of an import: the one that its caller passes."""
-    return action if _is_undoable(context, action) else None
-
-
-def _require_free(connection: Connection, frame_id: int, tracks: Collection[int]) -> None:
-    recording = select(frames.c.recording_id).where(frames.c.id == frame_id).scalar_subquery()
-    used = (
-        select(ALL_LABELS.c.track_id)
-        .join(frames, frames.c.id == ALL_LABELS.c.frame_id)
-        .where(frames.c.recording_id == recording, ALL_LABELS.c.track_id.in_(tracks))
-        .limit(1)
-    )
-    track_id = connection.execute(used).scalar()
-    if track_id is not None:
-        raise TrackTakenError(f"track {track_id} has been given to another object in the meantime; try again", track_id)
 
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:
@@ -179,72 +196,3 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     if row.revision != context.revision:
         raise StaleRevisionError(where, context.revision, row.revision)
     return where
-
-
-# --- reading the log --------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ChangedFrame:
-    """A changed frame: its latest revision, and the author of its latest event."""
-
-    frame_id: int
-    revision: int
-    author: str
-
-
-@dataclass(frozen=True, eq=False)
-class Log:
-    """The events of a project."""
-
-    writer: Writer
-
-    def append(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
-        """Makes several changes of a frame as one action, all or none."""
-        return self.writer.to_frame(frame_id, payloads, context)
-
-    def append_to_frames(
-        self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
-    ) -> tuple[Receipt, ...]:
-        """Changes several frames, all or none, as one action that a single undo reverts.
-
-        Args:
-            action: id of an action that is written in several calls (`new_action`); None = a new one.
-            new_tracks: track ids that must still be free in the recording of the first part's frame.
-        """
-        return self.writer.to_frames(parts, action, new_tracks)
-
-    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
-        """All events of a frame, in order."""
-        with self.writer.store.read() as connection:
-            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
-
-    def since(self, event_id: int = 0) -> Iterator[Event]:
-        """Yields all events after `event_id`, in order, as of the start of the iteration."""
-        with self.writer.store.read() as connection:
-            yield from read_events(connection, after=event_id)
-
-    def last(self) -> int:
-        """The id of the newest event; 0 if there is none."""
-        with self.writer.store.read() as connection:
-            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
-
-    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
-        """The id of the newest event, and the frames changed after the event `event_id`."""
-        last = func.max(events.c.id)
-        changed = (
-            select(events.c.frame_id, events.c.revision, events.c.author, last)
-            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
-            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
-            .order_by(last)
-        )
-        with self.writer.store.read() as connection:
-            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
-            if newest <= event_id:
-                return newest, ()
-            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
-
-    def rebuild(self) -> int:
-        """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""
-        with self.writer.store.write() as connection:
-            return rebuild(connection)

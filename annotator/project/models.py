@@ -25,16 +25,9 @@ class StoredModel:
     """A trained detector.
 
     Attributes:
-        id: within the project.
-        role: camera images or pseudo-views.
-        path: absolute path of the weights.
         created_ns: when the labels of its training were read, UTC nanoseconds since the epoch.
-        labels: the class names that it detects.
         box_kind: what its boxes enclose, as in its training data.
-        metrics: by name, from the training.
         manifest: absolute path of the list of labels that it was trained on, or None.
-        fingerprint: of its detector.
-        active: True for the model that its role uses now.
     """
 
     id: int
@@ -54,7 +47,6 @@ class Models:
     """Registers models and selects the active one of each role.
 
     Attributes:
-        store: the database.
         folder: the project's folder; paths are stored relative to it, so that the project can be moved.
     """
 

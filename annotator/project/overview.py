@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,12 +29,7 @@ class FramePage:
 
     Attributes:
         frame: the frame; changes are based on its revision.
-        previous, next: ids of the neighbours in the recording, or None.
-        recording_name: of its recording.
         labels: in the order of their creation, rejected ones included.
-        image_boxes: on the camera image, or None if it is unlabelled.
-        view_boxes: on its pseudo-views.
-        attributes: values of the frame's own attributes.
     """
 
     frame: StoredFrame
@@ -52,10 +47,7 @@ class FrameRow:
     """One line of a list of frames.
 
     Attributes:
-        frame: the frame.
-        counts: number of labels by state.
         image_boxes: number of boxes on its image; None if it is unlabelled.
-        proposed: its open proposals.
     """
 
     frame: StoredFrame
@@ -136,19 +128,13 @@ def list_frames(
         rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
         terms = Terms(connection)
         stored = [stored_label(row, terms) for row in rows]
-    return tuple(_frame_rows(shown, boxes, stored)), total
-
-
-def _frame_rows(
-    shown: Sequence[StoredFrame], boxes: Mapping[int, int], stored: Sequence[StoredLabel]
-) -> list[FrameRow]:
     counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
     proposed: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in stored:
         counts[entry.frame_id][entry.label.state] += 1
         if entry.label.state is ReviewState.PROPOSED:
             proposed[entry.frame_id].append(entry)
-    return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown]
+    return tuple(FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown), total
 
 
 # --- the classes ------------------------------------------------------------------------------------------------------
@@ -196,5 +182,4 @@ def list_classes(project: Project) -> ClassList:
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    counted = {"labels": count.labels, "boxes_2d": count.boxes_2d, "said": count.said}
-    return ClassRow(name=name, **counted, colour=style.colour, key=style.key)
+    return ClassRow(name=name, **vars(count), colour=style.colour, key=style.key)

@@ -20,8 +20,8 @@ from annotator.project.backup.make import Reason, back_up_automatically, back_up
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
+from annotator.project.classes.changing import MadeChange, made_changes
 from annotator.project.classes.changing import change_classes as change_rows
-from annotator.project.classes.changing import made_changes
 from annotator.project.classes.counts import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
@@ -39,7 +39,7 @@ from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Cloc
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
-from annotator.project.log import Log, Writer
+from annotator.project.log import Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
@@ -64,15 +64,10 @@ class Project:
     """An open project; close it after use, or use it in a `with`.
 
     Thread-safe, but not fork-safe: each process opens its own.
-
-    Attributes:
-        path: the project's folder.
-        recordings, adjustments, frames, labels, proposals, boxes, views, jobs, models, log: access to the stored data.
-        history: undo and redo.
     """
 
     def __init__(self, path: Path, store: Store, readable: Sequence[Path] | None = None) -> None:
-        self._writer = writer = Writer(store, path)
+        self.log = writer = Writer(store, path)
         self.path = path
         self.store = store
         self.views = Views(path / VIEWS_FOLDER)
@@ -84,18 +79,13 @@ class Project:
         self.boxes = Boxes(writer, self.views)
         self.jobs = Jobs(store)
         self.models = Models(store, path)
-        self.log = Log(writer)
         self.history = History(writer)
         self._review = ReviewReader()
         self._in_use = mark_in_use(self, path)
 
     @property
     def config(self) -> ProjectConfig:
-        """The configuration, read from the file at each access.
-
-        Raises:
-            ProjectError: `project.json` is missing or damaged.
-        """
+        """The configuration, read from the file at each access."""
         return read_config(self.path)
 
     @property
@@ -106,12 +96,7 @@ class Project:
     def configure(
         self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None, author: str = AUTHOR
     ) -> ProjectConfig:
-        """Changes the classes or the settings; None leaves them as they are.
-
-        Raises:
-            ConfigError: invalid class names.
-            ProjectError: boxes have a class that would be removed, or `project.json` cannot be written.
-        """
+        """Changes the classes or the settings; None leaves them as they are."""
 
         def edited(old: ProjectConfig) -> ClassEdit:
             new = old if classes is None else with_classes(old, classes)
@@ -124,11 +109,6 @@ class Project:
 
         Args:
             edit: one of `annotator.project.classes.edit`, applied to the present configuration.
-
-        Raises:
-            ConfigError, NotFoundError: as the edit.
-            ProjectError: boxes have a class that would be removed, stored values would not fit an attribute, or
-                `project.json` cannot be written.
         """
         ahead: Path | None = None
         try:
@@ -154,7 +134,7 @@ class Project:
         is_same = all(getattr(new, name) == getattr(old, name) for name in ("classes", "class_styles", "attributes"))
         if is_same and made.change == Relabelling():
             return None
-        number = change_rows(self._writer, connection, old, new, made.change, author)
+        number = change_rows(self.log, connection, old, new, made.change, author)
         gone = set(old.classes) - set(new.classes)
         if used := sorted(gone & class_counts(connection, removed=True).keys()) if gone else []:
             raise ProjectError(
@@ -165,15 +145,10 @@ class Project:
         require_fitting(connection, old.attributes, new.attributes)
         return number
 
-    def class_changes(self, since_ns: int) -> tuple[Relabelling, ...]:
-        """What changes of the classes after a time (UTC nanoseconds since the epoch) did to labels, in order."""
+    def class_changes(self, event_id: int = 0) -> list[MadeChange]:
+        """The changes of the classes after an event, in order."""
         with self.store.read() as connection:
-            return tuple(made.change for made in made_changes(connection) if made.time_ns > since_ns)
-
-    def class_changes_after(self, event_id: int) -> tuple[tuple[str, Relabelling], ...]:
-        """The changes of the classes after an event, with their authors, in order."""
-        with self.store.read() as connection:
-            return tuple((made.author, made.change) for made in made_changes(connection, event_id))
+            return made_changes(connection, event_id)
 
     def value_counts(self) -> dict[str, dict[str, int]]:
         """How often each stored value of an attribute occurs, by attribute."""
@@ -252,16 +227,7 @@ def create_project(
     settings: ProjectSettings | None = None,
     clock: Clock = time.time_ns,
 ) -> Project:
-    """Creates the project `root/name`; the folder appears complete or not at all.
-
-    Args:
-        root: the projects folder; created if missing.
-        clock: returns the current time, UTC nanoseconds since the epoch.
-
-    Raises:
-        ConfigError: an invalid name or class.
-        ProjectError: the path exists already, or the folder cannot be written.
-    """
+    """Creates the project `root/name`; the folder appears complete or not at all."""
     config = new_config(name, tuple(classes), settings or ProjectSettings(), clock())
     path = root / name
     taken = f"{path} exists already; open it, or choose another name"
@@ -292,12 +258,6 @@ def open_project(
 
     Args:
         readable: folders in which its recordings may lie; None = anywhere.
-        busy_timeout_s: how long to wait while another process writes, seconds.
-        clock: returns the current time, UTC nanoseconds since the epoch.
-
-    Raises:
-        ProjectError: no project, a damaged one, one of a newer version or from before the first release, one that stays
-            locked, or one with a link or a model that leads out of its folder.
     """
     read_config(path)
     require_own_files(path)

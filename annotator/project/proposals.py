@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
+from annotator.project.adjusting import moved_box
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import ProposalsReplaced, ProposedObject
-from annotator.project.database.schema import AnyRow, events, frames, labels, passes
+from annotator.project.database.schema import frames, labels, passes
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
 from annotator.project.log import Writer, require_writable
@@ -22,11 +23,9 @@ from annotator.project.sources import (
     KIND,
     Brought,
     OpenProposals,
-    SourceTracks,
     bring,
     covered_by,
     replace_open,
-    source_tracks,
 )
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 
@@ -46,47 +45,11 @@ class Replaced:
     Attributes:
         uids: of the new labels, in the proposals' order; None for a proposal that a reviewed label covers, or that a
             surer proposal of other software hides.
-        covered: number of such proposals.
-        receipt: of the write.
     """
 
     uids: tuple[str | None, ...]
     covered: int
     receipt: Receipt
-
-
-@dataclass(frozen=True, eq=False)
-class PassObject:
-    """One proposal of a pass.
-
-    Attributes:
-        uid: of the label created from it.
-        covered_by: uid of the reviewed label of the same object; if set, no label was created.
-        proposal: with its whole trace.
-    """
-
-    uid: str
-    covered_by: str | None
-    proposal: Proposal
-
-
-@dataclass(frozen=True, eq=False)
-class Pass:
-    """One automatic pass over one frame.
-
-    Attributes:
-        event_id, author, time_ns: of its event.
-        run_id: the batch run, if it was part of one.
-        objects: all proposals.
-        lost: frustums without a resulting box.
-    """
-
-    event_id: int
-    author: str
-    time_ns: int
-    run_id: int | None
-    objects: tuple[PassObject, ...]
-    lost: tuple[LostObject, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +144,6 @@ class Proposals:
         """Makes boxes of other software the proposals of some frames, as `sources.bring.bring`."""
         return bring(self.writer, source, boxes, author, action)
 
-    def source_tracks(self, recording_id: int, source: str) -> SourceTracks:
-        """The track ids of a recording, and those of this source among them."""
-        return source_tracks(self.writer, recording_id, source)
-
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
         is_open = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
@@ -194,20 +153,17 @@ class Proposals:
             terms = Terms(connection)
             return {row.uid: terms.box(row.proposed_box, row.frame_id) for row in connection.execute(query)}
 
-    def latest(self, frame_id: int) -> Pass | None:
+    def latest(self, frame_id: int) -> ProposalsReplaced | None:
         """The latest automatic pass over a frame, or None; its boxes have moved with the cloud, its traces have not."""
-        query = select(passes, events.c.author, events.c.time_ns).join(events, events.c.id == passes.c.event_id)
+        query = select(passes.c.content).where(passes.c.frame_id == frame_id)
         with self.writer.store.read() as connection:
-            row = connection.execute(query.where(passes.c.frame_id == frame_id)).first()
-            return None if row is None else _pass(row, Terms(connection).T_camera_cloud(frame_id))
+            content, T = connection.execute(query).scalar(), Terms(connection).T_camera_cloud(frame_id)
+        if content is None:
+            return None
+        stored = parsed(ProposalsReplaced.model_validate_json, content)
+        return stored if T is None else stored.model_copy(update={"objects": [_moved(o, T) for o in stored.objects]})
 
 
-def _pass(row: AnyRow, T: RigidTransform | None) -> Pass:
-    stored = parsed(ProposalsReplaced.model_validate_json, row.content)
-    proposals = [entry.proposal.proposal() for entry in stored.objects]
-    if T is not None:
-        proposals = [replace(each, box=each.box.transformed(T)) for each in proposals]
-    objects = tuple(
-        PassObject(entry.uid, entry.covered_by, each) for entry, each in zip(stored.objects, proposals, strict=True)
-    )
-    return Pass(row.event_id, row.author, row.time_ns, row.run_id, objects, stored.lost)
+def _moved(item: ProposedObject, T: RigidTransform) -> ProposedObject:
+    proposal = item.proposal.model_copy(update={"box": moved_box(item.proposal.box, T)})
+    return item.model_copy(update={"proposal": proposal})

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,6 @@ def removed_recordings(connection: Connection) -> frozenset[int]:
 
 # --- the registry -----------------------------------------------------------------------------------------------------
 
-# Maximum number of frame keys listed in an error message.
-MOST_NAMED = 5
 # Of recordings: not removed.
 _THERE = recordings.c.removed_ns.is_(None)
 
@@ -50,14 +49,7 @@ class StoredRecording:
     """A recording of the project.
 
     Attributes:
-        id: within the project.
-        path: absolute.
-        format: name of the reader.
-        name: unique within the project.
-        is_sequence: True if the frames are in time order.
         up: unit vector against gravity in the camera frame, if known and constant over the recording.
-        added_ns: UTC nanoseconds since the epoch.
-        frames: number of frames in the latest scan.
         options: how its reader reads it, as JSON; "" = as the reader decides.
         correction: of its calibration; `up` is in the corrected camera frame.
         adjusted: id of the event that set `up` and `correction`; 0 = as the recording was added.
@@ -114,11 +106,8 @@ class Recordings:
         """Registers a recording and its frames, at revision 0.
 
         Args:
-            path: of the recording; stored as an absolute path.
             name: "-2", "-3" ... is appended if another recording has this name.
-            keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
-            options, fingerprint: as in `StoredRecording`.
             left_out: keys of frames that get no index, as if a scan had not found them.
         """
         path = path.resolve()
@@ -141,7 +130,7 @@ class Recordings:
             }
             key = connection.execute(insert(recordings), row).inserted_primary_key
             assert key is not None  # one row was inserted
-            _insert_frames(connection, key[0], _indices(keys, left_out))
+            _update_frames(connection, key[0], {}, _indices(keys, left_out))
             return _recording(connection, key[0])
 
     def rescan(
@@ -157,7 +146,6 @@ class Recordings:
 
         Args:
             fingerprint: as in `StoredRecording`; kept if none is known yet.
-            left_out: as for `add`.
         """
         with self.store.write() as connection:
             before = _recording(connection, recording_id, removed=True)
@@ -185,7 +173,6 @@ class Recordings:
         Args:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
-            author: of the change, for the table `moves`.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
@@ -265,11 +252,7 @@ class Recordings:
             return _recording(connection, recording_id, removed=removed)
 
     def require_readable(self, recording: StoredRecording) -> None:
-        """Checks the place of a recording before it is opened.
-
-        Raises:
-            RecordingError: it lies outside the readable folders.
-        """
+        """Checks the place of a recording before it is opened."""
         if self.readable is not None and not any(is_within(folder, recording.path) for folder in self.readable):
             raise RecordingError(
                 f"recording {recording.name} lies outside the folders that this server offers to other computers; "
@@ -295,7 +278,7 @@ class Recordings:
 
 
 def _query() -> Any:
-    count = (
+    present = (
         select(func.count())
         .where(frames.c.recording_id == recordings.c.id, frames.c.position.is_not(None))
         .scalar_subquery()
@@ -305,7 +288,7 @@ def _query() -> Any:
         adjustments.c.correction,
         adjustments.c.event_id.label("adjusted"),
     )
-    return select(recordings, count.label("frames"), *adjusted).outerjoin(adjustments)
+    return select(recordings, present.label("frames"), *adjusted).outerjoin(adjustments)
 
 
 # The adjustment of a recording, for `adjustment_in`; built once, since building a query takes longer than running it.
@@ -351,21 +334,9 @@ def _positions(connection: Connection, recording_id: int) -> dict[str, int | Non
 
 def _stored(row: AnyRow) -> StoredRecording:
     set_, event_id = adjustment_in(row)
-    return StoredRecording(
-        row.id,
-        Path(row.path),
-        row.format,
-        row.name,
-        row.is_sequence,
-        set_.up,
-        row.added_ns,
-        row.frames,
-        row.options,
-        set_.correction,
-        event_id,
-        row.fingerprint,
-        row.removed_by,
-    )
+    columns: dict[str, Any] = {each.name: getattr(row, each.name, None) for each in fields(StoredRecording)}
+    made = {"path": Path(row.path), "up": set_.up, "correction": set_.correction, "adjusted": event_id}
+    return StoredRecording(**columns | made)
 
 
 def _require_unique(path: Path, keys: Sequence[str]) -> None:
@@ -388,25 +359,12 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
 
 
 def _frame_list(keys: Sequence[str]) -> str:
-    return f"{'frame' if len(keys) == 1 else 'frames'} {first_few(keys, MOST_NAMED)}"
+    return f"{'frame' if len(keys) == 1 else 'frames'} {first_few(keys, 5)}"
 
 
 def _free_name(connection: Connection, name: str) -> str:
     taken = set(connection.execute(select(recordings.c.name)).scalars())
-    free, number = name, 1
-    while free in taken:
-        number += 1
-        free = f"{name}-{number}"
-    return free
-
-
-def _insert_frames(connection: Connection, recording_id: int, indices: Mapping[str, int | None]) -> None:
-    if indices:
-        rows = [
-            {"recording_id": recording_id, "key": key, "position": index, "revision": 0, "finalised": False}
-            for key, index in indices.items()
-        ]
-        connection.execute(insert(frames), rows)
+    return next(free for free in chain([name], (f"{name}-{number}" for number in count(2))) if free not in taken)
 
 
 def _indices(keys: Sequence[str], left_out: Collection[str] = ()) -> dict[str, int | None]:
@@ -418,15 +376,6 @@ def _update_frames(
     connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int | None]
 ) -> tuple[str, ...]:
     """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""
-    _move_frames(connection, recording_id, known, present)
-    new = {key: index for key, index in present.items() if key not in known}
-    _insert_frames(connection, recording_id, new)
-    return tuple(new)
-
-
-def _move_frames(
-    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int | None]
-) -> None:
     moved = [
         {"of_recording": recording_id, "of_key": key, "new_position": present.get(key)}
         for key, position in known.items()
@@ -435,3 +384,11 @@ def _move_frames(
     if moved:
         same = (frames.c.recording_id == bindparam("of_recording")) & (frames.c.key == bindparam("of_key"))
         connection.execute(update(frames).where(same).values(position=bindparam("new_position")), moved)
+    new = [
+        {"recording_id": recording_id, "key": key, "position": index, "revision": 0, "finalised": False}
+        for key, index in present.items()
+        if key not in known
+    ]
+    if new:
+        connection.execute(insert(frames), new)
+    return tuple(str(row["key"]) for row in new)

@@ -96,18 +96,11 @@ class ProposalRecord(BaseModel):
     @classmethod
     def of(cls, proposal: Proposal) -> ProposalRecord:
         """The record of a proposal."""
-        return cls(
-            label=proposal.label,
-            score=proposal.score,
-            box=BoxRecord.of(proposal.box),
-            image_box=proposal.image_box,
-            trace=proposal.trace,
-            quality=proposal.quality,
-        )
+        return cls(**vars(proposal) | {"box": BoxRecord.of(proposal.box)})
 
     def proposal(self) -> Proposal:
         """The proposal, bit for bit."""
-        return Proposal(self.label, self.score, self.box.box(), self.image_box, self.trace, self.quality)
+        return Proposal(**dict(self) | {"box": self.box.box()})
 
 
 # The source of our own proposals beside those of other software.
@@ -115,12 +108,7 @@ OWN = "annotator"
 
 
 class OwnColumns(BaseModel):
-    """Columns of a proposal of ours that other software hides, for when it is shown again.
-
-    Attributes:
-        author: who made the pass, or asked for the proposal.
-        origin: of a copy.
-    """
+    """Columns of a proposal of ours that other software hides, for when it is shown again."""
 
     model_config = EXACT
 
@@ -142,11 +130,7 @@ class SaidRecord(BaseModel):
     Attributes:
         uid: of the label, if this is the box that is shown.
         source: name of the detector, person or file; `OWN` for annotator's own proposals.
-        score: certainty in 0..1, if known.
-        track_id: the object's id over the recording, if known.
         file_track_id: its id in the source's file, if other labels of the recording use that one.
-        box_kind: what the box encloses.
-        attributes: values by name.
         own: further columns of a hidden proposal of ours.
         lent: names of the attributes whose values a hidden box lends to the shown one.
     """
@@ -168,15 +152,7 @@ class SaidRecord(BaseModel):
     @classmethod
     def of(cls, said: Said) -> SaidRecord:
         """The record of what a source said, with a new uid."""
-        return cls(
-            uid=uuid.uuid4().hex,
-            source=said.source,
-            label=said.label,
-            score=said.score,
-            box=BoxRecord.of(said.box),
-            track_id=said.track_id,
-            box_kind=said.box_kind,
-        )
+        return cls(uid=uuid.uuid4().hex, **vars(said) | {"box": BoxRecord.of(said.box)})
 
     def said(self) -> Said:
         """What the source said."""
@@ -197,7 +173,6 @@ class ViewGeometry(BaseModel):
         origin_m: view coordinates, metres, of the centre of pixel (0, 0).
         image_box: the box on the camera image whose frustum the view shows, if known; views with the same image box
             belong to the same object.
-        look_px: as in `PseudoView`.
     """
 
     model_config = EXACT
@@ -243,11 +218,7 @@ def sources_of(content: str | None) -> tuple[str, ...]:
 
 @contextmanager
 def storable(what: str) -> Iterator[None]:
-    """Converts pydantic's errors into errors for the user.
-
-    Args:
-        what: names the value in the message.
-    """
+    """Converts pydantic's errors into errors for the user."""
     try:
         yield
     except ValidationError as error:

@@ -23,13 +23,10 @@ class ValueFilter:
     """What the value of an attribute must be. Without any condition: there is no value.
 
     Attributes:
-        name: the attribute.
         of_frame: it is one of frames, not of boxes and tracks.
         usual: of frames that have no value of their own.
         known: any value will do.
-        text: the value as text.
         contains: part of the value as text; small and capital letters (a to z) count as equal.
-        low, high: least and greatest value of a number.
     """
 
     name: str
@@ -44,21 +41,16 @@ class ValueFilter:
     def clause(self) -> ColumnElement[bool]:
         """The condition of a query of labels joined with their frames."""
         found = self._value()
-        conditions: list[ColumnElement[bool]] = []
-        if self.text is not None:
-            conditions.append(found == self.text)
-        if self.contains is not None:
-            conditions.append(func.instr(func.lower(found), func.lower(self.contains)) > 0)
-        if self.low is not None:
-            conditions.append(cast(found, Float) >= self.low)
-        if self.high is not None:
-            conditions.append(cast(found, Float) <= self.high)
-        if not conditions:
+        conditions = {
+            "text": lambda text: found == text,
+            "contains": lambda part: func.instr(func.lower(found), func.lower(part)) > 0,
+            "low": lambda low: cast(found, Float) >= low,
+            "high": lambda high: cast(found, Float) <= high,
+        }
+        given = [is_met(value) for name, is_met in conditions.items() if (value := getattr(self, name)) is not None]
+        if not given:
             return found.is_not(None) if self.known else found.is_(None)
-        clause = conditions[0]
-        for condition in conditions[1:]:
-            clause &= condition
-        return clause
+        return and_(*given)
 
     def _value(self) -> ColumnElement[str]:
         """The value as text; NULL without one."""
@@ -73,21 +65,17 @@ class ValueFilter:
 # The database sorts them, since a project may have 100,000 and more.
 
 
-@dataclass(frozen=True)
-class Signal:
-    """One signal of doubt: a column of `labels` whose doubt grows linearly from its good value to its bad one."""
-
-    name: str
-    good: float
-    bad: float
-
-
-@dataclass(frozen=True)
-class Formula:
-    """doubt = 1 - product of (1 - most * share of the way from good to bad, in 0..1), over the signals with a value."""
-
-    signals: tuple[Signal, ...]
-    most: float
+MAX_DOUBT = 0.7
+# The good and the bad value of each signal, between which its doubt grows linearly to MAX_DOUBT; all are columns of
+# `labels`: shares of the box's size and of points, 1 - IoU (twice), score, 1 - IoU.
+SIGNALS = {
+    "view_disagreement": (0.0, 0.25),
+    "kept_share": (1.0, 0.1),
+    "last_change": (0.0, 0.3),
+    "image_agreement": (1.0, 0.4),
+    "score": (1.0, 0.0),
+    "expected_iou_loss": (0.0, 0.5),
+}
 
 
 class By(StrEnum):
@@ -100,41 +88,38 @@ class By(StrEnum):
 
 
 @dataclass(frozen=True)
-class WaitingProposal:
-    """An open proposal with its frame.
+class QueueItem:
+    """A proposal to review, or (without uid and label) a frame to label.
 
     Attributes:
         doubt: in 0..1, if any signal has a value.
-        sources: all that see this object, that of the shown box first; `OWN` for annotator itself.
+        sources: all that see the object, that of the shown box first; `OWN` for annotator itself.
     """
 
     frame: StoredFrame
-    uid: str
-    label: str
-    track_id: int | None
+    uid: str | None
+    label: str | None
     doubt: float | None
-    sources: tuple[str, ...]
+    track_id: int | None = None
+    sources: tuple[str, ...] = ()
 
 
 def waiting(
     store: Store,
-    formula: Formula,
     by: By,
-    recordings: Collection[int] | None,
-    classes: Collection[str] | None,
-    attribute: ValueFilter | None,
-    source: str | None,
-    most: int | None,
-) -> tuple[tuple[WaitingProposal, ...], int]:
+    *,
+    recordings: Collection[int] | None = None,
+    classes: Collection[str] | None = None,
+    attribute: ValueFilter | None = None,
+    source: str | None = None,
+    most: int | None = None,
+) -> tuple[tuple[QueueItem, ...], int]:
     """Returns the first open proposals on frames that are neither finalised nor gone, and the number of all.
 
     Args:
-        recordings, classes: only of these; None = all.
-        attribute: only with these values of an attribute.
         source: only of objects that this source sees; `OWN` for annotator itself.
-        most: number of proposals to return; None = all.
     """
-    doubt = _doubt(formula)
+    doubt = _doubt()
     is_open = _is_open(recordings, classes)
     if attribute is not None:
         is_open &= attribute.clause()
@@ -147,7 +132,7 @@ def waiting(
     query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
         found = tuple(
-            WaitingProposal(frame_of(row), row.uid, row.label, row.track_id, row.doubt, _sources(row))
+            QueueItem(frame_of(row), row.uid, row.label, row.doubt, row.track_id, _sources(row))
             for row in connection.execute(query)
         )
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()
@@ -168,9 +153,9 @@ def waiting_sources(store: Store) -> dict[str, int]:
     return {each: count for each, count in zip(names, counts, strict=True) if count}
 
 
-def worst_of_frames(store: Store, formula: Formula, recordings: Collection[int] | None) -> dict[int, float]:
+def worst_of_frames(store: Store, recordings: Collection[int] | None) -> dict[int, float]:
     """The greatest doubt of the open proposals of each frame that has some, by the frame's id; 0 if it is unknown."""
-    worst = func.max(func.coalesce(_doubt(formula), 0.0))
+    worst = func.max(func.coalesce(_doubt(), 0.0))
     query = _of_frames(select(labels.c.frame_id, worst)).where(_is_open(recordings, None)).group_by(labels.c.frame_id)
     with store.read() as connection:
         return {row[0]: row[1] for row in connection.execute(query)}
@@ -198,11 +183,12 @@ def _sources(row: AnyRow) -> tuple[str, ...]:
     return others if row.source == Source.IMPORTED.value else (OWN, *others)
 
 
-def _doubt(formula: Formula) -> ColumnElement[float]:
+def _doubt() -> ColumnElement[float]:
+    """1 - product of (1 - MAX_DOUBT * share of the way from good to bad, in 0..1), over the signals with a value."""
     trust: ColumnElement[float] = literal(1.0)
-    for signal in formula.signals:
-        way = (labels.c[signal.name] - signal.good) / (signal.bad - signal.good)
-        trust *= func.coalesce(1.0 - formula.most * func.min(func.max(way, 0.0), 1.0), 1.0)
+    for name, (good, bad) in SIGNALS.items():
+        way = (labels.c[name] - good) / (bad - good)
+        trust *= func.coalesce(1.0 - MAX_DOUBT * func.min(func.max(way, 0.0), 1.0), 1.0)
     # the score first: SQLite reads a row up to the last column that it needs
     unknown = and_(labels.c.score.is_(None), labels.c.proposed_box.is_(None))
     return case((unknown, null()), else_=cast(1.0 - trust, Float))

@@ -106,11 +106,16 @@ class Terms:
 
     def boxes_2d(self, content: str) -> tuple[Box2D, ...]:
         """2D boxes."""
-        return boxes_2d_of(content, self._key)
+        return tuple(_named(box, self._key) for box in parsed(BOXES_2D.validate_json, content))
 
     def geometry(self, content: str | None, frame_id: int | None) -> ViewGeometry | None:
         """The geometry of a pseudo-view."""
-        return None if content is None else geometry_of(content, self._key, self.correction(frame_id))
+        if content is None:
+            return None
+        geometry, T = parsed(ViewGeometry.model_validate_json, content), self.T_camera_cloud(frame_id)
+        if geometry.image_box is not None:
+            geometry = geometry.model_copy(update={"image_box": _named(geometry.image_box, self._key)})
+        return geometry if T is None else moved_geometry(geometry, T)
 
     # --- writing; all classes must have ids ---------------------------------------------------------------------------
 
@@ -180,22 +185,6 @@ def said_of(content: str, names: Names, correction: str | None) -> tuple[SaidRec
 def box_2d_of(content: str | None, names: Names) -> Box2D | None:
     """A 2D box."""
     return None if content is None else _named(parsed(BOX_2D.validate_json, content), names)
-
-
-@lru_cache(maxsize=1024)
-def boxes_2d_of(content: str, names: Names) -> tuple[Box2D, ...]:
-    """2D boxes, which a page reads again after each change of its frame."""
-    return tuple(_named(box, names) for box in parsed(BOXES_2D.validate_json, content))
-
-
-@lru_cache(maxsize=1024)
-def geometry_of(content: str, names: Names, correction: str | None) -> ViewGeometry:
-    """The geometry of a pseudo-view."""
-    geometry = parsed(ViewGeometry.model_validate_json, content)
-    if geometry.image_box is not None:
-        geometry = geometry.model_copy(update={"image_box": _named(geometry.image_box, names)})
-    T = None if correction is None else moving(correction)
-    return geometry if T is None else moved_geometry(geometry, T)
 
 
 def _named(box: Box2D, names: Names) -> Box2D:

@@ -13,7 +13,7 @@ from sqlalchemy import func, select, true
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.audit.making import new_label, said_json
-from annotator.project.audit.writing import Receipt, Write, WriteContext
+from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.classes.values import (
     Values,
     borrowed,
@@ -28,8 +28,9 @@ from annotator.project.classes.values import (
 )
 from annotator.project.config import read_config
 from annotator.project.database.schema import columns_of, frames, labels
+from annotator.project.database.store import Store
 from annotator.project.labels import NewLabel
-from annotator.project.log import Writer, import_action
+from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
@@ -89,7 +90,7 @@ def merged(said: Sequence[SaidRecord]) -> list[Group]:
     """
     if len({each.source for each in said}) <= 1:
         return [(each,) for each in said]
-    ranked = sorted(said, key=lambda each: (-_certainty(each), each.source == OWN))
+    ranked = sorted(said, key=lambda each: (-1.0 if each.score is None else -each.score, each.source == OWN))
     overlaps = _overlaps(ranked)
     groups: list[list[int]] = []
     for index, each in enumerate(ranked):
@@ -119,10 +120,6 @@ def _overlaps(said: Sequence[SaidRecord]) -> dict[tuple[int, int], float]:
     return dict(zip(zip(first.tolist(), second.tolist(), strict=True), iou.tolist(), strict=True))
 
 
-def _certainty(said: SaidRecord) -> float:
-    return 1.0 if said.score is None else said.score
-
-
 # --- storing what a source says ---------------------------------------------------------------------------------------
 
 KIND = "proposals_imported"
@@ -136,13 +133,11 @@ class Brought:
         is_open: for each of them, False if a reviewed label covers it, so that it is not proposed.
         merged: number of the others that other sources see as well, or our own proposals.
         conflicts: number of their values that another source says otherwise; the surest box's are shown.
-        receipt: of the write.
     """
 
     is_open: tuple[bool, ...]
     merged: int
     conflicts: int
-    receipt: Receipt
 
 
 def bring(
@@ -159,7 +154,6 @@ def bring(
     (`merged`).
 
     Args:
-        source: name of the detector, person or file that the boxes come from.
         frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
             used again. All are stored in one transaction, so give a few frames at once.
         author: who brings them; None = the source itself.
@@ -189,8 +183,7 @@ def bring(
             if not finalised:
                 context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
-                made_in = import_action(context, action)
-                write = Write(writer.store, writer.folder, connection, frame_id, where, context, made_in, config, terms)
+                write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
                 write.know_all(present[frame_id])
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
@@ -217,7 +210,8 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     attributes = write.config.attributes
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
     differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
-    return Brought(tuple(uid is None for uid in covering), together, differing, write.finish())
+    write.finish()
+    return Brought(tuple(uid is None for uid in covering), together, differing)
 
 
 def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -> None:
@@ -234,21 +228,8 @@ def _is_open(row: Row, kept: Collection[str]) -> bool:
     return row["state"] == ReviewState.PROPOSED.value and row["uid"] not in kept
 
 
-@dataclass(frozen=True)
-class SourceTracks:
-    """Track ids of a recording.
-
-    Attributes:
-        used: of all labels, also what hidden boxes of sources say.
-        given: id in the files of one source -> its track id.
-    """
-
-    used: frozenset[int]
-    given: Mapping[int, int]
-
-
-def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTracks:
-    """Returns the track ids of a recording, and those of `source` among them."""
+def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
+    """All track ids of a recording, also of hidden boxes; and those of `source`, by the ids in its files."""
     said = func.json_each(labels.c.said).table_valued("value")
     values = [func.json_extract(said.c.value, f"$.{name}") for name in ("track_id", "source", "file_track_id")]
     of_recording = labels.join(frames, frames.c.id == labels.c.frame_id)
@@ -256,42 +237,29 @@ def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTrack
     of_labels = select(labels.c.track_id).select_from(of_recording).where(here, labels.c.track_id.is_not(None))
     is_known = values[0].is_not(None)
     of_sources = select(*values).select_from(of_recording.join(said, true())).where(here, is_known).distinct()
-    with writer.store.read() as connection:
+    with store.read() as connection:
         used, given = set(connection.execute(of_labels.distinct()).scalars()), dict[int, int]()
         for track_id, name, file_track_id in connection.execute(of_sources):
             used.add(track_id)
             if name == source:
                 given[track_id if file_track_id is None else file_track_id] = track_id
-    return SourceTracks(frozenset(used), given)
+    return used, given
 
 
 def _said(source: str, box: NewLabel) -> SaidRecord:
-    return SaidRecord(
-        uid=uuid.uuid4().hex,
-        source=source,
-        label=box.label,
-        score=box.score,
-        box=BoxRecord.of(box.box),
-        track_id=box.track_id,
-        file_track_id=box.file_track_id,
-        box_kind=box.box_kind,
-        attributes=dict(box.attributes),
-    )
+    values = {name: value for name, value in vars(box).items() if name in SaidRecord.model_fields}
+    return SaidRecord(uid=uuid.uuid4().hex, source=source, **values | {"box": BoxRecord.of(box.box)})
 
 
 def _with_free_tracks(groups: Sequence[Group], taken: Collection[int | None]) -> tuple[Group, ...]:
     """The groups without track ids that other labels of the frame have: a track has one box in a frame."""
-    taken, free = set(taken), list[Group]()
+    taken, free, none = set(taken) - {None}, list[Group](), {"track_id": None, "file_track_id": None}
     for group in groups:
-        group = tuple(_without_track(each) if each.track_id in taken else each for each in group)
+        group = tuple(each.model_copy(update=none) if each.track_id in taken else each for each in group)
         taken.add(track_of(group))
         taken.discard(None)
         free.append(group)
     return tuple(free)
-
-
-def _without_track(said: SaidRecord) -> SaidRecord:
-    return said if said.track_id is None else said.model_copy(update={"track_id": None, "file_track_id": None})
 
 
 @dataclass(frozen=True)
@@ -300,7 +268,6 @@ class OpenProposals:
 
     Attributes:
         others: boxes of other software, in their own words; boxes of ours that one of them hides, as well.
-        ours: our own open proposals.
         kept: uids of proposals that stay as they are; neither list has them.
         taken: track ids of the labels that stay, except rejected ones.
         borrows: uids of the proposals to which hidden boxes have lent values.
@@ -314,10 +281,9 @@ class OpenProposals:
 
     @classmethod
     def of(cls, write: Write, never_kept: Collection[str] = ()) -> OpenProposals:
-        """Reads them from the rows of a frame, without boxes of classes that the project no longer has.
+        """Reads them from a frame's rows, without boxes of classes that the project no longer has.
 
-        Args:
-            never_kept: uids of proposals that may be replaced, though a person has set values.
+        Proposals of `never_kept` may be replaced, though a person has set values.
         """
         others, ours, borrows, taken, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[int](), set[str]()
         for row in write.labels():
@@ -365,9 +331,7 @@ def replace_open(
     A proposal that stays the same keeps its row.
 
     Args:
-        others: what other software says; boxes of ours that one of them hid, as well.
         leaving_out: uids of our own proposals that are removed.
-        never_kept: as for `OpenProposals.of`.
 
     Returns:
         The objects, each source in its own words.
@@ -393,9 +357,9 @@ def replace_open(
         if not attributes:
             return group
         of_label = [each for each in attributes if each.is_of(group[0].label)]
-        lent = lend(of_label, group[0].attributes, group[1:])
-        values = new_values(of_label, tracks.get(track_id, {}), lent.values)
-        return group[0].model_copy(update={"attributes": values, "lent": ()}), *lent.others
+        lent, others = lend(of_label, group[0].attributes, group[1:])
+        values = new_values(of_label, tracks.get(track_id, {}), lent)
+        return group[0].model_copy(update={"attributes": values, "lent": ()}), *others
 
     after = dict[str, Row]()
     for group in of_ours:

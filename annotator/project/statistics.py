@@ -11,6 +11,7 @@ from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.counts import counts_with_defaults
 from annotator.project.database.schema import (
+    AnyRow,
     events,
     frame_results,
     frames,
@@ -24,8 +25,7 @@ from annotator.project.database.schema import (
 from annotator.project.database.store import Store
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
-from annotator.project.progress.action_log import EffortStatistics
-from annotator.project.progress.report import Progress, ReviewReader
+from annotator.project.progress.report import Review, ReviewReader
 from annotator.project.recordings import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
@@ -48,7 +48,6 @@ class SuggestedCounts(BaseModel):
 
     Attributes:
         as_suggested: the operator accepted all boxes, and nobody has changed the 3D box since.
-        corrected: the others.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -67,21 +66,16 @@ class BoxCounts(BaseModel):
     boxes_by_source: dict[Source, int]
 
 
-class Statistics(BaseModel):
+class Statistics(Review):
     """Counts of one project at one moment.
 
     Attributes:
         frames: found by the latest scans.
-        frames_with_proposals: with at least one unreviewed proposal.
         frames_failed: with a failed latest automatic pass.
-        suggested: by the name of the detector.
         attributes: by name, then by value: labels that are not rejected, and frames, with that value. Frames without
             a value of their own have the default.
         without_value: by name of an attribute: the labels or frames that could have a value, but have none.
-        effort, accepted_untouched, iou_proposal_to_final, progress: as in `Review`.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recordings: int
     frames: int
@@ -96,28 +90,18 @@ class Statistics(BaseModel):
     events: int
     runs: int
     models: int
-    attributes: dict[str, dict[str, int]] = {}
-    without_value: dict[str, int] = {}
-    effort: EffortStatistics
-    accepted_untouched: float | None
-    iou_proposal_to_final: float | None
-    progress: Progress
+    attributes: dict[str, dict[str, int]]
+    without_value: dict[str, int]
 
 
 def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Attribute]) -> Statistics:
-    """Counts everything, within one transaction.
-
-    Args:
-        reader: of the project; it keeps what takes long to compute.
-        attributes: of the project.
-    """
+    """Counts everything, within one transaction; the reader keeps what takes long to compute."""
     present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
     with store.read() as connection:
-        review = reader.read(connection)
-        values = counts_with_defaults(connection, attributes)
+        values, without = counts_with_defaults(connection, attributes)
         return Statistics(
             recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
             frames=_number(connection, present),
@@ -132,12 +116,9 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
             events=_rows(connection, events),
             runs=_rows(connection, runs),
             models=_rows(connection, models),
-            attributes=values.values,
-            without_value=values.without,
-            effort=review.effort,
-            accepted_untouched=review.accepted_untouched,
-            iou_proposal_to_final=review.iou_proposal_to_final,
-            progress=review.progress,
+            attributes=values,
+            without_value=without,
+            **dict(reader.read(connection)),
         )
 
 
@@ -149,25 +130,26 @@ def _rows(connection: Connection, table: FromClause) -> int:
     return _number(connection, select(func.count()).select_from(table))
 
 
-def _grouped(connection: Connection, table: FromClause, column: str, number: Any) -> dict[str, int]:
-    query = select(table.c[column], number).group_by(table.c[column]).order_by(table.c[column])
-    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
-
-
-def _by_source(counts: dict[str, int]) -> dict[Source, int]:
-    return {source: counts.get(source.value, 0) for source in Source}
-
-
 def _label_counts(connection: Connection) -> LabelCounts:
-    states = _grouped(connection, labels, "state", func.count())
-    kinds = _grouped(connection, labels, "box_kind", func.count())
+    columns = [labels.c[name] for name in ("label", "state", "source", "box_kind")]
+    rows: Sequence[AnyRow] = connection.execute(
+        select(*columns, func.count()).group_by(*columns).order_by(labels.c.label)
+    ).all()
+    by_class, states = dict[str, int](), dict[str, dict[ReviewState, int]]()
+    of_state, of_source, of_kind = dict.fromkeys(ReviewState, 0), dict.fromkeys(Source, 0), dict.fromkeys(BoxKind, 0)
+    for name, state, source, kind, number in rows:
+        by_class[name] = by_class.get(name, 0) + number
+        states.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] += number
+        of_state[state] += number
+        of_source[source] += number
+        of_kind[kind] += number
     return LabelCounts(
-        total=_rows(connection, labels),
-        by_state={state: states.get(state.value, 0) for state in ReviewState},
-        by_class=_grouped(connection, labels, "label", func.count()),
-        by_class_and_state=_class_and_state(connection),
-        by_source=_by_source(_grouped(connection, labels, "source", func.count())),
-        by_kind={kind: kinds.get(kind.value, 0) for kind in BoxKind},
+        total=sum(of_state.values()),
+        by_state=of_state,
+        by_class=by_class,
+        by_class_and_state=states,
+        by_source=of_source,
+        by_kind=of_kind,
     )
 
 
@@ -182,14 +164,7 @@ def _suggested_counts(connection: Connection) -> dict[str, SuggestedCounts]:
     }
 
 
-def _class_and_state(connection: Connection) -> dict[str, dict[ReviewState, int]]:
-    query = select(labels.c.label, labels.c.state, func.count()).group_by(labels.c.label, labels.c.state)
-    counts: dict[str, dict[ReviewState, int]] = {}
-    for name, state, number in connection.execute(query.order_by(labels.c.label)):
-        counts.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] = int(number)
-    return counts
-
-
 def _box_counts(connection: Connection, table: FromClause) -> BoxCounts:
-    by_source = _by_source(_grouped(connection, table, "source", func.sum(table.c["count"])))
+    query = select(table.c.source, func.sum(table.c["count"])).group_by(table.c.source)
+    by_source = dict.fromkeys(Source, 0) | {Source(of): int(sum_) for of, sum_ in connection.execute(query)}
     return BoxCounts(pictures=_rows(connection, table), boxes=sum(by_source.values()), boxes_by_source=by_source)

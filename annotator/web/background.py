@@ -246,15 +246,15 @@ class Watch(Periodic):
         before = self._last_events.get(project, since)
         newest, changed = project.log.changed_frames(before)
         adjusted = project.adjustments.since(before) if changed else ()
-        classes = project.class_changes_after(before) if newest > before else ()
+        classes = project.class_changes(before) if newest > before else []
         self._last_events[project] = newest
         for frame in changed:
             self._context.hub.frame_changed(project, frame.frame_id, frame.revision, frame.author)
         for recording, event, author in adjusted:
             self._context.hub.recording_adjusted(project, recording, event, author)
         self._context.hub.recordings_are(project, project.recordings.removed_by())
-        for author, change in classes:
-            self._context.hub.classes_changed(name, change.classes, author)
+        for made in classes:
+            self._context.hub.classes_changed(name, made.change.classes, made.author)
         self._learner.look(name, project)
 
     def _failed(self, name: str, problem: str) -> None:

@@ -170,7 +170,8 @@ def own_model(project: Project, model: StoredModel) -> UsedModel:
     class_agnostic = model.labels == AGNOSTIC and model.labels != project.config.classes
     names: Names = ()
     if not class_agnostic:
-        now = renamed_over(project.class_changes(model.created_ns), model.labels)
+        changes = [made.change for made in project.class_changes() if made.time_ns > model.created_ns]
+        now = renamed_over(changes, model.labels)
         names = tuple((before, after) for before, after in now.items() if before != after)
     return UsedModel(
         model.path, model.box_kind, class_agnostic, model.fingerprint, manifest=model.manifest, names=names

@@ -384,7 +384,7 @@ class _Source:
             return [_scored_box(label) for label in labels]
         latest = self._project.proposals.latest(stored.id)
         proposals = [entry.proposal for entry in latest.objects] if latest is not None else []
-        return [(proposal.label, proposal.box, proposal.score) for proposal in proposals]
+        return [(proposal.label, proposal.box.box(), proposal.score) for proposal in proposals]
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._choice.against is Against.REVIEWED:

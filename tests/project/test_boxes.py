@@ -40,13 +40,6 @@ def test_setting_boxes_on_an_image_replaces_the_earlier_ones(project: Project, f
     assert (boxes.boxes, boxes.box_kind, boxes.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
 
 
-def test_an_image_without_boxes_counts_as_labelled(project: Project, frame: int) -> None:
-    project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
-    boxes = project.boxes.on_image(frame)
-    assert boxes is not None
-    assert boxes.boxes == ()
-
-
 def test_labelled_images_are_listed_in_frame_order(
     project: Project, recording: StoredRecording, tmp_path: Path
 ) -> None:

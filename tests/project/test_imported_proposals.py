@@ -19,11 +19,10 @@ from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
 from annotator.project.labels import StoredLabel
 from annotator.project.records import BoxRecord
-from annotator.project.review import By
+from annotator.project.review import By, waiting, waiting_sources
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
-from annotator.workflows.workbench.review_queue import FORMULA
 
 
 def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[int, int, int]:
@@ -157,7 +156,7 @@ def test_the_queue_tells_the_sources_of_each_object_and_filters_by_them(project:
     bring(project, frame, odd, box(10.02, 0.1), box(20.0))
 
     def queued(source: str | None) -> list[tuple[str, ...]]:
-        found, total = project.labels.waiting(FORMULA, By.FRAME, source=source, most=10)
+        found, total = waiting(project.store, By.FRAME, source=source, most=10)
         assert len(found) == total
         return sorted(each.sources for each in found)
 
@@ -166,11 +165,11 @@ def test_the_queue_tells_the_sources_of_each_object_and_filters_by_them(project:
     assert queued("one") == [("annotator", "one"), ("one", odd)]
     assert queued(odd) == [("one", odd), (odd,)]
     assert queued("on") == []
-    assert project.labels.waiting_sources() == {"annotator": 2, "one": 2, odd: 2}
+    assert waiting_sources(project.store) == {"annotator": 2, "one": 2, odd: 2}
     # a surer box hides ours, which stays a source of the object
     bring(project, frame, "one", box(0.01, 1.0))
     assert queued("annotator") == [("annotator",), ("one", "annotator")]
-    assert project.labels.waiting_sources() == {"annotator": 2, "one": 1, odd: 2}
+    assert waiting_sources(project.store) == {"annotator": 2, "one": 1, odd: 2}
 
 
 def test_an_import_over_several_frames_is_undone_and_redone_as_one_step(project: Project, frame: int) -> None:

@@ -64,9 +64,8 @@ def test_failed_frames_are_kept_with_their_reason_and_tried_again(project: Proje
     _do(project, again, "2")
     assert _pending(project, again) == "0134"
     assert project.jobs.results(status=Status.FAILED) == ()
-    (result,) = project.jobs.results(key=run.key)
+    (result,) = project.jobs.results()
     assert (result.run_id, result.status, result.reason, result.proposals) == (again.id, Status.DONE, None, 1)
-    assert project.jobs.results(run_id=run.id) == ()
 
 
 def test_other_settings_process_all_frames_again(project: Project, recording: StoredRecording) -> None:
@@ -93,16 +92,6 @@ def test_finalised_and_missing_frames_are_left_out(project: Project, recording: 
     project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
     project.recordings.rescan(recording.id, ["4", "1", "0", "2"])
     assert _pending(project, _start(project)) == "402"
-
-
-def test_pending_frames_can_be_limited_to_recordings(
-    project: Project, recording: StoredRecording, tmp_path: Path
-) -> None:
-    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
-    key = _start(project).key
-    assert [frame.key for frame in project.jobs.pending(key, [other.id])] == ["x"]
-    assert len(project.jobs.pending(key)) == 6
-    assert project.jobs.pending(key, []) == ()
 
 
 def test_refused_proposals_leave_no_result(project: Project, recording: StoredRecording, frame: int) -> None:

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, text
+from sqlalchemy import text
 from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Effort, NewLabel, RunShare, Statistics, WriteContext, create_project
+from annotator.project import Effort, NewLabel, RunShare, WriteContext, create_project
 from annotator.project.changes import LabelProposed
-from annotator.project.progress.action_log import ActionLog, read_log
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
 from annotator.types.errors import ProjectError
@@ -132,6 +131,7 @@ def test_proposals_are_compared_by_class_and_distance(shift: Shift) -> None:
     counts = {"untouched": 1, "corrected": 2, "rejected": 1, "missed": 1}
     hand = counts | {"iou_proposal_to_final": pytest.approx((2 + moved) / 3)}
     assert quality["by_class"]["hand"] == hand
+    assert [(each["from_m"], each["missed"]) for each in quality["by_range"]] == [(3.0, 0), (5.0, 1), (50.0, 1)]
     near, middle, far = quality["by_class_and_range"]["hand"]
     assert (near["from_m"], near["to_m"], near["untouched"], near["corrected"]) == (3.0, 5.0, 1, 1)
     assert (middle["from_m"], middle["iou_proposal_to_final"]) == (5.0, pytest.approx(moved))
@@ -211,66 +211,6 @@ def test_the_range_is_that_of_the_slowest_and_the_fastest_of_the_last_frames(shi
 
 
 # --- all together -----------------------------------------------------------------------------------------------------
-
-
-def test_they_are_computed_once_for_each_state(shift: Shift, monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[ActionLog] = []
-
-    def counted(connection: Connection) -> ActionLog:
-        reads.append(read_log(connection))
-        return reads[-1]
-
-    monkeypatch.setattr("annotator.project.progress.report.read_log", counted)
-    label(shift, 1)
-    first = shift.project.statistics()
-    assert shift.project.statistics() == first
-    assert len(reads) == 1
-    label(shift, 2)
-    assert shift.project.statistics().progress.days[0].boxes == 6
-    assert len(reads) == 2
-
-
-def test_the_json_has_the_schema_of_its_model(shift: Shift) -> None:
-    label(shift, 12)
-    keys: set[str] = set()
-
-    def require(value: Any, schema: dict[str, Any], where: str) -> None:
-        """Every key of the schema is there, and no other."""
-        options = [
-            definitions[option["$ref"].rpartition("/")[2]] for option in schema.get("anyOf", ()) if "$ref" in option
-        ]
-        schema = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
-        schema = options[0] if options and value is not None else schema
-        if isinstance(value, dict) and "properties" in schema:
-            assert set(value) == set(schema["properties"]), where
-            for key, part in value.items():
-                keys.add(f"{where}.{key}")
-                require(part, schema["properties"][key], f"{where}.{key}")
-        elif isinstance(value, dict):
-            for part in value.values():
-                require(part, schema["additionalProperties"], f"{where}.*")
-        elif isinstance(value, list):
-            for part in value:
-                require(part, schema["items"], f"{where}[]")
-
-    schema = Statistics.model_json_schema()
-    definitions = schema["$defs"]
-    require(shift.progress(), schema["properties"]["progress"], "progress")
-    # what a script may rely on
-    assert {
-        "progress.days[].day",
-        "progress.days[].person",
-        "progress.days[].boxes",
-        "progress.days[].hours",
-        "progress.pace.groups[].seconds_a_box",
-        "progress.pace.latest.actions_a_box",
-        "progress.proposals.by_class.*.iou_proposal_to_final",
-        "progress.proposals.by_range[].from_m",
-        "progress.proposals.by_class_and_range.*[].iou_proposal_to_final",
-        "progress.forecast.hours_left.low",
-        "progress.forecast.hours_left.expected",
-        "progress.forecast.boxes_an_hour.high",
-    } <= keys
 
 
 def test_a_damaged_box_is_reported(shift: Shift) -> None:

@@ -103,13 +103,6 @@ def test_errors_name_the_missing_recording_or_frame(project: Project, recording:
             call()
 
 
-def test_frames_can_be_limited_to_recordings(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
-    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
-    assert [frame.key for frame in project.frames.of([other.id])] == ["x"]
-    assert project.frames.of([]) == ()
-    assert len(project.frames.of([recording.id, other.id])) == 6
-
-
 def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: StoredRecording) -> None:
     (uid,) = project.labels.create(project.frames.of()[1].id, [NewLabel("hand", box_at())], by_hand()).uids
     before = (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist())
@@ -132,12 +125,6 @@ def test_recordings_are_moved_together_or_not_at_all(project: Project, recording
     assert {each.path for each in project.recordings.all()} == {recording.path} and _moves(project) == []
     moved = project.recordings.move_together({recording.id: (there, keys), other.id: (there, ["0", "1"])}, "ann")
     assert [each.path for each in moved] == [there, there]
-
-
-def test_missing_frames_may_reappear_at_the_new_path(project: Project, recording: StoredRecording) -> None:
-    project.recordings.rescan(recording.id, ["0", "1", "2"])
-    project.recordings.move(recording.id, recording.path / "there", ["0", "1", "2", "4"], "ann")
-    assert _keys(project) == [("0", 0), ("1", 1), ("2", 2), ("4", 3), ("3", None)]
 
 
 def test_a_moved_recording_may_have_more_frames(project: Project, recording: StoredRecording) -> None:
@@ -166,15 +153,6 @@ def test_a_move_to_another_recording_is_refused(
         project.recordings.move(recording.id, recording.path / "there", keys, "ann")
     assert (project.recordings.get(recording.id), project.frames.of()) == (recording, before)
     assert _moves(project) == []
-
-
-def test_a_move_to_the_path_of_a_registered_recording_is_refused(
-    project: Project, recording: StoredRecording, tmp_path: Path
-) -> None:
-    keys = [str(n) for n in range(5)]
-    other = project.recordings.add(tmp_path / "other", "rgbd", "other", keys, True)
-    with pytest.raises(ProjectError, match="already, as recording other"):
-        project.recordings.move(recording.id, other.path, keys, "ann")
 
 
 @pytest.mark.parametrize("statement", ["UPDATE moves SET author = 'eve'", "DELETE FROM moves"])
@@ -258,18 +236,6 @@ def test_changes_while_a_recording_is_removed_give_the_state_of_a_rebuild(
     before = state_of(project)
     project.log.rebuild()
     assert state_of(project) == before
-
-
-def test_a_class_that_only_a_removed_recording_uses_stays(
-    project: Project, recording: StoredRecording, other: StoredRecording
-) -> None:
-    project.recordings.remove(recording.id, "ann")
-    hidden = state_of(project)
-    with pytest.raises(ProjectError, match="'hand' cannot be removed while boxes use it"):
-        project.configure(classes=["person"])
-    assert project.configure(classes=["person", "hand", "foot"]).classes == ("person", "hand", "foot")
-    assert state_of(project) == hidden
-    assert verify(project.path, deep=True).problems == ()
 
 
 def test_labels_of_a_removed_recording_follow_a_changed_class(

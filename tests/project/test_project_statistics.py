@@ -13,7 +13,7 @@ from annotator.project import Effort, NewLabel, Origin, Project, RunShare, Store
 from annotator.project.changes import LabelAccepted, LabelCreated
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.progress.action_log import ORIGINS, draft_id
+from annotator.project.progress.reviewed import ORIGINS, draft_id
 from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Source
 
@@ -111,24 +111,6 @@ def test_effort_is_counted_by_origin(project: Project, frame: int) -> None:
 
 
 NO_EFFORT = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}
-
-
-def test_an_empty_project_has_zero_counts(project: Project) -> None:
-    numbers = json.loads(project.statistics().model_dump_json())
-    assert numbers["recordings"] == numbers["frames"] == numbers["events"] == 0
-    assert numbers["labels"] == {
-        "total": 0,
-        "by_state": {"proposed": 0, "accepted": 0, "edited": 0, "rejected": 0},
-        "by_class": {},
-        "by_class_and_state": {},
-        "by_source": {"manual": 0, "auto": 0, "imported": 0},
-        "by_kind": {"box": 0, "silhouette": 0},
-    }
-    assert numbers["image_boxes"] == {
-        "pictures": 0,
-        "boxes": 0,
-        "boxes_by_source": {"manual": 0, "auto": 0, "imported": 0},
-    }
 
 
 def test_labels_boxes_and_events_are_counted(project: Project, recording: StoredRecording) -> None:

@@ -93,7 +93,7 @@ def test_the_trace_is_read_back(project: Project, frame: int) -> None:
     project.labels.edit(frame, uids[0], by_hand(1), label="person", box=box_at(4.0))
     latest = project.proposals.latest(frame)
     assert latest is not None
-    for back, proposal in zip([entry.proposal for entry in latest.objects], proposals, strict=True):
+    for back, proposal in zip([entry.proposal.proposal() for entry in latest.objects], proposals, strict=True):
         assert (back.label, back.score, back.image_box, back.quality) == (
             proposal.label,
             proposal.score,
@@ -102,7 +102,7 @@ def test_the_trace_is_read_back(project: Project, frame: int) -> None:
         )
         assert back.trace == proposal.trace
         assert same_box(back.box, proposal.box)
-    assert (latest.author, latest.run_id) == ("rcv", run.id)
+    assert latest.run == run.id
     assert [entry.uid for entry in latest.objects] == list(uids)
     assert [dataclasses.astuple(lost) for lost in latest.lost] == [dataclasses.astuple(lost_object())]
 

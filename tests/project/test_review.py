@@ -171,17 +171,6 @@ def test_labels_are_selected_by_state_class_and_recording(
     assert frames == sorted(frames)
 
 
-def test_frames_with_labels_and_with_boxes_are_named(project: Project, recording: StoredRecording) -> None:
-    one, two = (frame.id for frame in project.frames.of()[:2])
-    project.proposals.replace(two, [proposal_at(0.0, score=0.6), proposal_at(5.0)], by_machine())
-    project.labels.create(one, [NewLabel("person", box_at(1.0))], by_hand())
-    assert project.labels.frames(states=REVIEWED) == {one}
-    assert project.labels.frames() == {one, two}
-    assert project.boxes.frames_with_images() == frozenset()
-    project.boxes.set_on_image(two, [], BoxKind.BOX, by_hand(1))
-    assert project.boxes.frames_with_images() == {two}
-
-
 def test_a_label_says_what_its_box_encloses_until_it_is_changed_and_again_after_undo(
     project: Project, frame: int
 ) -> None:

@@ -122,52 +122,34 @@ def test_every_event_has_author_time_and_source(tmp_path, project: Project, fram
         WriteContext(1, "  ")
 
 
-def test_appending_no_events_changes_nothing(project: Project, frame: int) -> None:
-    receipt = project.log.append(frame, [], by_hand())
-    assert (receipt.event_ids, receipt.revision) == ((), 0)
-
-
 # --- the number of SQL statements does not depend on the number of frames ---------------------------------------------
 
-Counted = Callable[[Callable[[], object]], int]
+
+def statements(work: Callable[[], object]) -> int:
+    """The number of SQL statements during `work`."""
+    executed: list[str] = []
+
+    def record(connection, cursor, statement, parameters, context, many) -> None:
+        executed.append(statement)
+
+    event.listen(Engine, "before_cursor_execute", record)
+    try:
+        work()
+    finally:
+        event.remove(Engine, "before_cursor_execute", record)
+    return len(executed)
 
 
-@pytest.fixture
-def statements() -> Counted:
-    """`statements(work)` -> the number of SQL statements during `work`."""
-
-    def count(work: Callable[[], object]) -> int:
-        executed: list[str] = []
-
-        def record(connection, cursor, statement, parameters, context, many) -> None:
-            executed.append(statement)
-
-        event.listen(Engine, "before_cursor_execute", record)
-        try:
-            work()
-        finally:
-            event.remove(Engine, "before_cursor_execute", record)
-        return len(executed)
-
-    return count
-
-
-@pytest.fixture
-def of_length(tmp_path: Path) -> Callable[[int], Project]:
-    """Creates a project with a recording of the given number of frames."""
-
-    def make(frames: int) -> Project:
-        project = create_project(tmp_path, f"long{frames}", ("hand",))
-        project.recordings.add(tmp_path / "recording", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
-        return project
-
-    return make
-
-
-def test_a_longer_recording_needs_no_more_statements(statements: Counted, of_length: Callable[[int], Project]) -> None:
+def test_a_longer_recording_needs_no_more_statements(tmp_path: Path) -> None:
     counts = {}
     for frames in (20, 2_000):
-        with of_length(frames) as project:
+        with create_project(tmp_path, f"long{frames}", ("hand",)) as project:
+            keys = [f"{n:06d}" for n in range(frames)]
+            counts[frames] = [
+                statements(
+                    lambda: project.recordings.add(tmp_path / "long", "rgbd", "long", keys, True)  # noqa: B023
+                )
+            ]
             run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
             for frame in project.frames.of()[:10]:
                 project.proposals.replace(frame.id, [proposal_at()], by_machine(), run=RunShare(run.id, 0.1))
@@ -178,25 +160,6 @@ def test_a_longer_recording_needs_no_more_statements(statements: Counted, of_len
                 project.frames.of,
                 project.labels.select,
             ]
-            counts[frames] = [statements(work) for work in asked]
+            counts[frames] += [statements(work) for work in asked]
     assert counts[20] == counts[2_000]
     assert max(counts[20]) < 40, counts
-
-
-def test_adding_a_recording_needs_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
-    keys = [f"{n:06d}" for n in range(2_000)]
-    assert statements(lambda: project.recordings.add(tmp_path / "long", "rgbd", "long", keys, True)) < 30
-
-
-def test_storing_the_proposals_of_a_frame_needs_few_statements(
-    project: Project, tmp_path: Path, statements: Counted
-) -> None:
-    project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
-    frames = project.frames.of()
-    proposals = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
-    counts = [
-        statements(lambda: project.proposals.replace(frame.id, proposals, by_machine()))  # noqa: B023
-        for frame in frames[:20]
-    ]
-    assert max(counts) < 60, "statements per frame"
-    assert len(set(counts[5:])) == 1, "the number is constant once other frames have proposals"

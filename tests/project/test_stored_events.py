@@ -180,12 +180,3 @@ def test_events_are_append_only(project: Project, frame: int, statement: str, ca
     connection.rollback()
     assert connection.execute("SELECT * FROM events").fetchall() == before
     connection.close()
-
-
-def test_the_log_keeps_every_earlier_event(project: Project, frame: int) -> None:
-    uid = project.proposals.replace(frame, [proposal_at(0.0)], by_hand()).uids[0]
-    project.labels.accept(frame, uid, by_hand(1))
-    project.proposals.replace(frame, [proposal_at(7.0)], by_hand(2))
-    kinds = [event.kind for event in project.log.of_frame(frame)]
-    assert kinds == ["proposals_replaced", "label_accepted", "proposals_replaced"]
-    assert [event.id for event in project.log.since(1)] == [2, 3]

@@ -86,15 +86,11 @@ class Attribute(_Sparse):
     """One attribute.
 
     Attributes:
-        name: unique within the project.
-        kind: of its values.
-        of: what has it.
         choices: the values of a choice, in the page's order.
         minimum, maximum: limits of an integer or number, inclusive; None: no limit.
         classes: that have it; none: all. Not for attributes of frames.
         required: whether the checks report boxes (or frames) without a value.
         default: value of a new box; the page and exports also take it for frames without a value.
-        key: that sets it in the page.
     """
 
     name: AttributeName
@@ -164,9 +160,7 @@ class Attribute(_Sparse):
         text = str(value).strip().lower()
         if self.kind is AttributeKind.BOOLEAN and text in YES + NO:
             return text in YES
-        if self.kind is AttributeKind.TEXT and not isinstance(value, str):
-            return self.checked(json.dumps(value))
-        if self.kind is AttributeKind.CHOICE and not isinstance(value, str):
+        if self.kind in (AttributeKind.TEXT, AttributeKind.CHOICE) and not isinstance(value, str):
             return self.checked(json.dumps(value))
         if self.kind in (AttributeKind.INTEGER, AttributeKind.NUMBER) and not isinstance(value, bool):
             try:
@@ -224,9 +218,6 @@ class Relabelling(BaseModel):
 
     Attributes:
         classes: old name -> new name; several old ones may get the same.
-        removed: classes whose boxes are removed.
-        attributes: old name -> new name.
-        dropped: attributes whose values are removed.
         choices: attribute (by its new name) -> old choice -> new choice.
         filled: values for boxes without one, the classes by their new names.
         fitted: attributes whose definition is narrower now; values that do not fit are removed.

@@ -31,9 +31,6 @@ def change_classes(
 
     Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
     refused.
-
-    Args:
-        old, new: the configuration before and after.
     """
     newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
     if change.removed:
@@ -179,11 +176,7 @@ def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
 
 
 def values_after(terms: Terms, changes: Iterable[Relabelling], label: str, row: Row) -> Row:
-    """The columns with values of a label after changes of the classes, as far as the row has them.
-
-    Args:
-        label: its class, by its present name.
-    """
+    """The columns with values of a label after changes of the classes, as far as the row has them."""
     after: Row = {}
     if "attributes" in row:
         values = values_of(row["attributes"])

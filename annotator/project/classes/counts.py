@@ -25,8 +25,6 @@ class ClassCounts:
     """Numbers of boxes of a class.
 
     Attributes:
-        labels: 3D labels.
-        boxes_2d: 2D boxes on images and views.
         said: what sources say of objects, apart from the boxes that are shown.
     """
 
@@ -54,48 +52,39 @@ def class_counts(connection: Connection, *, removed: bool = False) -> dict[str, 
     return {name: ClassCounts(in_3d[name], in_2d[name], said[name]) for name in sorted({*in_3d, *in_2d, *said})}
 
 
-@dataclass(frozen=True)
-class ValueCounts:
-    """How often values of attributes occur, by attribute.
-
-    Attributes:
-        values: by value.
-        without: labels and frames that have no value, but could have one.
-    """
-
-    values: dict[str, dict[str, int]]
-    without: dict[str, int]
-
-
 def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
     """How often each stored value occurs, by attribute: of labels that are not rejected, and of frames."""
     return _by_name(_counted(_stored(connection)))
 
 
-def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]) -> ValueCounts:
-    """As `value_counts`, with the default of a frames' attribute for all frames that have no value.
+def counts_with_defaults(
+    connection: Connection, attributes: Sequence[Attribute]
+) -> tuple[dict[str, dict[str, int]], dict[str, int]]:
+    """As `value_counts`, with an entry of each attribute; and the numbers of labels and frames that lack a value of it.
 
-    These are all frames that the latest scans found, labelled or not, since labels are counted before their review,
-    too. Exports write the default for those of them that they contain.
-
-    Args:
-        attributes: of the project; those without any value have an entry, too.
+    The default of a frames' attribute counts for all frames that the latest scans found and that have no value,
+    labelled or not, since labels are counted before their review, too. Exports write it for those that they contain.
     """
     stored = list(_stored(connection))
-    counts, without = _counted(stored), dict[str, int]()
-    boxes = _boxes_without(connection, stored, attributes)
-    found = int(connection.execute(select(func.count()).where(frames.c.position.is_not(None))).scalar_one())
-    frames_with = _frames_with(connection)
+    counts = _counted(stored)
+    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
+    of_frames = select(frames.c.attributes, func.count()).where(frames.c.position.is_not(None))
+    there: list[tuple[str, Mapping[str, AttributeValue], int]] = [
+        (label, {}, number) for label, number in connection.execute(of_classes)
+    ]
+    present = list(connection.execute(of_frames.group_by(frames.c.attributes)))
+    without: Counter[str] = Counter(dict.fromkeys((each.name for each in attributes), 0))
+    for label, values, number in (*there, *((label, values, -number) for label, values, number in stored if label)):
+        without.update({a.name: number for a in attributes if a.is_of(label) and (number > 0 or a.name in values)})
+    for content, number in present:
+        values = values_of(content)
+        without.update({a.name: number for a in attributes if a.of is AttributeOf.FRAME and a.name not in values})
     for each in attributes:
-        missing = boxes[each.name]
-        if each.of is AttributeOf.FRAME:
-            missing = found - frames_with[each.name]
-            if each.default is not None and missing:
-                counts[each.name][value_text(each.default)] += missing
-                missing = 0
         counts.setdefault(each.name, Counter())
-        without[each.name] = missing
-    return ValueCounts(_by_name(counts), without)
+        if each.of is AttributeOf.FRAME and each.default is not None and without[each.name]:
+            counts[each.name][value_text(each.default)] += without[each.name]
+            without[each.name] = 0
+    return _by_name(counts), dict(without)
 
 
 def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
@@ -122,27 +111,6 @@ def _counted(stored: Iterable[_Stored]) -> dict[str, Counter[str]]:
 
 def _by_name(counts: Mapping[str, Counter[str]]) -> dict[str, dict[str, int]]:
     return {name: dict(counts[name].most_common()) for name in sorted(counts)}
-
-
-def _boxes_without(connection: Connection, stored: Iterable[_Stored], attributes: Sequence[Attribute]) -> Counter[str]:
-    """Labels of an attribute's classes that have no value of it."""
-    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
-    without: Counter[str] = Counter()
-    for label, number in connection.execute(of_classes):
-        without.update({each.name: number for each in attributes if each.is_of(label)})
-    for label, values, number in stored:
-        if label is not None:
-            without.subtract({each.name: number for each in attributes if each.is_of(label) and each.name in values})
-    return without
-
-
-def _frames_with(connection: Connection) -> Counter[str]:
-    """Frames that the latest scans found and that have a value of their own, by attribute."""
-    query = select(frames.c.attributes, func.count()).where(frames.c.position.is_not(None))
-    counts: Counter[str] = Counter()
-    for text, number in connection.execute(query.group_by(frames.c.attributes)):
-        counts.update(dict.fromkeys(values_of(text), number))
-    return counts
 
 
 def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:

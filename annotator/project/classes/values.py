@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, Select, select
@@ -31,24 +30,18 @@ def after_edit(
     """The values of a label after its class or its track has changed.
 
     Args:
-        attributes: of the project.
-        present: its values.
-        before, after: its class.
         of_track: the values of its new track; empty for the same one.
     """
     values = dict(present)
     if after != before:
-        values = {name: value for name, value in values.items() if not _lacks(attributes, name, after)}
+        lacks = {each.name for each in attributes if not each.is_of(after)}
+        values = {name: value for name, value in values.items() if name not in lacks}
         for each in attributes:
             if each.is_of(after) and each.default is not None:
                 values.setdefault(each.name, each.default)
     return values | {
         each.name: of_track[each.name] for each in attributes if each.is_of(after) and each.name in of_track
     }
-
-
-def _lacks(attributes: Iterable[Attribute], name: str, label: str) -> bool:
-    return any(each.name == name and not each.is_of(label) for each in attributes)
 
 
 def new_values(of_label: Iterable[Attribute], of_track: Mapping[str, AttributeValue], given: Values) -> Values:
@@ -119,12 +112,6 @@ def is_kept(row: Mapping[str, Any], label: str, said: Sequence[SaidRecord], attr
 
     Values that follow from those of another label of the track do not count: whoever sets the colour of a car does not
     keep its boxes in all frames.
-
-    Args:
-        row: of the label.
-        label: its class.
-        said: what sources say of the object.
-        attributes: of the project.
     """
     if not row["values_set"] or row["state"] != ReviewState.PROPOSED.value:
         return False
@@ -174,25 +161,12 @@ class ValueReader:
 # it, until that source says otherwise. A value that is the default says nothing, whoever has it.
 
 
-@dataclass(frozen=True)
-class Lent:
-    """The values of one object.
-
-    Attributes:
-        values: those of the shown box, and those lent to it.
-        others: the hidden boxes; each knows what it has lent.
-    """
-
-    values: Values
-    others: tuple[SaidRecord, ...]
-
-
-def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]) -> Lent:
-    """Returns the values of an object; what surer boxes say comes first.
+def lend(
+    of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]
+) -> tuple[Values, tuple[SaidRecord, ...]]:
+    """The values of an object, and the hidden boxes, each with what it lends; what surer boxes say comes first.
 
     Args:
-        of_label: attributes of the shown box's class.
-        own: values of the shown box.
         others: the hidden boxes, the surest first.
     """
     values = fitting(of_label, own)
@@ -203,16 +177,11 @@ def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], other
         values |= new
         said |= new.keys()
         lenders.append(each.model_copy(update={"lent": tuple(sorted(new))}))
-    return Lent(values, tuple(lenders))
+    return values, tuple(lenders)
 
 
 def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
-    """Number of values that `source` says of an object, and another source says otherwise.
-
-    Args:
-        of_label: attributes of the shown box's class.
-        said: all boxes of the object, each in its own words.
-    """
+    """Number of values that `source` says of an object, and another source says otherwise."""
     told = [(each.source, _told(of_label, each.attributes)) for each in said]
     others = [values for of, values in told if of != source]
     return sum(

@@ -6,24 +6,326 @@ import threading
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, case, func, select
 
-from annotator.project.database.schema import events, frame_results, frames
-from annotator.project.progress.action_log import UNTOUCHED, EffortStatistics, effort_of, read_log
-from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
-from annotator.project.progress.pace import Forecast, Pace, forecast, pace_of, read_frames
-from annotator.project.progress.reviewed import ReviewedBox, read_reviewed
+from annotator.project.database.schema import events, frame_results, frames, image_labels, labels
+from annotator.project.jobs import Status, latest_results
+from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
+from annotator.types import ReviewState
+
+
+class _Result(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+# --- the effort per box -----------------------------------------------------------------------------------------------
+
+
+class BoxEffort(_Result):
+    """Mean effort per box; None where no effort was counted.
+
+    Attributes:
+        boxes: number of accepted or edited boxes with counted effort.
+    """
+
+    boxes: int
+    seconds_a_box: float | None
+    actions_a_box: float | None
+
+
+class EffortStatistics(BoxEffort):
+    """Effort per box, over all boxes and by origin; every origin is a key, even without boxes."""
+
+    by_origin: dict[str, BoxEffort]
+
+
+def _effort(boxes: Iterable[ReviewedBox]) -> BoxEffort:
+    entries = [box.effort for box in boxes if box.effort is not None]
+    actions, seconds = np.mean(entries, axis=0).tolist() if entries else (None, None)
+    return BoxEffort(boxes=len(entries), seconds_a_box=seconds, actions_a_box=actions)
+
+
+def _mean_iou(boxes: Iterable[ReviewedBox]) -> float | None:
+    ious = [box.iou for box in boxes if box.iou is not None]
+    return float(np.mean(ious)) if ious else None
+
+
+# --- days -------------------------------------------------------------------------------------------------------------
+# The page counts seconds of work for a box, from one input event to the next; looking through frames and waiting are
+# not in them. So the time at work is measured between the actions in the log.
+
+# A longer time between two actions of a person is a break.
+LONGEST_PAUSE_S = 300.0
+
+
+class WorkOfDay(_Result):
+    """The work of one person on one day, in this computer's time zone.
+
+    Attributes:
+        boxes: labelled on this day (drawn, accepted or corrected), as far as they are still there.
+        rejected: proposals.
+        frames: that the person changed.
+        actions, seconds: as the page counted them, for whatever became of them.
+        hours: at work, breaks left out.
+    """
+
+    model_config = ConfigDict(frozen=False)  # summed up in place
+
+    day: date
+    person: str
+    boxes: int
+    rejected: int
+    frames: int
+    actions: int
+    seconds: float
+    hours: float
+
+
+def seconds_at_work(actions: Sequence[Action]) -> list[float]:
+    """Seconds from the person's action before to each action; after a break, what the page counted for it."""
+    last_ns: dict[str, int] = {}
+    seconds = []
+    for action in actions:
+        counted = 0.0 if action.effort is None else action.effort.seconds
+        since = (action.time_ns - last_ns.get(action.author, 0)) / 1e9
+        seconds.append(max(since, counted) if 0 <= since <= LONGEST_PAUSE_S else counted)
+        last_ns[action.author] = action.time_ns
+    return seconds
+
+
+def work_by_day(
+    actions: Sequence[Action], at_work_s: Sequence[float], boxes: Sequence[ReviewedBox]
+) -> tuple[WorkOfDay, ...]:
+    """The work of all people, in the order of days and names; `at_work_s` of each action, as from `seconds_at_work`.
+
+    People are those who have labelled or rejected a box, or whose actions the page counted; the other authors are
+    commands, such as `annotator follow`.
+    """
+    found: dict[tuple[date, str], WorkOfDay] = {}
+    changed: dict[tuple[date, str], set[int]] = defaultdict(set)
+
+    def work_of(person: str, time_ns: int) -> WorkOfDay:
+        day = _day_of_quarter(time_ns // (900 * 10**9))
+        if (day, person) not in found:
+            new = WorkOfDay(day=day, person=person, boxes=0, rejected=0, frames=0, actions=0, seconds=0.0, hours=0.0)
+            found[day, person] = new
+        return found[day, person]
+
+    for action, seconds in zip(actions, at_work_s, strict=True):
+        work = work_of(action.author, action.time_ns)
+        work.hours += seconds / 3600
+        changed[work.day, work.person].update(action.frames)
+        if action.effort is not None:
+            work.actions += action.effort.actions
+            work.seconds += action.effort.seconds
+    for box in boxes:
+        if box.decided is not None:
+            work = work_of(*box.decided)
+            work.rejected += box.is_rejected
+            work.boxes += not box.is_rejected
+    people = {work.person for work in found.values() if work.boxes or work.rejected or work.actions}
+    for key, work in found.items():
+        work.frames = len(changed[key])
+    return tuple(found[key] for key in sorted(found) if key[1] in people)
+
+
+@lru_cache(maxsize=4096)
+def _day_of_quarter(quarter: int) -> date:
+    """The day of a quarter of an hour since the epoch; in every time zone, a day begins with one."""
+    return datetime.fromtimestamp(900 * quarter).date()
+
+
+# --- pace: does the loop get faster? ----------------------------------------------------------------------------------
+
+# Points of the curve at most, and boxes of a point at least: fewer say nothing.
+MOST_GROUPS, FEWEST_BOXES = 20, 10
+
+
+class PaceGroup(_Result):
+    """Boxes that were labelled one after the other.
+
+    Attributes:
+        first, last: time of the first and of the last one, UTC.
+        proposed, untouched: shares that were proposed, and accepted as proposed.
+        iou_proposal_to_final: mean over those that were proposed; None without any.
+    """
+
+    boxes: int
+    first: datetime
+    last: datetime
+    seconds_a_box: float
+    actions_a_box: float
+    proposed: float
+    untouched: float
+    iou_proposal_to_final: float | None
+
+
+class Pace(_Result):
+    """How the effort per box changed.
+
+    Attributes:
+        groups: all boxes with counted effort, in groups of equal size.
+        earliest, latest: their first and last quarter; None for less than 20 boxes.
+    """
+
+    groups: tuple[PaceGroup, ...]
+    earliest: PaceGroup | None
+    latest: PaceGroup | None
+
+
+def pace_of(boxes: Sequence[ReviewedBox]) -> Pace:
+    """The pace of all accepted and edited boxes with counted effort."""
+    done = [box for box in boxes if box.decided is not None and box.effort is not None and not box.is_rejected]
+    done.sort(key=_time_ns)
+    if not done:
+        return Pace(groups=(), earliest=None, latest=None)
+    count = min(max(len(done) // FEWEST_BOXES, 1), MOST_GROUPS)
+    edges = np.linspace(0, len(done), count + 1).round().astype(int).tolist()
+    groups = tuple(_group(done[a:b]) for a, b in pairwise(edges))
+    quarter = len(done) // 4 if len(done) >= 2 * FEWEST_BOXES else 0
+    return Pace(
+        groups=groups,
+        earliest=_group(done[:quarter]) if quarter else None,
+        latest=_group(done[-quarter:]) if quarter else None,
+    )
+
+
+def _group(boxes: Sequence[ReviewedBox]) -> PaceGroup:
+    first, last = (datetime.fromtimestamp(_time_ns(box) / 1e9, UTC) for box in (boxes[0], boxes[-1]))
+    return PaceGroup(
+        **dict(_effort(boxes)),
+        first=first,
+        last=last,
+        proposed=sum(box.was_proposed for box in boxes) / len(boxes),
+        untouched=sum(box.origin == UNTOUCHED for box in boxes) / len(boxes),
+        iou_proposal_to_final=_mean_iou(boxes),
+    )
+
+
+def _time_ns(box: ReviewedBox) -> int:
+    return 0 if box.decided is None else box.decided[1]
+
+
+# --- what is left -----------------------------------------------------------------------------------------------------
+
+# Frames done last from which the rate is taken, and the parts of them whose rates give its range.
+LATEST_FRAMES, PARTS, FEWEST_FRAMES = 100, 4, 10
+
+
+class Interval(_Result):
+    """An expected value and its range."""
+
+    low: float
+    expected: float
+    high: float
+
+
+class Forecast(_Result):
+    """The work that is left, at the rate of the latest work.
+
+    Attributes:
+        frames_done: reviewed, labelled as empty, or finalised.
+        frames_left: with open proposals, or without labels.
+        frames_found_empty: in which the latest pass has found nothing; no work is expected for them.
+        proposals_open: number.
+        boxes_left: the open proposals, and as many boxes in each bare frame as in those done last; None with fewer than
+            10 frames or boxes to judge by.
+        boxes_an_hour: at work, breaks left out, in the frames done last, with the slowest and the fastest quarter of
+            them; None as before.
+        hours_left: the boxes left at these rates; None as before.
+    """
+
+    frames_done: int
+    frames_left: int
+    frames_found_empty: int
+    proposals_open: int
+    boxes_left: float | None
+    boxes_an_hour: Interval | None
+    hours_left: Interval | None
+
+
+def _forecast(
+    connection: Connection, actions: Sequence[Action], at_work_s: Sequence[float], boxes: Sequence[ReviewedBox]
+) -> Forecast:
+    done, bare, found_empty, proposals = _sorted_frames(connection)
+    seconds: dict[int, float] = defaultdict(float)
+    last_ns: dict[int, int] = {}
+    for action, spent in zip(actions, at_work_s, strict=True):
+        for frame_id in action.frames:
+            seconds[frame_id] += spent / len(action.frames)
+            last_ns[frame_id] = action.time_ns
+    kept: dict[int, int] = defaultdict(int)
+    for box in boxes:
+        kept[box.frame_id] += box.origin is not None
+    latest = sorted((id for id in last_ns if id in done), key=lambda id: last_ns[id])[-LATEST_FRAMES:]
+    counts, hours = (np.array([of[id] for id in latest], np.float64) for of in (kept, seconds))
+    hours /= 3600
+    boxes_left = rate = hours_left = None
+    if len(latest) >= FEWEST_FRAMES and counts.sum() >= FEWEST_BOXES and hours.sum() > 0:
+        boxes_left = float(sum(proposals) + bare * counts.mean())
+        parts = zip(*(np.array_split(values, PARTS) for values in (counts, hours)), strict=True)
+        sums = [(float(count.sum()), float(spent.sum())) for count, spent in parts]
+        rates = [count / spent for count, spent in sums if count and spent]
+        rate = Interval(low=min(rates), expected=float(counts.sum() / hours.sum()), high=max(rates))
+        hours_left = Interval(
+            low=boxes_left / rate.high, expected=boxes_left / rate.expected, high=boxes_left / rate.low
+        )
+    return Forecast(
+        frames_done=len(done),
+        frames_left=bare + len(proposals),
+        frames_found_empty=found_empty,
+        proposals_open=sum(proposals),
+        boxes_left=boxes_left,
+        boxes_an_hour=rate,
+        hours_left=hours_left,
+    )
+
+
+def _sorted_frames(connection: Connection) -> tuple[set[int], int, int, list[int]]:
+    """The frames that the latest scans have found, by what is left to do.
+
+    Returns:
+        Ids of those without open proposals that are finalised, have a reviewed label, or are labelled as empty; the
+        number of those that nobody and nothing has looked at; the number of those in which the latest pass has found
+        nothing, and which nobody has looked at; the numbers of open proposals of the others.
+    """
+    is_open = labels.c.state == ReviewState.PROPOSED.value
+    numbers = select(labels.c.frame_id, func.sum(case((is_open, 1), else_=0)), func.count()).group_by(labels.c.frame_id)
+    by_frame = {frame_id: (waiting, total) for frame_id, waiting, total in connection.execute(numbers)}
+    on_images = select(image_labels.c.frame_id, image_labels.c["count"])
+    drawn = {row[0]: row[1] for row in connection.execute(on_images)}
+    nothing = (frame_results.c.status == Status.DONE.value) & (frame_results.c.proposals == 0)
+    passed = select(frame_results.c.frame_id).where(nothing & frame_results.c.id.in_(latest_results()))
+    empty = set(connection.execute(passed).scalars())
+    done, bare, found_empty, waiting = set[int](), 0, 0, list[int]()
+    present = select(frames.c.id, frames.c.finalised).where(frames.c.position.is_not(None))
+    for frame_id, finalised in connection.execute(present):
+        open_proposals, total = by_frame.get(frame_id, (0, 0))
+        if open_proposals:
+            waiting.append(open_proposals)
+        elif finalised or total or drawn.get(frame_id) == 0:
+            done.add(frame_id)
+        elif frame_id in empty and frame_id not in drawn:
+            found_empty += 1
+        else:
+            bare += 1
+    return done, bare, found_empty, waiting
+
+
+# --- the proposals ----------------------------------------------------------------------------------------------------
 
 # Distances from the camera, metres: from a hand in front of a camera to a car before a LiDAR.
 RANGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
 
 
-class Quality(BaseModel):
+class Quality(_Result):
     """Counts of reviewed boxes, and the quality of their proposals.
 
     Attributes:
@@ -32,8 +334,6 @@ class Quality(BaseModel):
         iou_proposal_to_final: mean exact 3D IoU of untouched and corrected proposals with what they became; None
             without any.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     untouched: int
     corrected: int
@@ -53,10 +353,8 @@ class RangeQuality(Quality):
     to_m: float | None
 
 
-class ProposalQuality(BaseModel):
+class ProposalQuality(_Result):
     """Quality of the proposals; classes are those of the reviewed boxes, and distances without boxes are left out."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     by_class: dict[str, Quality]
     by_range: tuple[RangeQuality, ...]
@@ -87,29 +385,26 @@ def _by_range(boxes: Iterable[ReviewedBox]) -> tuple[RangeQuality, ...]:
 
 def _numbers(boxes: Sequence[ReviewedBox]) -> dict[str, int | float | None]:
     proposed = [box for box in boxes if box.was_proposed]
-    kept = [box for box in proposed if not box.is_rejected]
-    untouched = sum(box.origin == UNTOUCHED for box in kept)
-    ious = [box.iou for box in kept if box.iou is not None]
+    untouched, rejected = sum(box.origin == UNTOUCHED for box in proposed), sum(box.is_rejected for box in proposed)
     return {
         "untouched": untouched,
-        "corrected": len(kept) - untouched,
-        "rejected": len(proposed) - len(kept),
+        "corrected": len(proposed) - untouched - rejected,
+        "rejected": rejected,
         "missed": len(boxes) - len(proposed),
-        "iou_proposal_to_final": float(np.mean(ious)) if ious else None,
+        "iou_proposal_to_final": _mean_iou(proposed),
     }
 
 
-class Progress(BaseModel):
+# --- all of it --------------------------------------------------------------------------------------------------------
+
+
+class Progress(_Result):
     """The work on a project, for whoever leads it.
 
     Attributes:
         days: what each person did on each day, in the order of days and names.
-        pace: effort per box in the order in which the boxes were labelled.
         proposals: as they were, against what they became.
-        forecast: of the work that is left.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     days: tuple[WorkOfDay, ...]
     pace: Pace
@@ -117,16 +412,13 @@ class Progress(BaseModel):
     forecast: Forecast
 
 
-@dataclass(frozen=True)
-class Review:
+class Review(_Result):
     """Results of the review.
 
     Attributes:
-        effort: cost per box.
         accepted_untouched: share of the reviewed proposals (rejected ones included) that were accepted unchanged.
         iou_proposal_to_final: mean exact 3D IoU between the proposed and the final box, over accepted and edited
             proposals; None without any.
-        progress: of the work.
     """
 
     effort: EffortStatistics
@@ -157,21 +449,18 @@ class ReviewReader:
 
 def _read(connection: Connection) -> Review:
     log = read_log(connection)
-    boxes = read_reviewed(connection, log)
-    proposals = [box for box in boxes if box.was_proposed]
-    untouched = sum(box.origin == UNTOUCHED for box in proposals)
-    ious = [box.iou for box in boxes if box.iou is not None]
-    actions = list(log.actions.values())
+    boxes, actions = read_reviewed(connection, log), list(log.actions.values())
     at_work_s = seconds_at_work(actions)
-    days = work_by_day(actions, at_work_s, boxes)
+    proposals = [box for box in boxes if box.was_proposed]
+    by_origin = {origin: _effort(box for box in boxes if box.origin == origin) for origin in ORIGINS}
     return Review(
-        effort_of([(box.origin, box.effort) for box in boxes if box.origin is not None and box.effort is not None]),
-        untouched / len(proposals) if proposals else None,
-        float(np.mean(ious)) if ious else None,
-        Progress(
-            days=days,
+        effort=EffortStatistics(**dict(_effort(box for box in boxes if box.origin is not None)), by_origin=by_origin),
+        accepted_untouched=sum(box.origin == UNTOUCHED for box in proposals) / len(proposals) if proposals else None,
+        iou_proposal_to_final=_mean_iou(boxes),
+        progress=Progress(
+            days=work_by_day(actions, at_work_s, boxes),
             pace=pace_of(boxes),
             proposals=quality_of(boxes),
-            forecast=forecast(read_frames(connection), actions, at_work_s, boxes),
+            forecast=_forecast(connection, actions, at_work_s, boxes),
         ),
     )

@@ -1,39 +1,157 @@
-"""The labels that people have reviewed: where each came from, what it cost, and how good its proposal was.
+"""The operators' actions, and the labels that they have reviewed: their origins, effort, and proposals.
 
-A project has ten thousands of them, so only those that differ from their proposals are compared with them, as arrays.
+A project has ten thousands of reviewed labels, so only those that differ from their proposals are compared with them,
+as arrays.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 from sqlalchemy import Connection, func, select
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import SAME_BOX
+from annotator.project.audit.events import Effort, Event, RowChange, event_of
 from annotator.project.changes import Origin
-from annotator.project.database.schema import AnyRow, labels
-from annotator.project.progress.action_log import (
-    COPIED,
-    CORRECTED,
-    FROM_NOTHING,
-    IMPORT_EDITED,
-    KEPT,
-    PLACED,
-    REJECTED,
-    UNTOUCHED,
-    ActionLog,
-)
-from annotator.project.records import parsed
+from annotator.project.database.schema import AnyRow, events, labels
+from annotator.project.records import BOXES_2D, parsed
 from annotator.project.rows import Terms
-from annotator.types import ReviewState, Source
+from annotator.types import Box2D, ReviewState, Source
 
+DRAFT = "draft-"
+
+UNTOUCHED, CORRECTED, FROM_NOTHING = "proposal accepted untouched", "proposal edited", "from nothing"
+PLACED, COPIED, IMPORT_EDITED = "placed in 3D", "copied", "import edited"
+ORIGINS = (UNTOUCHED, CORRECTED, FROM_NOTHING, PLACED, COPIED, IMPORT_EDITED)
 _MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
+
+
+def draft_id(frame_id: int, image_box: Box2D) -> str:
+    """Id of a draft: an unfinished object without a label. Its effort is counted under this id."""
+    edges = ",".join(f"{edge:.3f}" for edge in image_box.xyxy)
+    return DRAFT + hashlib.sha256(f"{frame_id}:{edges}".encode()).hexdigest()[:20]
+
+
+@dataclass(slots=True)
+class Action:
+    """One action of an operator.
+
+    Attributes:
+        time_ns: of its first event.
+        effort: None if it was not counted.
+        subject: uid of the label or id of the draft that the effort was for, if given.
+        labels, frames: uids and ids of what it changed, each once.
+    """
+
+    author: str
+    time_ns: int
+    effort: Effort | None
+    subject: str | None
+    labels: dict[str, None] = field(default_factory=dict)
+    frames: dict[int, None] = field(default_factory=dict)
+
+
+@dataclass
+class ActionLog:
+    """All actions, and what they did to labels.
+
+    Attributes:
+        actions: by id, in order.
+        proposed: uids of the labels that an operator has reviewed as proposals.
+        first: (label uid, "box" or "class_id") -> what an action has changed first.
+        decided: (label uid, whether it was rejected) -> author and time (ns) of the decision.
+    """
+
+    actions: dict[str, Action] = field(default_factory=dict)
+    proposed: set[str] = field(default_factory=set)
+    first: dict[tuple[str, str], Any] = field(default_factory=dict)
+    decided: dict[tuple[str, bool], tuple[str, int]] = field(default_factory=dict)
+    _became: dict[str, str] = field(default_factory=dict)
+    _moved: dict[str, str] = field(default_factory=dict)
+
+    def add(self, event: Event) -> None:
+        """Adds one event of an action."""
+        assert event.action is not None and event.frame_id is not None  # as every action
+        subject = event.effort_target
+        action = self.actions.setdefault(event.action, Action(event.author, event.time_ns, event.effort, subject))
+        action.frames[event.frame_id] = None
+        for row in event.rows:
+            if row.table == "image_labels":
+                self._add_image_boxes(event.frame_id, row)
+            elif row.table == "labels":
+                uid = str(row.key)
+                action.labels[uid] = None
+                if event.kind == "label_created" and subject is not None and subject.startswith(DRAFT):
+                    self._became[subject] = uid
+                self._add_label(uid, row, event)
+
+    def _add_label(self, uid: str, row: RowChange, event: Event) -> None:
+        before, after = row.before or {}, row.after or {}
+        for column in ("box", "class_id"):
+            if column in before:
+                self.first.setdefault((uid, column), before[column])
+        then, now = before.get("state"), after.get("state")
+        if then == ReviewState.PROPOSED.value:
+            self.proposed.add(uid)
+        if (is_rejected := _is_rejected(now)) is None:
+            return
+        made, is_other = (event.author, event.time_ns), _is_rejected(then) is not is_rejected
+        if is_other and event.undoes is None:
+            self.decided[uid, is_rejected] = made
+        elif is_other or (now == ReviewState.EDITED.value and then != now):
+            # undo and redo restore somebody's decision; an edited import has had none before
+            self.decided.setdefault((uid, is_rejected), made)
+
+    def effort_by_label(self) -> dict[str, tuple[float, float]]:
+        """Label uid -> actions and seconds; the effort of an action for several labels is divided equally."""
+        spent: dict[str, tuple[float, float]] = defaultdict(lambda: (0.0, 0.0))
+        for action in self.actions.values():
+            if (effort := action.effort) is None:
+                continue
+            targets = (action.subject,) if action.subject is not None else tuple(action.labels)
+            for uid in map(self._label, targets):
+                actions, seconds = spent[uid]
+                spent[uid] = actions + effort.actions / len(targets), seconds + effort.seconds / len(targets)
+        return spent
+
+    def _label(self, target: str) -> str:
+        seen = set()
+        while target not in self._became and target in self._moved and target not in seen:
+            seen.add(target)
+            target = self._moved[target]
+        return self._became.get(target, target)
+
+    def _add_image_boxes(self, frame_id: int, row: RowChange) -> None:
+        """Records a changed box on the image: the draft's id changes with it."""
+        if not row.is_update or row.before is None or row.after is None or "boxes" not in row.after:
+            return
+        # the id of a draft does not depend on its class
+        old, new = (parsed(BOXES_2D.validate_json, state["boxes"]) for state in (row.before, row.after))
+        removed, added = [box for box in old if box not in new], [box for box in new if box not in old]
+        if len(removed) == len(added) == 1:
+            self._moved[draft_id(frame_id, removed[0])] = draft_id(frame_id, added[0])
+
+
+def _is_rejected(state: str | None) -> bool | None:
+    """None for a label that is open, or not there."""
+    return None if state in (None, ReviewState.PROPOSED.value) else state == ReviewState.REJECTED.value
+
+
+def read_log(connection: Connection) -> ActionLog:
+    """Reads all actions."""
+    log = ActionLog()
+    query = select(events).where(events.c.action.is_not(None), events.c.frame_id.is_not(None)).order_by(events.c.id)
+    for row in connection.execute(query):
+        log.add(event_of(row))
+    return log
 
 
 class ReviewedBox(NamedTuple):
@@ -42,9 +160,8 @@ class ReviewedBox(NamedTuple):
     Attributes:
         label: its class.
         range_m: distance of its centre from the camera.
-        is_rejected: whether its proposal was rejected.
         was_proposed: whether an automatic pass, or following, proposed it.
-        origin: one of `efforts.ORIGINS`; None if rejected, or imported and not edited.
+        origin: one of `ORIGINS`; None if rejected, or imported and not edited.
         iou: exact 3D IoU of its box as proposed and as it is now; None if rejected or not proposed.
         effort: actions and seconds; None if none were counted.
         decided: who accepted, made or rejected it, and when (ns); None if no operator has.
@@ -67,105 +184,72 @@ def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
     centers = [func.json_extract(labels.c.box, f"$.center_m[{axis}]") for axis in range(3)]
     query = select(*(labels.c[name] for name in columns), *centers)
     query = query.where(labels.c.state != ReviewState.PROPOSED.value).order_by(labels.c.id)
-    rows, terms = connection.execute(query).all(), Terms(connection)
-    ranges = [_range_m(row, terms) for row in rows]
-    comparisons = _compared(rows, log, terms)
-    spent = log.effort_by_label()
-    return [
-        _reviewed(row, range_m, comparisons.get(row.uid), spent.get(row.uid), log)
-        for row, range_m in zip(rows, ranges, strict=True)
-    ]
+    rows, terms, spent = connection.execute(query).all(), Terms(connection), log.effort_by_label()
+    compared, boxes = _compared(rows, log, terms), []
+    for row in rows:
+        T, is_rejected = terms.T_camera_cloud(row.frame_id), row.state == ReviewState.REJECTED.value
+        iou, is_same = compared.get(row.uid, (None, None))
+        boxes.append(
+            ReviewedBox(
+                frame_id=row.frame_id,
+                label=row.label,
+                range_m=math.hypot(*(row[-3:] if T is None else T.apply(row[-3:]))),
+                is_rejected=is_rejected,
+                was_proposed=is_same is not None or row.proposed_box is not None,
+                origin=None if is_rejected else _origin(row, is_same),
+                iou=None if is_rejected else iou,
+                effort=spent.get(row.uid),
+                decided=log.decided.get((row.uid, is_rejected)),
+            )
+        )
+    return boxes
 
 
-def _range_m(row: AnyRow, terms: Terms) -> float:
-    T = terms.T_camera_cloud(row.frame_id)
-    return math.hypot(*(row[-3:] if T is None else T.apply(row[-3:])))
-
-
-def _reviewed(
-    row: AnyRow,
-    range_m: float,
-    compared: _Compared | None,
-    effort: tuple[float, float] | None,
-    log: ActionLog,
-) -> ReviewedBox:
-    is_rejected = row.state == ReviewState.REJECTED.value
-    return ReviewedBox(
-        frame_id=row.frame_id,
-        label=row.label,
-        range_m=range_m,
-        is_rejected=is_rejected,
-        was_proposed=compared is not None or row.proposed_box is not None,
-        origin=None if is_rejected else _origin(row, compared),
-        iou=None if is_rejected or compared is None else compared.iou,
-        effort=effort,
-        decided=log.decided.get((row.uid, REJECTED if is_rejected else KEPT)),
-    )
-
-
-def _origin(row: AnyRow, compared: _Compared | None) -> str | None:
-    if compared is not None:
-        return UNTOUCHED if compared.is_same else CORRECTED
-    if row.proposed_box is not None:  # reviewed with a version of annotator that did not record actions
-        return UNTOUCHED if row.state == ReviewState.ACCEPTED.value else CORRECTED
+def _origin(row: AnyRow, is_same: bool | None) -> str | None:
+    """The origin of a label that is, or is not, as it was proposed (None: nobody has reviewed it as a proposal)."""
+    if is_same is None and row.proposed_box is not None:  # reviewed when annotator did not record actions
+        is_same = row.state == ReviewState.ACCEPTED.value
+    if is_same is not None:
+        return UNTOUCHED if is_same else CORRECTED
     if row.source == Source.IMPORTED.value:
         return IMPORT_EDITED if row.state == ReviewState.EDITED.value else None
-    return _MANUAL[None if row.origin is None else Origin(row.origin)]
+    return _MANUAL[row.origin]
 
 
-class _Boxes(NamedTuple):
-    """Centres and sizes in metres, and rotations."""
-
-    centers: Float64[np.ndarray, "n 3"]
-    rotations: Float64[np.ndarray, "n 3 3"]
-    sizes: Float64[np.ndarray, "n 3"]
-
-
-class _Compared(NamedTuple):
-    """A label and its proposal: the exact 3D IoU of their boxes, and whether class and box are the same."""
-
-    iou: float
-    is_same: bool
-
-
-def _boxes(content: str) -> _Boxes:
-    """The boxes of a JSON list of `BoxRecord`s."""
-    records = json.loads(content)
-
-    def stack(key: str, *shape: int) -> np.ndarray:
-        return np.array([record[key] for record in records], np.float64).reshape(-1, *shape)
-
-    return _Boxes(stack("center_m", 3), stack("rotation", 3, 3), stack("size_m", 3))
-
-
-def _compared(rows: Sequence[AnyRow], log: ActionLog, terms: Terms) -> dict[str, _Compared]:
-    """Label uid -> how it differs from its proposal, for the labels that have one.
+def _compared(rows: Sequence[AnyRow], log: ActionLog, terms: Terms) -> dict[str, tuple[float, bool]]:
+    """Label uid -> exact 3D IoU with its proposal, and whether class and box are the same, for labels that have one.
 
     Compares class and box, since an edited label that was accepted afterwards has the state "accepted".
     """
-    results: dict[str, _Compared] = {}
-    changed, then = list[AnyRow](), list[str]()
+    results: dict[str, tuple[float, bool]] = {}
+    changed, then, same_class = list[AnyRow](), list[str](), list[bool]()
     for row in rows:
         # a copy was open, too, but nobody else proposed it
         if row.uid not in log.proposed or row.origin is not None:
             continue
         box = log.first.get((row.uid, "box"), row.box)
-        if box == row.box and _first_class(row, log, terms) == row.label:
-            results[row.uid] = _Compared(1.0, True)
+        is_same = terms.names[log.first.get((row.uid, "class_id"), row.class_id)] == row.label
+        if box == row.box and is_same:
+            results[row.uid] = (1.0, True)
         else:
             changed.append(row)
             then.append(box)
+            same_class.append(is_same)
     if not changed:
         return results
     before, now = (parsed(_boxes, f"[{','.join(texts)}]") for texts in (then, [row.box for row in changed]))
     apart = [np.abs(a - b).reshape(len(changed), -1).max(axis=1) for a, b in zip(now, before, strict=True)]
-    is_same = np.max(apart, axis=0) <= SAME_BOX
+    is_same_box = np.max(apart, axis=0) <= SAME_BOX
     shared = intersection_volume_pairs(*now, *before)
-    ious = np.minimum(shared / (now.sizes.prod(axis=1) + before.sizes.prod(axis=1) - shared), 1.0)
-    for row, same, iou in zip(changed, is_same.tolist(), ious.tolist(), strict=True):
-        results[row.uid] = _Compared(iou, same and _first_class(row, log, terms) == row.label)
-    return results
+    ious = np.minimum(shared / (now[2].prod(axis=1) + before[2].prod(axis=1) - shared), 1.0)
+    same = (is_same_box & same_class).tolist()
+    return results | dict(zip((row.uid for row in changed), zip(ious.tolist(), same, strict=True), strict=True))
 
 
-def _first_class(row: AnyRow, log: ActionLog, terms: Terms) -> str:
-    return terms.names[log.first.get((row.uid, "class_id"), row.class_id)]
+def _boxes(content: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres (n, 3), rotations (n, 3, 3) and sizes (n, 3), metres, of a JSON list of `BoxRecord`s."""
+    records = json.loads(content)
+    centers, rotations, sizes = (
+        np.array([record[key] for record in records], np.float64) for key in ("center_m", "rotation", "size_m")
+    )
+    return centers.reshape(-1, 3), rotations.reshape(-1, 3, 3), sizes.reshape(-1, 3)

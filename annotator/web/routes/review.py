@@ -9,7 +9,7 @@ from pydantic import Field
 
 from annotator.project.boxes import png
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.review import ValueFilter
+from annotator.project.review import ValueFilter, waiting_sources
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.context import AtProject
@@ -226,7 +226,7 @@ def queue(
 @router.get("/api/projects/{name}/queue/sources")
 def sources(at: AtProject) -> dict[str, int]:
     """The number of objects that each source sees among the proposals to review; "annotator" for our own."""
-    return at.project.labels.waiting_sources()
+    return waiting_sources(at.project.store)
 
 
 # Time limit for counting points; the next request counts those of further frames.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.values import ValueReader
 from annotator.project.records import OWN
-from annotator.project.sources import SourceTracks
+from annotator.project.sources import source_tracks
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
@@ -317,7 +317,7 @@ class _Proposals:
         if track_id is None:
             return None
         if recording_id not in self._tracks:
-            self._tracks[recording_id] = _Tracks(self._project.proposals.source_tracks(recording_id, self._source))
+            self._tracks[recording_id] = _Tracks(*source_tracks(self._project.store, recording_id, self._source))
         return self._tracks[recording_id].of(track_id)
 
 
@@ -327,10 +327,9 @@ class _Tracks:
     A later file of the source gets the same ids for the same tracks.
     """
 
-    def __init__(self, known: SourceTracks) -> None:
-        self._used = set(known.used)
-        self._next = max(known.used, default=0) + 1
-        self._given = dict(known.given)
+    def __init__(self, used: set[int], given: dict[int, int]) -> None:
+        self._used, self._given = used, given
+        self._next = max(used, default=0) + 1
 
     def of(self, track_id: int) -> int:
         if track_id not in self._given:

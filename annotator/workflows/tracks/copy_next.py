@@ -9,8 +9,9 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, StoredLabel
-from annotator.project.changes import LabelProposed, LabelTracked, Payload
+from annotator.project.changes import LabelMoved, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
+from annotator.project.records import BoxRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.follow_object import Look, follow_object
@@ -163,7 +164,7 @@ def _corrected(project: Project, frame: StoredFrame, stored: StoredLabel, box: O
         if covered_by([replace(label, box=box)], decided) != [None]:
             return []
         # It stays the same proposal, so its score, its doubt and the effort for it stay with it.
-        return [project.labels.with_box(label.uid, box)]
+        return [LabelMoved(uid=label.uid, box=BoxRecord.of(box))]
     # Of other software's proposals, what it said stays as it is, so the corrected box becomes a proposal of ours.
     return proposal_events(project, frame, [NewProposal.like(label, box, label.track_id, said=stored.said)])
 

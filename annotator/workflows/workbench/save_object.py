@@ -12,7 +12,7 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Origin, Project, Receipt, StoredLabel, WriteContext
 from annotator.project.changes import ImageBoxesSet, LabelChange, LabelCreated, LabelEdited, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, neighbours, read_page
-from annotator.project.progress.action_log import draft_id
+from annotator.project.progress.reviewed import draft_id
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion

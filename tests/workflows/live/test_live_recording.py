@@ -148,7 +148,7 @@ def test_recorded_frames_are_in_the_project_with_proposals(
     (run,) = hands.jobs.all()
     assert run.finished_ns is not None
     assert '"live": "warm start"' in run.config
-    assert {result.seconds for result in hands.jobs.results(run_id=run.id)} == {0.02}
+    assert {result.seconds for result in hands.jobs.results()} == {0.02}
 
 
 def test_a_slow_disk_drops_frames_instead_of_blocking(

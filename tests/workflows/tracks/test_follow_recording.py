@@ -147,7 +147,7 @@ def test_a_changed_reviewed_box_ends_its_run(room: Room, change: str) -> None:
 
 def test_changes_of_other_frames_do_not_stop_a_run(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
     room.accept(0, 1)
-    real, others = room.project.log.writer.to_frames, iter([True, True])
+    real, others = room.project.log.append_to_frames, iter([True, True])
 
     def interrupted(_: Writer, parts: Any, *rest: Any) -> object:
         """Another operator is faster, twice."""
@@ -157,7 +157,7 @@ def test_changes_of_other_frames_do_not_stop_a_run(room: Room, monkeypatch: pyte
             room.project.labels.create(parts[0].frame_id, [new], context)
         return real(parts, *rest)
 
-    monkeypatch.setattr(Writer, "to_frames", interrupted)
+    monkeypatch.setattr(Writer, "append_to_frames", interrupted)
     (track,) = room.run().run().tracks
     assert (track.boxes, track.stops) == (4, ())
     assert len(room.labels(1)) == 3

@@ -15,7 +15,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.audit.events import Effort
-from annotator.project.progress.action_log import draft_id
+from annotator.project.progress.reviewed import draft_id
 from annotator.rcv.known_objects import Span, draw_object
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording

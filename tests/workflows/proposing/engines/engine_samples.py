@@ -29,7 +29,7 @@ def stored(project: Project) -> list[str]:
         objects = latest.objects if latest else ()
         found.append(
             repr([(o.proposal.label, o.proposal.score, o.proposal.trace, o.proposal.quality) for o in objects])
-            + repr([(o.proposal.box.pose.tolist(), o.proposal.box.size_m.tolist()) for o in objects])
+            + repr([o.proposal.box for o in objects])
             + repr(latest.lost if latest else ())
         )
     return found
