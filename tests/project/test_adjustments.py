@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, state_of
+from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Basis, NewLabel, Project, StoredRecording, ViewGeometry
-from annotator.project.audit.events import rebuild
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, OrientedBox
 from annotator.types.errors import HistoryError, StaleRevisionError
 
@@ -145,14 +144,6 @@ def test_undo_of_an_older_edit_puts_the_box_where_the_cloud_is_now(project: Proj
     assert same_box(box_of(project, labelled), box_at(5.0))
 
 
-def test_a_label_deleted_before_the_correction_is_restored_in_its_place(project: Project, recording, labelled: int):
-    uid = project.labels.of_frame(labelled)[0].uid
-    project.labels.delete(labelled, uid, by_hand(1, "bob"))
-    project.adjustments.correct(recording.id, TURNED, "ann")
-    project.history.undo("bob")
-    assert same_box(box_of(project, labelled), box_at().transformed(TURNED.T_camera_recorded))
-
-
 def test_an_older_change_of_an_adjustment_cannot_be_undone_over_a_newer_one(project: Project, recording):
     project.adjustments.correct(recording.id, TURNED, "ann")
     project.adjustments.correct(recording.id, AGAIN, "bob", Basis(frame_id=project.frames.of()[3].id))
@@ -166,15 +157,6 @@ def test_an_untouched_proposal_counts_as_untouched_after_a_correction(project: P
     project.adjustments.correct(recording.id, TURNED, "ann")
     review = project.statistics()
     assert (review.accepted_untouched, review.iou_proposal_to_final) == (1.0, pytest.approx(1.0))
-
-
-def test_frames_added_after_a_correction_are_rebuilt_as_they_are(project: Project, recording, labelled: int):
-    project.adjustments.correct(recording.id, TURNED, "ann")
-    project.recordings.rescan(recording.id, [*map(str, range(7))])
-    maintained = state_of(project)
-    with project.store.write() as connection:
-        rebuild(connection)
-    assert state_of(project) == maintained
 
 
 @pytest.mark.parametrize(
