@@ -14,11 +14,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext, open_project
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
 from annotator.project.changes import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.classes.edit import ClassEdit
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
 from annotator.project.log import new_action
@@ -64,23 +63,11 @@ def matrix3(array: np.ndarray) -> tuple[tuple[float, float, float], ...]:
     return tuple(tuple(row) for row in array.tolist())
 
 
-def view_trace(boxes: int = 1) -> ViewTrace:
-    detected = tuple(Box2D("hand", 10.25 + n, 1 / 3, 99.5, 200.125, 0.9) for n in range(boxes))
-    used = 0 if detected else None
-    return ViewTrace(matrix3(NOT_AXIS_ALIGNED), 0.00123456789, (-0.4, 0.25), 320, 240, detected, used)
-
-
 def step_trace(views: int = 2) -> StepTrace:
-    box = BoxTrace((0.1, 0.2, 0.3), matrix3(NOT_AXIS_ALIGNED), (1.0, 0.5, 0.25))
-    return StepTrace(
-        "normals",
-        ("consensus: too flat",),
-        tuple(view_trace() for _ in range(views)),
-        box,
-        500,
-        432,
-        StopReason.CONTINUES,
-    )
+    axes = matrix3(NOT_AXIS_ALIGNED)
+    view = ViewTrace(axes, 0.00123456789, (-0.4, 0.25), 320, 240, (Box2D("hand", 10.25, 1 / 3, 99.5, 200.125, 0.9),), 0)
+    box = BoxTrace((0.1, 0.2, 0.3), axes, (1.0, 0.5, 0.25))
+    return StepTrace("normals", ("consensus: too flat",), (view,) * views, box, 500, 432, StopReason.CONTINUES)
 
 
 def proposal_at(
@@ -92,7 +79,7 @@ def proposal_at(
 
 
 def lost_object() -> LostObject:
-    step = StepTrace("camera", (), (view_trace(0),), None, 20, 0, StopReason.LOST)
+    step = StepTrace("camera", (), (), None, 20, 0, StopReason.LOST)
     return LostObject("hand", Box2D("hand", 0.0, 0.0, 5.0, 5.0, 0.4), (step,))
 
 
@@ -117,30 +104,17 @@ def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
     return {table: sorted(rows, key=str) for table, rows in state_of(project).items()}
 
 
-def _renamed(config: ProjectConfig, number: int) -> ClassEdit:
-    return edit.rename_class(config, config.classes[number % len(config.classes)], "hand" if number else "palm")
-
-
-def _merged(config: ProjectConfig, number: int) -> ClassEdit:
-    old = config.classes[number % len(config.classes)]
-    return edit.merge_classes(config, [old], next((name for name in config.classes if name != old), old))
-
-
-def _added(config: ProjectConfig, number: int) -> ClassEdit:
-    return edit.add_class(config, ("hand", "person", "palm")[number % 3])
-
-
-def _changed(config: ProjectConfig, number: int) -> ClassEdit:
-    if number == 0:
-        return edit.rename_attribute(config, "pose", "posture")
-    if number == 1:
-        return edit.remove_class(config, config.classes[-1])
-    return (
-        edit.remove_attribute(config, "side") if number == 2 else edit.put_attribute(config, ATTRIBUTES[0], drop=True)
-    )
-
-
-CLASS_EDITS = (_renamed, _merged, _added, _changed)
+CLASS_EDITS = (
+    lambda config, b: edit.rename_class(config, config.classes[b % len(config.classes)], "hand" if b else "palm"),
+    lambda config, b: edit.merge_classes(config, config.classes[1:2], config.classes[0]),
+    lambda config, b: edit.add_class(config, ("hand", "person", "palm")[b % 3]),
+    lambda config, b: (
+        lambda: edit.rename_attribute(config, "pose", "posture"),
+        lambda: edit.remove_class(config, config.classes[-1]),
+        lambda: edit.remove_attribute(config, "side"),
+        lambda: edit.put_attribute(config, ATTRIBUTES[0], drop=True),
+    )[b](),
+)
 
 
 def some_boxes(count: int) -> list[Box2D]:

@@ -81,6 +81,7 @@ def test_a_file_that_contradicts_itself_is_refused_with_its_place(project: Proje
         ("integer", 2.5, None),
         ("integer", True, None),
         ("number", float("nan"), None),
+        ("number", 10**400, None),
         ("boolean", "maybe", None),
     ],
 )
@@ -109,7 +110,6 @@ def test_new_labels_get_defaults_and_values_of_their_track(project: Project, rec
     [
         ({"severity": 4}, "severity must be a whole number from 0 to 3, not 4"),
         ({"pose": "sitting"}, "hand has no attribute 'pose' (it has: severity, side)"),
-        ({"colour": "red"}, "hand has no attribute 'colour'"),
     ],
 )
 def test_values_that_the_schema_lacks_are_refused(
@@ -325,8 +325,3 @@ def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
         project.history.undo("ann")
     assert project.history.undo("ann", skip=True).frame_id == 2
     assert [entry.frame_id for entry in project.labels.select()] == [1]
-
-
-@pytest.mark.parametrize("value", [10**400, float("inf"), float("nan")])
-def test_a_number_beyond_every_float_is_refused(value: float) -> None:
-    assert not Attribute(name="speed", kind=AttributeKind.NUMBER).fits(value)

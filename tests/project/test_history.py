@@ -12,25 +12,18 @@ from store_samples import (
     by_hand,
     by_machine,
     proposal_at,
-    some_boxes,
     state_of,
 )
 
 from annotator.project import NewLabel, Project
 from annotator.project.backup.verify import verify
-from annotator.project.changes import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
+from annotator.project.changes import LabelCreated, LabelDeleted, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.log import new_action
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, ReviewState
+from annotator.types import ReviewState
 from annotator.types.errors import HistoryError, ProjectError
-
-
-def test_only_labels_that_an_action_is_named_after_are_counted(project: Project, frame: int) -> None:
-    uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
-    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelTracked(uid=uids[1], track_id=1)], by_hand(2))
-    assert project.history.undo("ann").words == "delete hand (frame 2)"
 
 
 def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> None:
@@ -103,24 +96,14 @@ def test_a_redo_that_conflicts_with_new_proposals_names_their_author(project: Pr
         project.history.redo("ann")
 
 
-def test_an_action_without_effect_is_skipped(project: Project, frame: int) -> None:
-    project.boxes.set_on_image(frame, some_boxes(1), BoxKind.BOX, by_hand(0))
+def test_an_action_without_effect_is_skipped_and_one_of_several_kinds_named_after_the_first(
+    project: Project, frame: int
+) -> None:
+    uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
+    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelTracked(uid=uids[1], track_id=1)], by_hand(2))
     new = LabelCreated(uid="u", label="hand", box=BoxRecord.of(box_at()))
-    both: list[Payload] = [new, LabelDeleted(uid="u")]
-    project.log.append(frame, both, by_hand(1))
-    project.history.undo("ann")
-    assert project.boxes.on_image(frame) is None
-
-
-def test_an_undo_that_needs_a_removed_class_is_refused(project: Project, frame: int) -> None:
-    project.labels.create(frame, [NewLabel("person", box_at())], by_hand(0))
-    uid = project.labels.of_frame(frame)[0].uid
-    project.labels.delete(frame, uid, by_hand(1))
-    project.configure(classes=["hand"])
-    with pytest.raises(ProjectError, match="the class 'person' was removed"):
-        project.history.undo("ann")
-    project.log.append(frame, [FrameFinalised()], by_hand(2))
-    project.history.undo("ann")
+    project.log.append(frame, [new, LabelDeleted(uid="u")], by_hand(4))
+    assert project.history.undo("ann").words == "delete hand (frame 2)"
 
 
 # --- undo and redo of values of attributes that the project's schema no longer allows ---------------------------------

@@ -143,21 +143,19 @@ def test_a_pass_gives_a_track_once(project: Project, frame: int) -> None:
     assert [None if uid is None else _track(project, uid)[0] for uid in uids] == [None, 4, None]
 
 
-@pytest.mark.parametrize("ours", [[4, None], [None, None]], ids=["ours has the track", "a reviewed box has it"])
-def test_boxes_of_other_software_get_no_track_of_another_box(
-    project: Project, frame: int, ours: list[int | None]
-) -> None:
-    theirs = [NewLabel("hand", box_at(x), 0.3, 4) for x in (6.0, 9.0)]
-    project.proposals.bring("lidar", {frame: theirs})
-    revision = project.frames.get(frame).revision
-    shown = {label.box.center_m[0]: label.track_id for label in project.labels.of_frame(frame)}
-    assert shown == {6.0: 4, 9.0: None}, "the second box of its track has none"
-    if ours[0] is None:
-        project.log.append(frame, [LabelDeleted(uid=project.labels.of_frame(frame)[0].uid)], by_hand(revision))
-        project.labels.create(frame, [NewLabel("hand", box_at(12.0), track_id=4)], by_hand(revision + 1))
-        project.proposals.bring("lidar", {frame: theirs})
-        revision = project.frames.get(frame).revision
-    project.proposals.replace(frame, [proposal_at(), proposal_at(3.0)], by_machine(revision), track_ids=ours)
-    tracks = [label.track_id for label in project.labels.of_frame(frame)]
-    assert len(tracks) == (4 if ours[0] else 5)
-    assert tracks.count(4) == 1
+@pytest.mark.parametrize("is_ours", [True, False], ids=["ours has the track", "a reviewed box has it"])
+def test_boxes_of_other_software_get_no_track_of_another_box(project: Project, frame: int, is_ours: bool) -> None:
+    def theirs() -> dict[float, int | None]:
+        boxes = [NewLabel("hand", box_at(x), 0.3, 4) for x in (6.0, 9.0)]
+        project.proposals.bring("lidar", {frame: boxes})
+        return {label.box.center_m[0]: label.track_id for label in project.labels.of_frame(frame)}
+
+    assert theirs() == {6.0: 4, 9.0: None}, "the second box of its track has none"
+    change = (by_machine if is_ours else by_hand)(project.frames.get(frame).revision)
+    if is_ours:
+        project.proposals.replace(frame, [proposal_at()], change, track_ids=[4])
+    else:
+        project.proposals.bring("lidar", {frame: []})
+        change = by_hand(project.frames.get(frame).revision)
+        project.labels.create(frame, [NewLabel("hand", box_at(), track_id=4)], change)
+    assert list(theirs().values()).count(4) == 1
