@@ -104,6 +104,14 @@ def test_changes_that_are_based_on_the_earlier_geometry_are_refused(project: Pro
     assert project.recordings.get(recording.id).correction == TURNED
 
 
+def test_a_correction_that_changes_nothing_is_no_step_to_undo(project: Project, recording: StoredRecording):
+    for _ in range(2):
+        project.adjustments.correct(recording.id, TURNED, "ann")
+        assert project.history.next("ann")[0] is not None
+    assert project.history.undo("ann").words == "correct the calibration of take"
+    assert project.recordings.get(recording.id).correction == NO_CORRECTION
+
+
 def test_undo_of_an_older_edit_puts_the_box_where_the_cloud_is_now(project: Project, recording, labelled: int):
     uid = project.labels.of_frame(labelled)[0].uid
     project.labels.edit(labelled, uid, by_hand(1, "bob"), label="hand", box=box_at(5.0))

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.changes import LabelEdited, LabelProposed, LabelTracked
+from annotator.project.changes import LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.records import BoxRecord
@@ -128,16 +128,24 @@ def test_values_that_the_schema_lacks_are_refused(
     assert of(project, "carried") == {"severity": 0}
 
 
-def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
+def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_action(
     project: Project, recording: StoredRecording
 ) -> None:
+    helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
+    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
     ids = [frame.id for frame in project.frames.of([recording.id])[:3]]
-    uids = [create(project, id, track_id=7) for id in ids]
+    uids = [create(project, id, label, track_id=7) for id, label in zip(ids, ("hand", "person", "hand"), strict=True)]
     other = create(project, ids[2], track_id=8)
-    changed = project.labels.set_attributes(ids[1], uids[1], {"side": "left", "severity": 2}, revised(project, ids[1]))
+    values = {"side": "left", "severity": 2, "helmet": True}
+    changed = project.labels.set_attributes(ids[1], uids[1], values, revised(project, ids[1]))
     assert [id for id, _ in changed] == [ids[1], ids[0], ids[2]]
-    assert [of(project, uid).get("side") for uid in (*uids, other)] == ["left", "left", "left", None]
-    assert [of(project, uid)["severity"] for uid in uids] == [0, 2, 0]
+    unchanged = {"severity": 0}
+    assert [of(project, uid) for uid in (*uids, other)] == [
+        unchanged | {"side": "left"},
+        values,
+        unchanged | {"side": "left"},
+        unchanged,
+    ]
     assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 1 to 2)"
     # a label that enters the track takes its values, one that leaves it keeps them
     project.log.append(ids[2], [LabelTracked(uid=uids[2], track_id=9)], revised(project, ids[2]))
@@ -145,28 +153,15 @@ def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
     assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
     with pytest.raises(StaleRevisionError):
         project.labels.set_attributes(ids[1], uids[1], {"side": None}, by_hand(1))
-
-
-def test_values_of_a_track_reach_those_of_its_labels_whose_class_has_them(
-    project: Project, recording: StoredRecording
-) -> None:
-    first, second = [frame.id for frame in project.frames.of([recording.id])[:2]]
-    helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
-    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
-    person, hand = create(project, first, "person", track_id=7), create(project, second, track_id=7)
-    project.labels.set_attributes(first, person, {"helmet": True, "side": "left"}, revised(project, first))
-    assert (of(project, person)["helmet"], of(project, person)["side"]) == (True, "left")
-    assert (of(project, hand).get("helmet"), of(project, hand)["side"]) == (None, "left")
     with pytest.raises(ProjectError, match="helmet"):
-        project.labels.set_attributes(second, hand, {"helmet": True}, revised(project, second))
+        project.labels.set_attributes(ids[2], other, {"helmet": True}, revised(project, ids[2]))
 
 
 def test_a_class_change_takes_away_what_the_new_class_lacks_and_undo_brings_it_back(
     project: Project, frame: int
 ) -> None:
     uid = create(project, frame, "person", attributes={"pose": "lying", "severity": 2})
-    edited = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(1.0)))
-    project.log.append(frame, [edited], revised(project, frame))
+    project.labels.edit(frame, uid, revised(project, frame), label="hand", box=box_at(1.0))
     assert of(project, uid) == {"severity": 2}
     project.history.undo("ann")
     assert of(project, uid) == {"severity": 2, "pose": "lying"}

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from sqlalchemy import Engine, event
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import NewLabel, Project, WriteContext, create_project
+from annotator.project import NewLabel, Project, StoredRecording, WriteContext, create_project
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 
@@ -87,50 +87,37 @@ def test_every_event_has_author_time_and_source(project: Project, frame: int) ->
 
 # --- the number of SQL statements does not depend on the number of frames ---------------------------------------------
 
-Counted = Callable[[Callable[[], object]], int]
+
+@contextmanager
+def counted() -> Iterator[list[str]]:
+    """Collects the SQL statements within the block."""
+    executed: list[str] = []
+
+    def record(connection, cursor, statement, parameters, context, many) -> None:
+        executed.append(statement)
+
+    event.listen(Engine, "before_cursor_execute", record)
+    try:
+        yield executed
+    finally:
+        event.remove(Engine, "before_cursor_execute", record)
 
 
-@pytest.fixture
-def statements() -> Counted:
-    """`statements(work)` -> the number of SQL statements during `work`."""
-
-    def count(work: Callable[[], object]) -> int:
-        executed: list[str] = []
-
-        def record(connection, cursor, statement, parameters, context, many) -> None:
-            executed.append(statement)
-
-        event.listen(Engine, "before_cursor_execute", record)
-        try:
-            work()
-        finally:
-            event.remove(Engine, "before_cursor_execute", record)
-        return len(executed)
-
-    return count
-
-
-def test_a_longer_recording_needs_no_more_statements(statements: Counted, tmp_path: Path) -> None:
-    counts = {}
+def test_a_longer_recording_needs_no_more_statements(tmp_path: Path) -> None:
+    counts = []
     for frames in (20, 2_000):
-        with create_project(tmp_path, f"long{frames}", ("hand",)) as project:
-            keys = [f"{n:06d}" for n in range(frames)]
-            add = partial(project.recordings.add, tmp_path / "recording", "rgbd", "long", keys, True)
-            asked: list[Callable[[], object]] = [add, project.statistics, project.frames.of, project.labels.select]
-            counts[frames] = [statements(work) for work in asked]
-    assert counts[20] == counts[2_000]
-    assert max(counts[20]) < 40, counts
+        with create_project(tmp_path, f"long{frames}", ("hand",)) as project, counted() as executed:
+            project.recordings.add(tmp_path / "r", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
+            _ = project.statistics(), project.frames.of(), project.labels.select()
+            counts.append(len(executed))
+    assert counts[0] == counts[1] < 80
 
 
-def test_storing_the_proposals_of_a_frame_needs_few_statements(
-    project: Project, tmp_path: Path, statements: Counted
-) -> None:
-    project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
-    frames = project.frames.of()
-    proposals = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
-    counts = [
-        statements(lambda: project.proposals.replace(frame.id, proposals, by_machine()))  # noqa: B023
-        for frame in frames[:20]
-    ]
+def test_storing_the_proposals_of_a_frame_needs_few_statements(project: Project, recording: StoredRecording) -> None:
+    proposals, counts = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)], []
+    for frame in project.frames.of():
+        with counted() as executed:
+            project.proposals.replace(frame.id, proposals, by_machine())
+        counts.append(len(executed))
     assert max(counts) < 60, "statements per frame"
-    assert len(set(counts[5:])) == 1, "the number is constant once other frames have proposals"
+    assert len(set(counts[2:])) == 1, "the number is constant once other frames have proposals"

@@ -116,19 +116,6 @@ def test_a_step_that_others_have_changed_is_asked_about_again_only_in_other_reco
     assert (uids(project), project.history.next("ann")[0]) == (["left-two", "right-two"], None)
 
 
-def test_an_undo_below_keeps_the_part_in_a_removed_recording(project: Project, rooms: list[StoredRecording]) -> None:
-    left, right, _ = rooms
-    draw(project, "below", [right])
-    draw(project, "both", [left, right])
-    changed_by_bob(project, right, "both")
-    remove(project, left)
-    project.history.undo("ann", skip=True)
-    assert uids(project) == ["right-both"]
-    bring_back(project, left)
-    project.history.undo("ann")
-    assert (uids(project), project.history.next("ann")[0]) == (["right-both"], None)
-
-
 def test_an_action_that_is_written_in_several_calls_keeps_its_place_and_goes_on_after_an_undo(
     project: Project, rooms: list[StoredRecording]
 ) -> None:
