@@ -30,8 +30,10 @@ def test_setting_boxes_on_an_image_replaces_the_earlier_ones(project: Project, f
         boxes = project.boxes.on_image(frame)
         assert boxes is not None, "an image without boxes is labelled, too"
         assert (boxes.boxes, boxes.box_kind, boxes.source, boxes.author) == (HANDS[:count], kind, source, "ann")
-    assert [entry.frame_id for entry in project.boxes.on_images()] == [frame]
-    assert project.boxes.frames_with_images() == {frame}
+    first = project.frames.of()[0].id
+    project.boxes.set_on_image(first, HANDS, BoxKind.BOX, by_hand())
+    assert [entry.frame_id for entry in project.boxes.on_images()] == [first, frame], "in the order of the frames"
+    assert project.boxes.frames_with_images() == {first, frame}
 
 
 def test_boxes_on_a_view_raise_the_revision_of_its_frame(project: Project, frame: int, view: str) -> None:

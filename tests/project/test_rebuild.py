@@ -27,7 +27,7 @@ from store_samples import (
     state_of,
 )
 
-from annotator.project import NewLabel, Project, create_project, open_project
+from annotator.project import NewLabel, Project, WriteContext, create_project, open_project
 from annotator.project.audit.events import as_one
 from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
@@ -142,7 +142,7 @@ class TwoOperators(RuleBasedStateMachine):
         self._bring_back()
         project, frame, name = self.project, self.project.frames.of()[place].id, self.project.config.classes[0]
 
-        def revised(author: str) -> object:
+        def revised(author: str) -> WriteContext:
             return by_hand(project.frames.get(frame).revision, author)
 
         (uid,) = project.labels.create(frame, [NewLabel(name, box_at(70.0))], revised(who)).uids

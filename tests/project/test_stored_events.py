@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import zlib
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 from store_samples import box_at, by_hand, matrix3, same_box
 
@@ -50,6 +52,17 @@ def test_a_proposal_is_read_back_exactly(
     assert same_box(back.box, proposal.box)
     for field in ("label", "score", "image_box", "trace", "quality"):
         assert getattr(back, field) == getattr(proposal, field)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("size_m", (1.0, 1.0, -1.0)), ("size_m", (1.0, 1.0, math.nan)), ("rotation", np.diag([1.0, 1.0, -1.0]).tolist())],
+)
+def test_a_box_that_is_none_is_refused(field: str, value: object) -> None:
+    fields = BoxRecord.of(box_at()).model_dump()
+    assert BoxRecord.model_validate(fields) == BoxRecord.of(box_at())
+    with pytest.raises(ValidationError):
+        BoxRecord.model_validate(fields | {field: value})
 
 
 def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None:
