@@ -11,18 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext, open_project
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
 from annotator.project.changes import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.classes.edit import ClassEdit
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
-from annotator.project.overview import read_page
+from annotator.project.log import new_action
 from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
@@ -33,7 +31,6 @@ from annotator.types import (
     OrientedBox,
     Proposal,
     Quality,
-    ReviewState,
     Source,
     StepTrace,
     StopReason,
@@ -66,23 +63,11 @@ def matrix3(array: np.ndarray) -> tuple[tuple[float, float, float], ...]:
     return tuple(tuple(row) for row in array.tolist())
 
 
-def view_trace(boxes: int = 1) -> ViewTrace:
-    detected = tuple(Box2D("hand", 10.25 + n, 1 / 3, 99.5, 200.125, 0.9) for n in range(boxes))
-    used = 0 if detected else None
-    return ViewTrace(matrix3(NOT_AXIS_ALIGNED), 0.00123456789, (-0.4, 0.25), 320, 240, detected, used)
-
-
 def step_trace(views: int = 2) -> StepTrace:
-    box = BoxTrace((0.1, 0.2, 0.3), matrix3(NOT_AXIS_ALIGNED), (1.0, 0.5, 0.25))
-    return StepTrace(
-        "normals",
-        ("consensus: too flat",),
-        tuple(view_trace() for _ in range(views)),
-        box,
-        500,
-        432,
-        StopReason.CONTINUES,
-    )
+    axes = matrix3(NOT_AXIS_ALIGNED)
+    view = ViewTrace(axes, 0.00123456789, (-0.4, 0.25), 320, 240, (Box2D("hand", 10.25, 1 / 3, 99.5, 200.125, 0.9),), 0)
+    box = BoxTrace((0.1, 0.2, 0.3), axes, (1.0, 0.5, 0.25))
+    return StepTrace("normals", ("consensus: too flat",), (view,) * views, box, 500, 432, StopReason.CONTINUES)
 
 
 def proposal_at(
@@ -94,7 +79,7 @@ def proposal_at(
 
 
 def lost_object() -> LostObject:
-    step = StepTrace("camera", (), (view_trace(0),), None, 20, 0, StopReason.LOST)
+    step = StepTrace("camera", (), (), None, 20, 0, StopReason.LOST)
     return LostObject("hand", Box2D("hand", 0.0, 0.0, 5.0, 5.0, 0.4), (step,))
 
 
@@ -119,54 +104,17 @@ def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
     return {table: sorted(rows, key=str) for table, rows in state_of(project).items()}
 
 
-def content(project: Project) -> list[object]:
-    """The state as an operator sees it: everything except the event ids."""
-    state: list[object] = []
-    for frame in project.frames.of():
-        page = read_page(project, frame.id)
-        state.append((page.frame.finalised, project.frames.attributes().get(frame.id)))
-        state.append([repr_of(stored.label) for stored in page.labels])
-        boxes = page.image_boxes
-        state.append(None if boxes is None else (boxes.boxes, boxes.box_kind, boxes.author, boxes.time_ns))
-        state.append(sorted((v.view_id, v.boxes, v.box_kind, v.author, v.time_ns) for v in page.view_boxes))
-    return state
-
-
-def repr_of(label: object) -> str:
-    """All values of a label.
-
-    A box that was moved with the cloud and back has other last digits. An import stores open proposals anew.
-    """
-    values = vars(label)
-    box, is_open = values["box"], values["state"] is ReviewState.PROPOSED
-    rounded = (box.pose.round(9) + 0.0).tolist(), box.size_m.tolist()
-    return repr({**values, "box": rounded, "time_ns": None if is_open else values["time_ns"]})
-
-
-def _renamed(config: ProjectConfig, number: int) -> ClassEdit:
-    return edit.rename_class(config, config.classes[number % len(config.classes)], "hand" if number else "palm")
-
-
-def _merged(config: ProjectConfig, number: int) -> ClassEdit:
-    old = config.classes[number % len(config.classes)]
-    return edit.merge_classes(config, [old], next((name for name in config.classes if name != old), old))
-
-
-def _added(config: ProjectConfig, number: int) -> ClassEdit:
-    return edit.add_class(config, ("hand", "person", "palm")[number % 3])
-
-
-def _changed(config: ProjectConfig, number: int) -> ClassEdit:
-    if number == 0:
-        return edit.rename_attribute(config, "pose", "posture")
-    if number == 1:
-        return edit.remove_class(config, config.classes[-1])
-    return (
-        edit.remove_attribute(config, "side") if number == 2 else edit.put_attribute(config, ATTRIBUTES[0], drop=True)
-    )
-
-
-CLASS_EDITS = (_renamed, _merged, _added, _changed)
+CLASS_EDITS = (
+    lambda config, b: edit.rename_class(config, config.classes[b % len(config.classes)], "hand" if b else "palm"),
+    lambda config, b: edit.merge_classes(config, config.classes[1:2], config.classes[0]),
+    lambda config, b: edit.add_class(config, ("hand", "person", "palm")[b % 3]),
+    lambda config, b: (
+        lambda: edit.rename_attribute(config, "pose", "posture"),
+        lambda: edit.remove_class(config, config.classes[-1]),
+        lambda: edit.remove_attribute(config, "side"),
+        lambda: edit.put_attribute(config, ATTRIBUTES[0], drop=True),
+    )[b](),
+)
 
 
 def some_boxes(count: int) -> list[Box2D]:
@@ -174,11 +122,12 @@ def some_boxes(count: int) -> list[Box2D]:
 
 
 Step = tuple[str, int, int, int]
-"""The kind of the step, the index of the frame, and two small parameters."""
+"""The kind of the step, the index of the frame, and two parameters from 0 to 3."""
 
 STEPS = (
     "propose",
     "bring",
+    "import",
     "create",
     "accept",
     "edit",
@@ -193,25 +142,24 @@ STEPS = (
 )
 
 
-def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[list[Step]]:
-    """Lists of steps of the kinds `STEPS` and `more`."""
-    small = st.integers(0, 3)
-    step = st.tuples(st.sampled_from(STEPS + more), st.integers(0, frames - 1), small, small)
-    return st.lists(step, min_size=1, max_size=longest)
+def actions(
+    project: Project, views: list[str], step: Step, who: str, behind: int = 0
+) -> dict[str, Callable[[], object]]:
+    """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it.
 
-
-def actions(project: Project, views: list[str], step: Step, who: str = "ann") -> dict[str, Callable[[], object]]:
-    """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it."""
+    Args:
+        behind: number of revisions by which the change is late.
+    """
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
-    change, view = by_hand(frame.revision, who), views[b % len(views)]
+    change, view = by_hand(frame.revision - behind, who), views[b % len(views)]
     uid = labels[a % len(labels)].uid if labels else "nobody"
     return {
         "propose": lambda: project.proposals.replace(
             frame.id,
             [proposal_at(2.0 * n + 0.1 * b, ("hand", "person")[n % 2]) for n in range(a)],
-            by_machine(frame.revision),
+            by_machine(frame.revision - behind),
             lost=[lost_object()] * b,
         ),
         "bring": lambda: project.proposals.bring(
@@ -233,8 +181,12 @@ def actions(project: Project, views: list[str], step: Step, who: str = "ann") ->
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
         "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
+        "import": lambda: project.proposals.bring(
+            "their detector", {frame.id: [NewLabel("hand", box_at(2.0 * n), 0.9) for n in range(a)]}, who, new_action()
+        ),
         "span": lambda: project.log.append_to_frames(
-            [_carried_over(other, a, who) for other in project.frames.of()[:2]]
+            # the second frame's part can be late
+            [_carried_over(other, a, who, n * (b // 3)) for n, other in enumerate(project.frames.of()[:2])]
         ),
         "adjust": lambda: project.adjustments.correct(
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), who
@@ -245,73 +197,20 @@ def actions(project: Project, views: list[str], step: Step, who: str = "ann") ->
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
         "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), who),
         "bulk": lambda: project.log.append(
-            frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
+            # a label that is deleted twice refuses all of it
+            frame.id,
+            [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)] * (1 + b // 3),
+            change,
         ),
     }
 
 
-def _carried_over(frame: StoredFrame, track_id: int, who: str) -> FramePart:
+def _carried_over(frame: StoredFrame, track_id: int, who: str, behind: int) -> FramePart:
     """One frame's part of an action that spans several frames."""
     proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
     uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
     carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)
-    return FramePart(frame.id, [carried], by_hand(frame.revision, who))
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
-coordinate = st.floats(-1e4, 1e4, allow_subnormal=True)
-words = st.text(min_size=1, max_size=8)
-
-
-@st.composite
-def boxes_2d(draw: st.DrawFn) -> Box2D:
-    x, y = draw(coordinate), draw(coordinate)
-    width, height = draw(st.floats(1e-3, 1e4)), draw(st.floats(1e-3, 1e4))
-    return Box2D(draw(words), x, y, x + width, y + height, draw(st.floats(0, 1)))
-
-
-@st.composite
-def rotations(draw: st.DrawFn) -> np.ndarray:
-    quaternion = np.array([draw(st.floats(-1, 1)) for _ in range(4)])
-    if np.linalg.norm(quaternion) < 1e-3:
-        quaternion = np.array([0.0, 0.0, 0.0, 1.0])
-    return Rotation.from_quat(quaternion).as_matrix()
-
-
-@st.composite
-def oriented_boxes(draw: st.DrawFn) -> OrientedBox:
-    center = np.array([draw(coordinate) for _ in range(3)])
-    size = np.array([draw(st.floats(1e-6, 1e3)) for _ in range(3)])
-    return OrientedBox.from_parts(center, draw(rotations()), size)
-
-
-@st.composite
-def step_traces(draw: st.DrawFn) -> StepTrace:
-    def view() -> ViewTrace:
-        boxes = tuple(draw(st.lists(boxes_2d(), max_size=2)))
-        used = draw(st.sampled_from([None, *range(len(boxes))]))
-        axes = matrix3(draw(rotations()))
-        return ViewTrace(axes, draw(st.floats(1e-9, 10)), (draw(finite), draw(finite)), 320, 200, boxes, used)
-
-    box = draw(oriented_boxes())
-    trace = BoxTrace(tuple(box.center_m.tolist()), matrix3(box.rotation), tuple(box.size_m.tolist()))
-    return StepTrace(
-        draw(words),
-        tuple(draw(st.lists(words, max_size=2))),
-        tuple(view() for _ in range(draw(st.integers(0, 2)))),
-        draw(st.sampled_from([None, trace])),
-        draw(st.integers(0, 10**6)),
-        draw(st.integers(0, 10**6)),
-        draw(st.sampled_from(StopReason)),
-    )
-
-
-@st.composite
-def proposals(draw: st.DrawFn) -> Proposal:
-    later = (draw(st.none() | st.floats(0, 1)) for _ in range(2))
-    quality = Quality(*(draw(st.floats(allow_nan=False)) for _ in range(3)), *later)
-    trace = tuple(draw(st.lists(step_traces(), max_size=2)))
-    return Proposal(draw(words), draw(st.floats(0, 1)), draw(oriented_boxes()), draw(boxes_2d()), trace, quality)
+    return FramePart(frame.id, [carried], by_hand(frame.revision - behind, who))
 
 
 def give_attributes(project: Project) -> None:

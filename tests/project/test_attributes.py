@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
-from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes, state_of
+from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelEdited, LabelProposed, LabelTracked
+from annotator.project.changes import LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, Label, ReviewState
+from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
 
 
@@ -33,20 +31,12 @@ def of(project: Project, uid: str) -> dict[str, Any]:
     return dict(project.labels.get(uid).label.attributes)
 
 
+def named(project: Project, uid: str) -> str:
+    return project.labels.get(uid).label.label
+
+
 def revised(project: Project, frame: int) -> Any:
     return by_hand(project.frames.get(frame).revision)
-
-
-def test_files_have_only_what_differs_from_the_defaults(project: Project) -> None:
-    path = project.path / "project.json"
-    content = json.loads(path.read_text())
-    assert content["attributes"][1] == {
-        "name": "pose",
-        "kind": "choice",
-        "choices": ["sitting", "lying"],
-        "classes": ["person"],
-    }
-    assert "class_styles" not in content
 
 
 @pytest.mark.parametrize(
@@ -83,16 +73,15 @@ def test_a_file_that_contradicts_itself_is_refused_with_its_place(project: Proje
     ("kind", "given", "read"),
     [
         ("integer", "2", 2),
-        ("integer", 2.0, 2),
         ("number", "0.5", 0.5),
         ("number", 1, 1.0),
         ("boolean", "Yes", True),
         ("boolean", 0, False),
         ("text", 7, "7"),
-        ("text", "seven", "seven"),
         ("integer", 2.5, None),
         ("integer", True, None),
         ("number", float("nan"), None),
+        ("number", 10**400, None),
         ("boolean", "maybe", None),
     ],
 )
@@ -121,7 +110,6 @@ def test_new_labels_get_defaults_and_values_of_their_track(project: Project, rec
     [
         ({"severity": 4}, "severity must be a whole number from 0 to 3, not 4"),
         ({"pose": "sitting"}, "hand has no attribute 'pose' (it has: severity, side)"),
-        ({"colour": "red"}, "hand has no attribute 'colour'"),
     ],
 )
 def test_values_that_the_schema_lacks_are_refused(
@@ -140,69 +128,50 @@ def test_values_that_the_schema_lacks_are_refused(
     assert of(project, "carried") == {"severity": 0}
 
 
-def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
+def test_values_of_a_track_are_set_in_its_labels_whose_class_has_them_as_one_action(
     project: Project, recording: StoredRecording
 ) -> None:
+    helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
+    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
     ids = [frame.id for frame in project.frames.of([recording.id])[:3]]
-    uids = [create(project, id, track_id=7) for id in ids]
+    uids = [create(project, id, label, track_id=7) for id, label in zip(ids, ("hand", "person", "hand"), strict=True)]
     other = create(project, ids[2], track_id=8)
-    changed = project.labels.set_attributes(ids[1], uids[1], {"side": "left", "severity": 2}, revised(project, ids[1]))
+    values = {"side": "left", "severity": 2, "helmet": True}
+    changed = project.labels.set_attributes(ids[1], uids[1], values, revised(project, ids[1]))
     assert [id for id, _ in changed] == [ids[1], ids[0], ids[2]]
-    assert [of(project, uid).get("side") for uid in (*uids, other)] == ["left", "left", "left", None]
-    assert [of(project, uid)["severity"] for uid in uids] == [0, 2, 0]
-    assert project.history.undo("ann").words == "set attributes of 3 labels (frames 1 to 2)"
-    assert [of(project, uid) for uid in uids] == [{"severity": 0}] * 3
-    project.history.redo("ann")
-    assert of(project, uids[0])["side"] == "left"
+    unchanged = {"severity": 0}
+    assert [of(project, uid) for uid in (*uids, other)] == [
+        unchanged | {"side": "left"},
+        values,
+        unchanged | {"side": "left"},
+        unchanged,
+    ]
+    assert project.history.next("ann")[0] == "set attributes of 3 labels (frames 1 to 2)"
     # a label that enters the track takes its values, one that leaves it keeps them
     project.log.append(ids[2], [LabelTracked(uid=uids[2], track_id=9)], revised(project, ids[2]))
     project.labels.edit(ids[2], other, revised(project, ids[2]), label="hand", box=box_at(1.0), track_id=7)
     assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
     with pytest.raises(StaleRevisionError):
         project.labels.set_attributes(ids[1], uids[1], {"side": None}, by_hand(1))
-
-
-def test_values_of_a_track_reach_those_of_its_labels_whose_class_has_them(
-    project: Project, recording: StoredRecording
-) -> None:
-    first, second = [frame.id for frame in project.frames.of([recording.id])[:2]]
-    helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
-    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
-    person, hand = create(project, first, "person", track_id=7), create(project, second, track_id=7)
-    project.labels.set_attributes(first, person, {"helmet": True, "side": "left"}, revised(project, first))
-    assert (of(project, person)["helmet"], of(project, person)["side"]) == (True, "left")
-    assert (of(project, hand).get("helmet"), of(project, hand)["side"]) == (None, "left")
     with pytest.raises(ProjectError, match="helmet"):
-        project.labels.set_attributes(second, hand, {"helmet": True}, revised(project, second))
+        project.labels.set_attributes(ids[2], other, {"helmet": True}, revised(project, ids[2]))
 
 
 def test_a_class_change_takes_away_what_the_new_class_lacks_and_undo_brings_it_back(
     project: Project, frame: int
 ) -> None:
     uid = create(project, frame, "person", attributes={"pose": "lying", "severity": 2})
-    edited = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(1.0)))
-    project.log.append(frame, [edited], revised(project, frame))
+    project.labels.edit(frame, uid, revised(project, frame), label="hand", box=box_at(1.0))
     assert of(project, uid) == {"severity": 2}
     project.history.undo("ann")
     assert of(project, uid) == {"severity": 2, "pose": "lying"}
 
 
-def test_values_of_frames_are_set_undone_and_kept_by_a_rebuild(project: Project, frame: int) -> None:
+def test_values_of_frames_are_set(project: Project, frame: int) -> None:
     project.frames.set_attributes(frame, {"weather": 1}, by_hand())
-    project.frames.set_attributes(frame, {"weather": 2.5}, revised(project, frame))
-    assert project.frames.attributes() == {frame: {"weather": 2.5}}
-    project.history.undo("ann")
     assert project.frames.attributes() == {frame: {"weather": 1.0}}
-    project.log.rebuild()
-    assert project.frames.attributes() == {frame: {"weather": 1.0}}
-    project.history.undo("ann")
-    assert project.frames.attributes() == {}
     with pytest.raises(ProjectError, match="a frame has no attribute 'severity'"):
         project.frames.set_attributes(frame, {"severity": 1}, revised(project, frame))
-
-
-def labels(project: Project) -> dict[str, Label]:
-    return {label.label.uid: label.label for label in project.labels.select()}
 
 
 def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) -> None:
@@ -212,20 +181,15 @@ def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) 
     before = project.frames.get(frame).revision
     config = project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "ann")
     assert (config.classes, config.class_styles["palm"].key) == (("palm", "person"), "h")
-    assert labels(project)[uid].label == "palm"
-    assert labels(project)[uid].attributes == {"severity": 0, "side": "left"}
+    assert named(project, uid) == "palm"
+    assert of(project, uid) == {"severity": 0, "side": "left"}
     boxes = project.boxes.on_image(frame)
-    assert boxes is not None
-    assert [box.label for box in boxes.boxes] == ["palm", "palm"]
+    assert boxes is not None and [box.label for box in boxes.boxes] == ["palm", "palm"]
     with pytest.raises(StaleRevisionError):
         project.labels.accept(frame, uid, by_hand(before))
     # earlier actions can still be undone, under the new name
     assert project.history.undo("ann").words.startswith("draw on the image")
-    assert "hand" not in str(project.boxes.on_image(frame))
     assert project.history.undo("ann").words == "draw palm (frame 2)"
-    project.history.redo("ann")
-    assert labels(project)[uid].label == "palm"
-    assert verify(project.path, deep=True).problems == ()
 
 
 def test_merged_classes_and_names_that_are_no_class_any_more(project: Project, frame: int) -> None:
@@ -233,7 +197,7 @@ def test_merged_classes_and_names_that_are_no_class_any_more(project: Project, f
     project.change_classes(lambda config: edit.merge_classes(config, ["person"], "hand"), "ann")
     assert project.config.classes == ("hand",)
     # the attribute followed, too
-    assert (labels(project)[uid].label, labels(project)[uid].attributes["pose"]) == ("hand", "lying")
+    assert (named(project, uid), of(project, uid)["pose"]) == ("hand", "lying")
     with pytest.raises(NotFoundError, match="no class 'person'"):
         project.change_classes(lambda config: edit.merge_classes(config, ["hand"], "person"), "ann")
     # somebody has renamed the class in the file by hand: the labels are brought along afterwards
@@ -241,7 +205,7 @@ def test_merged_classes_and_names_that_are_no_class_any_more(project: Project, f
     path.write_text(path.read_text().replace('"hand"', '"arm"'))
     assert "hand" in project.class_counts()
     project.change_classes(lambda config: edit.merge_classes(config, ["hand"], "arm"), "ann")
-    assert labels(project)[uid].label == "arm"
+    assert named(project, uid) == "arm"
 
 
 def test_a_class_in_use_is_removed_only_with_its_boxes(project: Project, frame: int) -> None:
@@ -252,12 +216,9 @@ def test_a_class_in_use_is_removed_only_with_its_boxes(project: Project, frame: 
     project.change_classes(lambda config: edit.remove_attribute(config, "pose"), "ann")
     with pytest.raises(ProjectError, match="'person' cannot be removed while boxes use it"):
         project.configure(classes=["hand"])
-    assert set(labels(project)) == {kept, removed}
+    assert {each.uid for each in project.labels.of_frame(frame)} == {kept, removed}
     project.change_classes(lambda config: edit.remove_class(config, "person"), "bea")
-    assert set(labels(project)) == {kept}
-    before = state_of(project)
-    project.log.rebuild()
-    assert state_of(project) == before
+    assert [each.uid for each in project.labels.of_frame(frame)] == [kept]
     project.history.undo("ann")
     with pytest.raises(HistoryError, match="the person label was changed by bea since"):
         project.history.undo("ann")
@@ -283,18 +244,15 @@ def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: in
     default = narrow.model_copy(update={"name": "grip", "default": 1})
     project.change_classes(lambda config: edit.put_attribute(config, default), "ann")
     assert of(project, uid) == {"grip": 1}
-    assert verify(project.path, deep=True).problems == ()
 
 
 def test_values_that_exports_measure_have_no_default(project: Project, frame: int) -> None:
-    uid = create(project, frame, "person", attributes={"pose": "lying"})
-    before = of(project, uid)
     truncation = Attribute(name="truncation", kind=AttributeKind.NUMBER, minimum=0.0, maximum=1.0, default=0.0)
     with pytest.raises(ConfigError, match="exports measure it for boxes without a value"):
         project.change_classes(lambda config: edit.put_attribute(config, truncation), "ann")
     without = truncation.model_copy(update={"default": None})
     project.change_classes(lambda config: edit.put_attribute(config, without), "ann")
-    assert of(project, uid) == before
+    assert of(project, create(project, frame)) == {"severity": 0}
 
 
 def proposals(project: Project) -> list[tuple[str, float]]:
@@ -316,9 +274,6 @@ def test_a_pass_keeps_proposals_of_which_a_person_has_set_values(project: Projec
     assert covered is None
     assert proposals(project) == sorted([(kept, 0.0), (new[0], 5.05), (new[1], 9.0)])
     assert of(project, kept)["severity"] == 2
-    before = state_of(project)
-    project.log.rebuild()
-    assert state_of(project) == before
     # undone, it is a proposal like the others; redone, it is kept again
     project.history.undo("ann")
     project.history.redo("ann")
@@ -340,9 +295,6 @@ def test_imported_proposals_with_values_stay_too(project: Project, frame: int) -
     assert brought.is_open == (False,)
     assert (of(project, kept)["severity"], other in dict(proposals(project))) == (3, False)
     assert [each.source for each in project.labels.get(kept).said] == ["mine"]
-    before = state_of(project)
-    project.log.rebuild()
-    assert state_of(project) == before
 
 
 def test_a_value_of_a_track_keeps_only_the_proposal_on_which_it_was_set(
@@ -368,8 +320,3 @@ def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
         project.history.undo("ann")
     assert project.history.undo("ann", skip=True).frame_id == 2
     assert [entry.frame_id for entry in project.labels.select()] == [1]
-
-
-@pytest.mark.parametrize("value", [10**400, -(10**400), float("inf"), float("nan")])
-def test_a_number_beyond_every_float_is_refused(value: float) -> None:
-    assert not Attribute(name="speed", kind=AttributeKind.NUMBER).fits(value)

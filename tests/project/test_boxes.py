@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis.extra import numpy as npst
 from store_samples import NOT_AXIS_ALIGNED, by_hand, matrix3
 
-from annotator.project import Project, StoredRecording, ViewGeometry, WriteContext
+from annotator.project import Project, ViewGeometry, WriteContext
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import ProjectError, StaleRevisionError
 
@@ -25,29 +24,16 @@ def view(project: Project) -> str:
 
 def test_setting_boxes_on_an_image_replaces_the_earlier_ones(project: Project, frame: int) -> None:
     assert project.boxes.on_image(frame) is None
-    project.boxes.set_on_image(frame, HANDS, BoxKind.SILHOUETTE, by_hand())
-    boxes = project.boxes.on_image(frame)
-    assert boxes is not None
-    assert (boxes.boxes, boxes.box_kind, boxes.source, boxes.author) == (
-        HANDS,
-        BoxKind.SILHOUETTE,
-        Source.MANUAL,
-        "ann",
-    )
-    project.boxes.set_on_image(frame, HANDS[:1], BoxKind.BOX, WriteContext(1, "coco", Source.IMPORTED))
-    boxes = project.boxes.on_image(frame)
-    assert boxes is not None
-    assert (boxes.boxes, boxes.box_kind, boxes.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
-
-
-def test_labelled_images_are_listed_in_frame_order(
-    project: Project, recording: StoredRecording, tmp_path: Path
-) -> None:
-    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
-    for entry in reversed(project.frames.of()[2:]):
-        project.boxes.set_on_image(entry.id, HANDS, BoxKind.BOX, by_hand())
-    assert [entry.frame_id for entry in project.boxes.on_images()] == [entry.id for entry in project.frames.of()[2:]]
-    assert len(project.boxes.on_images([other.id])) == 1
+    for count, kind, source in ((2, BoxKind.SILHOUETTE, Source.MANUAL), (0, BoxKind.BOX, Source.IMPORTED)):
+        change = WriteContext(project.frames.get(frame).revision, "ann", source)
+        project.boxes.set_on_image(frame, HANDS[:count], kind, change)
+        boxes = project.boxes.on_image(frame)
+        assert boxes is not None, "an image without boxes is labelled, too"
+        assert (boxes.boxes, boxes.box_kind, boxes.source, boxes.author) == (HANDS[:count], kind, source, "ann")
+    first = project.frames.of()[0].id
+    project.boxes.set_on_image(first, HANDS, BoxKind.BOX, by_hand())
+    assert [entry.frame_id for entry in project.boxes.on_images()] == [first, frame], "in the order of the frames"
+    assert project.boxes.frames_with_images() == {first, frame}
 
 
 def test_boxes_on_a_view_raise_the_revision_of_its_frame(project: Project, frame: int, view: str) -> None:
@@ -64,19 +50,16 @@ def test_boxes_on_a_view_raise_the_revision_of_its_frame(project: Project, frame
     assert project.boxes.on_views() == (boxes,)
 
 
-def test_a_view_without_a_frame_has_its_own_revision(project: Project, view: str) -> None:
+def test_a_view_without_a_frame_has_its_own_revision(project: Project, frame: int, view: str) -> None:
     assert project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand()).revision == 1
     with pytest.raises(StaleRevisionError, match="view "):
         project.boxes.set_on_view(view, [], BoxKind.BOX, by_hand())
     project.boxes.set_on_view(view, HANDS[:1], BoxKind.SILHOUETTE, by_hand(1))
     (boxes,) = project.boxes.on_views()
     assert (boxes.frame_id, boxes.revision, boxes.boxes, boxes.box_kind) == (None, 2, HANDS[:1], BoxKind.SILHOUETTE)
-
-
-def test_the_same_image_may_be_a_view_of_a_frame_and_an_imported_one(project: Project, frame: int, view: str) -> None:
-    project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand())
-    project.boxes.set_on_view(view, HANDS[:1], BoxKind.BOX, by_hand(), frame_id=frame)
-    assert [(boxes.frame_id, len(boxes.boxes)) for boxes in project.boxes.on_views()] == [(None, 2), (frame, 1)]
+    # the same image may be a view of a frame, too
+    project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand(), frame_id=frame)
+    assert [(boxes.frame_id, len(boxes.boxes)) for boxes in project.boxes.on_views()] == [(None, 1), (frame, 2)]
 
 
 def test_boxes_on_a_view_need_its_image(project: Project, frame: int) -> None:
@@ -103,27 +86,20 @@ def test_the_id_is_the_hash_and_an_image_is_stored_once(project: Project) -> Non
     assert [path.name for path in project.views.folder.iterdir()] == [f"{view}.png"]
 
 
-def test_only_png_is_stored(project: Project) -> None:
-    with pytest.raises(ProjectError, match="only PNG"):
-        project.views.store(b"\xff\xd8\xff jpeg")
-    assert list(project.views.folder.iterdir()) == []
-
-
-def test_a_damaged_image_is_detected(project: Project) -> None:
+def test_a_damaged_image_and_what_is_none_are_refused(project: Project) -> None:
     view = project.views.store(np.zeros((4, 4, 3), np.uint8))
     path = project.views.path(view)
     path.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(ProjectError, match=r"\.png: is damaged"):
         project.views.load(view)
+    with pytest.raises(ProjectError, match="only PNG"):
+        project.views.store(b"\xff\xd8\xff jpeg")
+    undecodable = project.views.store(b"\x89PNG\r\n\x1a\n and then nonsense")
+    with pytest.raises(ProjectError, match="cannot be decoded as an image"):
+        project.views.load(undecodable)
 
 
 @pytest.mark.parametrize("view", ["", "../project", "0" * 63, "A" * 64])
 def test_an_invalid_view_id_is_refused(project: Project, view: str) -> None:
     with pytest.raises(ProjectError, match="not the id of a view"):
-        project.views.load(view)
-
-
-def test_an_undecodable_image_is_refused_on_reading(project: Project) -> None:
-    view = project.views.store(b"\x89PNG\r\n\x1a\n and then nonsense")
-    with pytest.raises(ProjectError, match="cannot be decoded as an image"):
         project.views.load(view)

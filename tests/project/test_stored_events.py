@@ -1,7 +1,8 @@
-"""Values stored in an event are read back without loss."""
+"""Values stored in an event are read back without loss, damage is reported, and no event can be changed."""
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import zlib
 
@@ -10,82 +11,58 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from scipy.spatial.transform import RigidTransform
-from store_samples import (
-    box_at,
-    boxes_2d,
-    by_hand,
-    by_machine,
-    oriented_boxes,
-    proposal_at,
-    proposals,
-    same_box,
-    state_of,
-)
+from scipy.spatial.transform import Rotation
+from store_samples import box_at, by_hand, matrix3, same_box
 
 from annotator.project import NewLabel, Project
-from annotator.project.audit.events import rows_json
-from annotator.project.changes import LabelCreated
-from annotator.project.database.schema import PACKED_FROM
-from annotator.project.records import BOXES_2D, BoxRecord, ProposalRecord, ViewGeometry, storable
-from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView
+from annotator.project.records import BoxRecord, ProposalRecord, storable
+from annotator.types import (
+    Box2D,
+    BoxKind,
+    BoxTrace,
+    OrientedBox,
+    Proposal,
+    Quality,
+    StepTrace,
+    StopReason,
+    ViewTrace,
+)
 from annotator.types.errors import ProjectError
 
 
-@given(oriented_boxes())
-def test_a_box_is_read_back_bit_for_bit(box: OrientedBox) -> None:
-    assert same_box(BoxRecord.model_validate_json(BoxRecord.of(box).model_dump_json()).box(), box)
+def three(low: float | None, high: float | None) -> st.SearchStrategy[tuple[float, float, float]]:
+    return st.tuples(*[st.floats(low, high, allow_nan=False)] * 3)
 
 
-@given(proposals())
-def test_a_proposal_is_read_back_exactly(proposal) -> None:
+@given(three(-1e4, 1e4), three(-4.0, 4.0), three(1e-6, 1e3), three(None, None), st.text(min_size=1, max_size=8))
+def test_a_proposal_is_read_back_exactly(
+    center: tuple[float, float, float],
+    turn: tuple[float, float, float],
+    size: tuple[float, float, float],
+    signals: tuple[float, float, float],
+    word: str,
+) -> None:
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    found = Box2D(word, center[0], center[1], center[0] + size[0], center[1] + size[1], 1 / 3)
+    view = ViewTrace(matrix3(rotation), size[0], center[:2], 320, 200, (found,), 0)
+    step = StepTrace(word, (word,), (view,), BoxTrace(center, matrix3(rotation), size), 5, 3, StopReason.CONTINUES)
+    box = OrientedBox.from_parts(np.array(center), rotation, np.array(size))
+    proposal = Proposal(word, 2 / 3, box, found, (step,), Quality(*signals, None, 0.1))
     back = ProposalRecord.model_validate_json(ProposalRecord.of(proposal).model_dump_json()).proposal()
     assert same_box(back.box, proposal.box)
     for field in ("label", "score", "image_box", "trace", "quality"):
         assert getattr(back, field) == getattr(proposal, field)
 
 
-@given(st.lists(boxes_2d(), max_size=4).map(tuple))
-def test_boxes_are_read_back_exactly(boxes: tuple[Box2D, ...]) -> None:
-    assert BOXES_2D.validate_json(BOXES_2D.dump_json(boxes)) == boxes
-
-
-def test_the_geometry_of_a_view_is_read_back() -> None:
-    axes = np.eye(3)[[1, 2, 0]]
-    picture, no_points = np.zeros((4, 5, 3), np.uint8), np.zeros((0, 3), np.float32)
-    view = PseudoView(picture, axes, 0.01, np.array([-1.0, 0.5]), no_points, look_px=224)
-    geometry = ViewGeometry.model_validate_json(ViewGeometry.of(view).model_dump_json())
-    assert np.array_equal(np.array(geometry.axes), axes)
-    assert (geometry.metres_per_px, geometry.origin_m, geometry.look_px) == (0.01, (-1.0, 0.5), 224)
-
-
-NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox.at(RigidTransform.identity(), np.ones(3))))
-
-
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('"uid":"a"', '"uid":"a","extra":1'),
-        ('"size_m":[1.0,1.0,1.0]', '"size_m":[1.0,1.0,-1.0]'),
-        ('"size_m":[1.0,1.0,1.0]', '"size_m":[1.0,1.0,"NaN"]'),
-        ("[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]", "[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,-1.0]]"),
-        ("[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]", "[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.1,1.0]]"),
-        ('"state":"accepted"', '"state":"proposed"'),
-    ],
+    ("field", "value"),
+    [("size_m", (1.0, 1.0, -1.0)), ("size_m", (1.0, 1.0, math.nan)), ("rotation", np.diag([1.0, 1.0, -1.0]).tolist())],
 )
-def test_an_invalid_event_is_refused(old: str, new: str) -> None:
-    content = NEW.model_dump_json()
-    assert old in content
-    assert LabelCreated.model_validate_json(content) == NEW
+def test_a_box_that_is_none_is_refused(field: str, value: object) -> None:
+    fields = BoxRecord.of(box_at()).model_dump()
+    assert BoxRecord.model_validate(fields) == BoxRecord.of(box_at())
     with pytest.raises(ValidationError):
-        LabelCreated.model_validate_json(content.replace(old, new))
-
-
-def test_unknown_fields_deep_in_a_trace_are_refused() -> None:
-    content = ProposalRecord.of(proposal_at()).model_dump_json()
-    assert '"metres_per_px"' in content
-    with pytest.raises(ValidationError, match="Unexpected keyword"):
-        ProposalRecord.model_validate_json(content.replace('"metres_per_px"', '"typo":1,"metres_per_px"', 1))
+        BoxRecord.model_validate(fields | {field: value})
 
 
 def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None:
@@ -96,38 +73,6 @@ def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None
         storable("this box"),
     ):
         BoxRecord.of(OrientedBox(sheared, np.ones(3)))
-
-
-# --- long events are compressed in the database; the project's API does not show it -----------------------------------
-
-
-def stored(project: Project) -> list[str | bytes]:
-    connection = sqlite3.connect(project.path / "project.db")
-    rows = [row[0] for row in connection.execute("SELECT rows FROM events ORDER BY id")]
-    connection.close()
-    return rows
-
-
-def fill(project: Project, frame: int) -> None:
-    project.proposals.replace(frame, [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)], by_machine())
-    project.boxes.set_on_image(frame, [Box2D("hand", 1.0, 2.0, 3.0, 4.0)], BoxKind.BOX, by_hand(1))
-
-
-def test_long_events_are_compressed_and_read_back(project: Project, frame: int) -> None:
-    fill(project, frame)
-    packed, text = stored(project)
-    assert isinstance(packed, bytes)
-    assert isinstance(text, str)
-    passed, _ = project.log.of_frame(frame)
-    content = rows_json(passed.rows)
-    assert zlib.decompress(packed).decode() == content
-    assert len(content) > max(PACKED_FROM, 3 * len(packed))
-    before = state_of(project)
-    assert project.log.rebuild() == 2
-    assert state_of(project) == before
-    latest = project.proposals.latest(frame)
-    assert latest is not None
-    assert [found.proposal.trace for found in latest.objects] == [proposal_at(steps=3, views=8).trace] * 3
 
 
 def test_a_damaged_event_is_reported(project: Project, frame: int) -> None:
@@ -158,22 +103,19 @@ def test_a_damaged_row_is_reported(project: Project, frame: int, table: str, col
 # --- events cannot be changed or removed, not even with plain SQL -----------------------------------------------------
 
 
-@pytest.mark.parametrize("careful", [False, True])
 @pytest.mark.parametrize(
     "statement",
     [
         "UPDATE events SET author = 'eve'",
-        "UPDATE events SET rows = '[]' WHERE id = 1",
         "DELETE FROM events",
         "INSERT OR REPLACE INTO events SELECT * FROM events",
         "INSERT OR REPLACE INTO events (frame_id, revision, kind, rows, author, time_ns, source) "
         "SELECT frame_id, revision, kind, rows, 'eve', time_ns, source FROM events",
     ],
 )
-def test_events_are_append_only(project: Project, frame: int, statement: str, careful: bool) -> None:
+def test_events_are_append_only(project: Project, frame: int, statement: str) -> None:
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
     connection = sqlite3.connect(project.path / "project.db")
-    connection.execute(f"PRAGMA recursive_triggers = {int(careful)}")
     before = connection.execute("SELECT * FROM events").fetchall()
     with pytest.raises(sqlite3.IntegrityError, match="append-only"):
         connection.execute(statement)

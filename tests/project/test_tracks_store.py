@@ -7,25 +7,22 @@ from collections.abc import Callable
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
-from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
+from annotator.project import NewLabel, Project
 from annotator.project.changes import (
     LabelAccepted,
-    LabelCreated,
     LabelDeleted,
-    LabelEdited,
     LabelProposed,
     LabelTracked,
     LinkedLabel,
     Payload,
     TracksLinked,
 )
-from annotator.project.records import BoxRecord, ProposalRecord
-from annotator.types import ReviewState, Source
+from annotator.project.records import BoxRecord
+from annotator.types import ReviewState
 from annotator.types.errors import (
     FinalisedFrameError,
     HistoryError,
     ProjectError,
-    StaleRevisionError,
     TrackTakenError,
 )
 
@@ -66,70 +63,6 @@ def test_linking_changes_no_reviewed_box_and_no_finalised_frame(project: Project
     assert project.history.next("ann")[0] == "finalise frame 2"
 
 
-def test_a_proposal_does_not_get_the_track_of_a_reviewed_box_in_its_frame(project: Project, frame: int) -> None:
-    (right, wrong) = project.proposals.replace(
-        frame, [proposal_at(), proposal_at(3.0)], by_machine(), track_ids=[4, 5]
-    ).uids
-    assert right is not None and wrong is not None
-    project.labels.accept(frame, right, by_hand(1))
-    project.labels.reject(frame, wrong, by_hand(2))
-    found = [proposal_at(6.0), proposal_at(9.0)]
-    again = project.proposals.replace(frame, found, by_machine(3), track_ids=[4, 5]).uids
-    assert [_track(project, uid) for uid in again if uid] == [(None, False), (5, True)]
-
-
-def _span(project: Project, recording: StoredRecording, uids: list[str]) -> list[FramePart]:
-    """New proposals in frames 1 to 3; the one in frame 1 replaces an open one."""
-    parts = []
-    for frame in project.frames.of([recording.id])[1:4]:
-        open_ones = [LabelDeleted(uid=label.uid) for label in project.labels.of_frame(frame.id)]
-        proposal = ProposalRecord.of(proposal_at(0.5))
-        new = LabelProposed(uid=uids[len(parts)], label="hand", box=proposal.box, track_id=7, proposal=proposal)
-        effort = Effort(1, 2.0) if not parts else None
-        change = by_hand(frame.revision)
-        parts.append(FramePart(frame.id, [*open_ones, new], type(change)(frame.revision, "ann", effort=effort)))
-    return parts
-
-
-def test_an_action_over_several_frames_is_undone_and_redone_as_one(
-    project: Project, recording: StoredRecording
-) -> None:
-    frames = [frame.id for frame in project.frames.of([recording.id])]
-    (old,) = project.proposals.replace(frames[1], [proposal_at()], by_machine()).uids
-    before = state_of(project)
-    project.log.append_to_frames(_span(project, recording, ["a", "b", "c"]))
-    stored = project.labels.get("b")
-    assert (stored.label.state, stored.label.source, stored.label.score) == (ReviewState.PROPOSED, Source.AUTO, 0.75)
-    assert stored.quality is not None
-    assert project.history.next("ann")[0] == "propose 3 labels (frames 1 to 3)"
-    after = {label.uid for frame in frames for label in project.labels.of_frame(frame)}
-    assert after == {"a", "b", "c"}
-    done = project.history.undo("ann")
-    assert [done.frame_id, *(frame for frame, _ in done.others)] == frames[1:4]
-    assert [row[:9] for row in state_of(project)["labels"]] == [row[:9] for row in before["labels"]]
-    assert [label.uid for label in project.labels.of_frame(frames[1])] == [old]
-    project.history.redo("ann")
-    assert {label.uid for frame in frames for label in project.labels.of_frame(frame)} == after
-    maintained = state_of(project)
-    project.log.rebuild()
-    assert state_of(project) == maintained
-    # another operator has accepted one of the labels: the whole action stays
-    project.labels.accept(frames[3], "c", by_hand(project.frames.get(frames[3]).revision, "bob"))
-    with pytest.raises(HistoryError, match="changed by bob"):
-        project.history.undo("ann")
-    assert len(project.labels.of_frame(frames[2])) == 1
-
-
-def test_an_action_over_several_frames_is_stored_completely_or_not_at_all(
-    project: Project, recording: StoredRecording
-) -> None:
-    parts = _span(project, recording, ["a", "b", "c"])
-    project.frames.finalise(parts[2].frame_id, by_hand())
-    with pytest.raises(StaleRevisionError):
-        project.log.append_to_frames(parts)
-    assert all(not project.labels.of_frame(part.frame_id) for part in parts)
-
-
 @pytest.fixture
 def three(project: Project, frame: int) -> tuple[str, str, str]:
     """Uids of a frame's boxes: of track 1, of none, and a rejected one of track 1."""
@@ -148,13 +81,11 @@ BOX = BoxRecord.of(box_at(9.0))
     "change",
     [
         lambda uids: LabelTracked(uid=uids[1], track_id=1),
-        lambda uids: LabelEdited(uid=uids[1], label="hand", box=BOX, track_id=1),
-        lambda uids: LabelCreated(uid="new", label="hand", box=BOX, track_id=1),
         lambda uids: LabelProposed(uid="new", label="person", box=BOX, track_id=1),
         lambda uids: LabelAccepted(uid=uids[2]),
         lambda uids: TracksLinked(labels=(LinkedLabel(uid=uids[1], track_id=1),)),
     ],
-    ids=["tracked", "edited", "created", "proposed", "a rejected one accepted", "linked"],
+    ids=["tracked", "proposed", "a rejected one accepted", "linked"],
 )
 def test_no_change_gives_a_track_a_second_box_in_a_frame(
     project: Project, frame: int, three: tuple[str, str, str], change: Callable[[tuple[str, str, str]], Payload]
@@ -192,29 +123,30 @@ def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skip
     assert project.history.undo("ann", skip=True).words == "draw person (frame 2)"
 
 
-def test_a_pass_gives_a_track_once(project: Project, frame: int) -> None:
-    found = [proposal_at(), proposal_at(3.0), proposal_at(6.0)]
-    project.labels.create(frame, [NewLabel("hand", box_at())], by_hand())
-    uids = project.proposals.replace(frame, found, by_machine(1), track_ids=[4, 4, 4]).uids
+def test_a_pass_gives_a_track_once_and_not_that_of_a_reviewed_box(project: Project, frame: int) -> None:
+    states = (ReviewState.ACCEPTED, ReviewState.REJECTED)
+    made = [NewLabel("hand", box_at(9.0 * n), track_id=n, state=state) for n, state in enumerate(states)]
+    project.labels.create(frame, made, by_hand())
+    found = [proposal_at(x) for x in (0.0, 3.0, 6.0, 12.0, 15.0)]
+    uids = project.proposals.replace(frame, found, by_machine(2), track_ids=[4, 4, 4, 0, 1]).uids
     # the first one is covered
-    assert [None if uid is None else _track(project, uid)[0] for uid in uids] == [None, 4, None]
+    assert uids[0] is None
+    assert [_track(project, uid) for uid in uids if uid] == [(4, True), (None, False), (None, False), (1, True)]
 
 
-@pytest.mark.parametrize("ours", [[4, None], [None, None]], ids=["ours has the track", "a reviewed box has it"])
-def test_boxes_of_other_software_get_no_track_of_another_box(
-    project: Project, frame: int, ours: list[int | None]
-) -> None:
-    theirs = [NewLabel("hand", box_at(x), 0.3, 4) for x in (6.0, 9.0)]
-    project.proposals.bring("lidar", {frame: theirs})
-    revision = project.frames.get(frame).revision
-    shown = {label.box.center_m[0]: label.track_id for label in project.labels.of_frame(frame)}
-    assert shown == {6.0: 4, 9.0: None}, "the second box of its track has none"
-    if ours[0] is None:
-        project.log.append(frame, [LabelDeleted(uid=project.labels.of_frame(frame)[0].uid)], by_hand(revision))
-        project.labels.create(frame, [NewLabel("hand", box_at(12.0), track_id=4)], by_hand(revision + 1))
-        project.proposals.bring("lidar", {frame: theirs})
-        revision = project.frames.get(frame).revision
-    project.proposals.replace(frame, [proposal_at(), proposal_at(3.0)], by_machine(revision), track_ids=ours)
-    tracks = [label.track_id for label in project.labels.of_frame(frame)]
-    assert len(tracks) == (4 if ours[0] else 5)
-    assert tracks.count(4) == 1
+@pytest.mark.parametrize("is_ours", [True, False], ids=["ours has the track", "a reviewed box has it"])
+def test_boxes_of_other_software_get_no_track_of_another_box(project: Project, frame: int, is_ours: bool) -> None:
+    def theirs() -> dict[float, int | None]:
+        boxes = [NewLabel("hand", box_at(x), 0.3, 4) for x in (6.0, 9.0)]
+        project.proposals.bring("lidar", {frame: boxes})
+        return {label.box.center_m[0]: label.track_id for label in project.labels.of_frame(frame)}
+
+    assert theirs() == {6.0: 4, 9.0: None}, "the second box of its track has none"
+    change = (by_machine if is_ours else by_hand)(project.frames.get(frame).revision)
+    if is_ours:
+        project.proposals.replace(frame, [proposal_at()], change, track_ids=[4])
+    else:
+        project.proposals.bring("lidar", {frame: []})
+        change = by_hand(project.frames.get(frame).revision)
+        project.labels.create(frame, [NewLabel("hand", box_at(), track_id=4)], change)
+    assert list(theirs().values()).count(4) == 1

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
 
 import pytest
 from store_samples import box_at, by_hand
 
-from annotator.project import FramePart, NewLabel, Project, StoredRecording, open_project
+from annotator.project import FramePart, NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
 from annotator.project.changes import LabelCreated
 from annotator.project.log import new_action
@@ -19,24 +19,20 @@ BOTH = ["left-both", "right-both"]
 
 
 @pytest.fixture
-def left(project: Project, tmp_path: Path) -> StoredRecording:
-    return project.recordings.add(tmp_path / "left", "rgbd", "left", KEYS, True)
+def rooms(project: Project) -> list[StoredRecording]:
+    """Three recordings: left, right and third."""
+    names = ("left", "right", "third")
+    return [project.recordings.add(project.path / name, "rgbd", name, KEYS, True) for name in names]
 
 
-@pytest.fixture
-def right(project: Project, left: StoredRecording, tmp_path: Path) -> StoredRecording:
-    return project.recordings.add(tmp_path / "right", "rgbd", "right", KEYS, True)
-
-
-def part(project: Project, recording: StoredRecording, what: str) -> FramePart:
-    """Draws a box in the first frame of a recording."""
-    frame = project.frames.of([recording.id])[0]
-    drawn = LabelCreated(uid=f"{recording.name}-{what}", label="hand", box=BoxRecord.of(box_at(frame.revision)))
-    return FramePart(frame.id, [drawn], by_hand(frame.revision))
-
-
-def draw(project: Project, what: str, *recordings: StoredRecording) -> None:
-    project.log.append_to_frames([part(project, each, what) for each in recordings])
+def draw(project: Project, what: str, recordings: Sequence[StoredRecording], action: str | None = None) -> None:
+    """Draws a box in the first frame of each recording, as one action."""
+    parts = []
+    for each in recordings:
+        frame = project.frames.of([each.id])[0]
+        drawn = LabelCreated(uid=f"{each.name}-{what}", label="hand", box=BoxRecord.of(box_at(frame.revision)))
+        parts.append(FramePart(frame.id, [drawn], by_hand(frame.revision)))
+    project.log.append_to_frames(parts, action)
 
 
 def remove(project: Project, recording: StoredRecording) -> None:
@@ -47,67 +43,50 @@ def bring_back(project: Project, recording: StoredRecording) -> None:
     project.recordings.rescan(recording.id, KEYS)
 
 
+def changed_by_bob(project: Project, recording: StoredRecording, what: str) -> None:
+    frame = project.frames.of([recording.id])[0]
+    change = by_hand(frame.revision, "bob")
+    project.labels.edit(frame.id, f"{recording.name}-{what}", change, label="person", box=box_at(9.0))
+
+
 def uids(project: Project) -> list[str]:
-    """Of all labels; checks that what is kept is what the log gives, for the stacks, too."""
+    """Of all labels; checks that what is kept is what the log gives."""
     assert verify(project.path, deep=True).problems == ()
-    with open_project(project.path) as again:
-        assert again.history.next("ann") == project.history.next("ann")
     return sorted(label.label.uid for label in project.labels.select())
 
 
 @pytest.mark.parametrize("is_first", [True, False])
 def test_an_action_is_undone_where_its_recordings_are_there_and_later_in_the_others(
-    project: Project, left: StoredRecording, right: StoredRecording, is_first: bool
+    project: Project, rooms: list[StoredRecording], is_first: bool
 ) -> None:
-    away = left if is_first else right
-    draw(project, "both", left, right)
+    away, there = rooms[:2] if is_first else rooms[1::-1]
+    draw(project, "both", rooms[:2])
     remove(project, away)
     assert project.history.next("ann") == ("draw hand (frame 0)", None)
-    assert project.history.undo("ann").others == ()
-    assert uids(project) == []
+    assert (project.history.undo("ann").others, uids(project)) == ((), [])
     with pytest.raises(HistoryError, match="ann has nothing to undo"):
         project.history.undo("ann")
     bring_back(project, away)
     assert uids(project) == [f"{away.name}-both"]
     project.history.undo("ann")
     assert uids(project) == []
-    # redone one after the other
+    # redone one after the other, too
+    remove(project, away)
     project.history.redo("ann")
-    assert uids(project) == [f"{away.name}-both"]
+    assert (uids(project), project.history.next("ann")[1]) == ([f"{there.name}-both"], None)
+    bring_back(project, away)
     project.history.redo("ann")
     assert uids(project) == BOTH
     with pytest.raises(HistoryError, match="ann has nothing to redo"):
         project.history.redo("ann")
-    project.history.undo("ann")
-    assert uids(project) == [f"{away.name}-both"]
-    project.history.undo("ann")
-    assert (uids(project), project.history.next("ann")[0]) == ([], None)
-
-
-def test_an_undone_action_is_redone_where_its_recordings_are_there_and_later_in_the_others(
-    project: Project, left: StoredRecording, right: StoredRecording
-) -> None:
-    away, there = left, right
-    draw(project, "both", left, right)
-    project.history.undo("ann")
-    remove(project, away)
-    project.history.redo("ann")
-    assert uids(project) == [f"{there.name}-both"]
-    assert project.history.next("ann")[1] is None
-    bring_back(project, away)
-    project.history.redo("ann")
-    assert uids(project) == BOTH
-    project.history.undo("ann")
-    project.history.undo("ann")
-    assert (uids(project), project.history.next("ann")) == ([], (None, "draw hand (frame 0)"))
 
 
 def test_an_action_is_hidden_while_all_its_recordings_are_removed(
-    project: Project, left: StoredRecording, right: StoredRecording, tmp_path: Path
+    project: Project, rooms: list[StoredRecording]
 ) -> None:
-    third = project.recordings.add(tmp_path / "third", "rgbd", "third", KEYS, True)
-    draw(project, "below", third)
-    draw(project, "both", left, right)
+    left, right, third = rooms
+    draw(project, "below", [third])
+    draw(project, "both", [left, right])
     remove(project, left)
     remove(project, right)
     project.history.undo("ann")
@@ -115,76 +94,42 @@ def test_an_action_is_hidden_while_all_its_recordings_are_removed(
     bring_back(project, right)
     bring_back(project, left)
     assert project.history.next("ann") == ("draw 2 labels (frames 0 to 0)", "draw hand (frame 0)")
-    assert len(project.history.undo("ann").others) == 1
-    assert uids(project) == []
-    project.history.redo("ann")
-    assert uids(project) == BOTH
-    project.history.redo("ann")
-    assert uids(project) == [*BOTH, "third-below"]
-
-
-def test_an_undo_below_keeps_the_part_in_a_removed_recording(
-    project: Project, left: StoredRecording, right: StoredRecording
-) -> None:
-    draw(project, "below", right)
-    draw(project, "both", left, right)
-    frame = project.frames.of([right.id])[0]
-    project.labels.edit(frame.id, "right-both", by_hand(frame.revision, "bob"), label="person", box=box_at(9.0))
-    remove(project, left)
-    project.history.undo("ann", skip=True)
-    assert uids(project) == ["right-both"]
-    bring_back(project, left)
-    assert uids(project) == BOTH
-    project.history.undo("ann")
-    assert uids(project) == ["right-both"]
-    assert project.history.next("ann")[0] is None
+    assert (len(project.history.undo("ann").others), uids(project)) == (1, [])
+    for expected in (BOTH, [*BOTH, "third-below"]):
+        project.history.redo("ann")
+        assert uids(project) == expected
 
 
 def test_a_step_that_others_have_changed_is_asked_about_again_only_in_other_recordings(
-    project: Project, left: StoredRecording, right: StoredRecording
+    project: Project, rooms: list[StoredRecording]
 ) -> None:
+    left, right, _ = rooms
     for recording in (left, right):
-        draw(project, "one", recording)
-        draw(project, "two", recording)
-        frame = project.frames.of([recording.id])[0]
-        uid = f"{recording.name}-two"
-        project.labels.edit(frame.id, uid, by_hand(frame.revision, "bob"), label="person", box=box_at(9.0))
+        draw(project, "one", [recording])
+        draw(project, "two", [recording])
+        changed_by_bob(project, recording, "two")
     project.history.undo("ann", skip=True)
     assert uids(project) == ["left-one", "left-two", "right-two"]
     with pytest.raises(HistoryError, match="was changed by bob"):
         project.history.undo("ann")
     project.history.undo("ann", skip=True)
-    assert uids(project) == ["left-two", "right-two"]
-    assert project.history.next("ann")[0] is None
+    assert (uids(project), project.history.next("ann")[0]) == (["left-two", "right-two"], None)
 
 
-def test_an_action_that_is_written_in_several_calls_reaches_a_further_recording(
-    project: Project, left: StoredRecording, right: StoredRecording
+def test_an_action_that_is_written_in_several_calls_keeps_its_place_and_goes_on_after_an_undo(
+    project: Project, rooms: list[StoredRecording]
 ) -> None:
+    left, right, third = rooms
     action = new_action()
-    project.log.append_to_frames([part(project, left, "both")], action)
+    draw(project, "both", [left], action)
     project.labels.create(project.frames.of([left.id])[1].id, [NewLabel("hand", box_at())], by_hand())
     assert project.history.undo("ann").words == "draw hand (frame 1)"
-    assert project.history.next("ann")[0] == "draw hand (frame 0)"
-    project.log.append_to_frames([part(project, right, "both")], action)
+    draw(project, "both", [right], action)
     assert project.history.next("ann") == ("draw 2 labels (frames 0 to 0)", "draw hand (frame 1)")
-    remove(project, left)
-    assert project.history.next("ann") == ("draw hand (frame 0)", None)
-    bring_back(project, left)
-    assert len(project.history.undo("ann").others) == 1
-    assert uids(project) == []
-
-
-def test_an_undone_action_that_goes_on_in_another_recording_can_be_undone_again(
-    project: Project, left: StoredRecording, right: StoredRecording
-) -> None:
-    action = new_action()
-    project.log.append_to_frames([part(project, left, "both")], action)
-    project.history.undo("ann")
-    project.log.append_to_frames([part(project, right, "both")], action)
-    assert uids(project) == ["right-both"]
+    assert (len(project.history.undo("ann").others), uids(project)) == (1, [])
+    draw(project, "both", [third], action)
     project.history.undo("ann")
     assert (uids(project), project.history.next("ann")[0]) == ([], None)
     project.history.redo("ann")
     project.history.redo("ann")
-    assert uids(project) == BOTH
+    assert uids(project) == [*BOTH, "third-both"]

@@ -504,8 +504,9 @@ def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
 def _adjustment_words(connection: Connection, change: _Change) -> str:
     """Such as "set up of room-3"."""
     named = select(recordings.c.name).where(recordings.c.id == change.recording_id)
-    (row,) = change.event.rows
-    before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
-    is_turned = row.before is None and before["correction"] != after["correction"]
-    is_turned |= row.before is not None and "correction" in row.before
+    is_turned = False
+    for row in change.event.rows:  # none, where it was set to what it was
+        before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
+        is_turned = row.before is None and before["correction"] != after["correction"]
+        is_turned |= row.before is not None and "correction" in row.before
     return f"{'correct the calibration of' if is_turned else 'set up of'} {connection.execute(named).scalar_one()}"
