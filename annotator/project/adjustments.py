@@ -56,12 +56,11 @@ class Adjustments:
             return tuple((row[0], row[1], row[2]) for row in connection.execute(query.order_by(adjustments.c.event_id)))
 
     def corrected(self) -> frozenset[int]:
-        """Recordings whose calibration has been corrected, present or not."""
+        """Recordings whose calibration is, or once was, corrected: their views may have been drawn of other clouds."""
         with self.writer.store.read() as connection:
             made = read_events(connection, select(events).where(events.c.kind == KIND))
-            changed = [row for event in made for row in event.rows if row.table == "adjustments"]
-            corrections = {int(row.key): (row.after or {}).get("correction") for row in changed}
-            return frozenset(id for id, stored in corrections.items() if stored and moving(stored) is not None)
+            changed = [row for event in made for row in event.rows if row.after and "correction" in row.after]
+            return frozenset(int(row.key) for row in changed if moving(row.after["correction"]) is not None)
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
