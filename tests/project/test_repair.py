@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from store_samples import box_at, by_hand, damage, stored_state
@@ -166,6 +168,44 @@ def test_repair_of_something_that_is_no_database_says_so(full: Path) -> None:
     with pytest.raises(ProjectError, match="nothing can be read"):
         repair(full)
     assert {path.name for path in full.parent.iterdir()} == {"hands"}
+
+
+def with_rows(project: Path, change: Callable[[Any], Any]) -> None:
+    """Changes what the newest event of a label says."""
+    with closing(sqlite3.connect(project / "project.db")) as connection:
+        triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for name, _ in triggers:
+            connection.execute(f"DROP TRIGGER {name}")
+        newest = "SELECT id, rows FROM events WHERE kind = 'label_accepted' ORDER BY id DESC LIMIT 1"
+        number, rows = connection.execute(newest).fetchone()
+        connection.execute("UPDATE events SET rows = ? WHERE id = ?", (json.dumps(change(json.loads(rows))), number))
+        for _, sql in triggers:
+            connection.execute(sql)
+        connection.commit()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda rows: [[*row[:2], None, row[3]] for row in rows], id="a label that is there already"),
+        pytest.param(lambda rows: [[*row[:3], {"state": "odd"}] for row in rows], id="a state that there is not"),
+        pytest.param(lambda rows: [[*row[:3], {"state": ["odd"]}] for row in rows], id="a value of another kind"),
+        pytest.param(lambda rows: [[*row[:3], "odd"] for row in rows], id="no row"),
+        pytest.param(lambda rows: [[*row[:3], {}] for row in rows], id="no columns"),
+        pytest.param(lambda rows: [["events", *row[1:]] for row in rows], id="a table that is not audited"),
+        pytest.param(
+            lambda rows: [[*row[:3], {'hidden" = 1, "state': "rejected"}] for row in rows], id="a column that is SQL"
+        ),
+    ],
+)
+def test_an_event_that_cannot_be_applied_is_named_and_left_out(full: Path, change: Callable[[Any], Any]) -> None:
+    whole = stored_state(full)
+    with_rows(full, change)
+    assert "the events contradict each other" in " ".join(verify(full, deep=True).problems)
+    repaired = repair(full, "saved")
+    assert repaired.is_new and repaired.lost == {"events": 1} and repaired.restored == 1
+    assert verify(repaired.path, deep=True).problems == ()
+    assert stored_state(repaired.path)["labels"] == whole["labels"]
 
 
 DELETED = {"all events": "1", "every third": "id % 3 = 0", "the last ones": "id > (SELECT max(id) - 3 FROM events)"}

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Select, select
+from sqlalchemy.exc import IntegrityError
 
 from annotator.project.database.schema import AUDITED, NOT_AUDITED, AnyRow, columns_of, events, packed
 from annotator.project.records import parsed
@@ -255,13 +256,20 @@ def _apply(
 
 @lru_cache(maxsize=256)
 def _update(table: str, columns: tuple[str, ...]) -> str:
-    new = ", ".join(f'"{column}" = ?' for column in columns)
-    return f'UPDATE {table} SET {new} WHERE "{AUDITED[table]}" = ?'
+    marks = ", ".join("?" * len(columns))
+    return f'UPDATE {table} SET ({_known(table, columns)}) = ({marks}) WHERE "{AUDITED[table]}" = ?'
 
 
 @lru_cache(maxsize=256)
 def _insert(table: str, columns: tuple[str, ...]) -> str:
-    return f"INSERT INTO {table} ({_listed(columns)}) VALUES ({', '.join('?' * len(columns))})"
+    return f"INSERT INTO {table} ({_known(table, columns)}) VALUES ({', '.join('?' * len(columns))})"
+
+
+def _known(table: str, columns: Sequence[str]) -> str:
+    """Columns as a text of SQL; those of an event may have come with the project of somebody else."""
+    if not columns or set(columns) - {*columns_of(table), "event_id", "revision"}:
+        raise ProjectError(f"an event changes what are no audited columns of {table}: {', '.join(columns)}")
+    return _listed(columns)
 
 
 @lru_cache(maxsize=256)
@@ -269,17 +277,31 @@ def _listed(columns: tuple[str, ...]) -> str:
     return ", ".join(f'"{column}"' for column in columns)
 
 
+# What applying an event raises that somebody has damaged, or that does not follow from those before it.
+UNFIT = (
+    *(sqlite3.IntegrityError, sqlite3.ProgrammingError, sqlite3.InterfaceError, IntegrityError),
+    *(LookupError, TypeError, ValueError, ArithmeticError, AttributeError),
+)
+
+
 def rebuild(connection: Connection) -> int:
-    """Makes the audited tables anew from all events; returns their number."""
+    """Makes the audited tables anew from all events; returns their number.
+
+    Raises:
+        ProjectError: an event is damaged, or does not follow from those before it.
+    """
     for table in reversed(AUDITED):
         if table != "frames":
             connection.exec_driver_sql(f"DELETE FROM {table}")
     connection.exec_driver_sql("UPDATE frames SET finalised = 0, attributes = NULL")
     count = 0
-    with without_track_index(connection):
-        for event in read_events(connection):
-            apply_events(connection, [event])
-            count += 1
+    try:
+        with without_track_index(connection):
+            for event in read_events(connection):
+                apply_events(connection, [event])
+                count += 1
+    except UNFIT as error:
+        raise ProjectError(f"an event does not follow from those before it: {error}") from error
     hide_removed(connection)
     return count
 

@@ -19,6 +19,7 @@ from sqlalchemy.exc import DBAPIError
 from annotator.files import open_file
 from annotator.project.audit.events import (
     CLASSES,
+    UNFIT,
     Event,
     RowChange,
     apply_events,
@@ -204,7 +205,7 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                         apply_events(connection, [event])
                         newer = update(frames).where(frames.c.id == event.frame_id)
                         connection.execute(newer.values(revision=event.revision))
-                except (AnnotatorError, DBAPIError, sqlite3.Error, TypeError, ValueError, KeyError):
+                except (AnnotatorError, DBAPIError, sqlite3.Error, *UNFIT):
                     _count_lost(repaired, "events")
                 else:
                     repaired.events += 1
