@@ -12,6 +12,7 @@ from annotator.project.changes import (
     LabelAccepted,
     LabelDeleted,
     LabelProposed,
+    LabelRejected,
     LabelTracked,
     LinkedLabel,
     Payload,
@@ -106,6 +107,18 @@ def test_boxes_can_change_their_tracks_with_each_other(
     swap = [LabelTracked(uid=three[0], track_id=2), LabelTracked(uid=three[1], track_id=1)]
     project.log.append(frame, swap, by_hand(7))
     assert [_track(project, uid)[0] for uid in three] == [2, 1, 1]
+
+
+def test_a_rejected_label_gives_its_track_to_one_that_was_rejected(project: Project, frame: int, three) -> None:
+    right, free, gone = three
+    project.log.append(frame, [LabelTracked(uid=right, track_id=2)], by_hand(6))
+    back = [LabelTracked(uid=gone, track_id=2), LabelAccepted(uid=gone)]
+    # the same columns change as of the label that comes back, and others of the one whose track it gets
+    as_well = [LabelTracked(uid=free, track_id=5), LabelRejected(uid=free)]
+    project.log.append(frame, [*as_well, LabelRejected(uid=right), *back], by_hand(7))
+    assert [_track(project, uid)[0] for uid in three] == [2, 5, 2]
+    project.history.undo("ann")
+    assert [_track(project, uid)[0] for uid in three] == [2, None, 1]
 
 
 def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skipped(

@@ -229,12 +229,12 @@ def _apply(
     if removed:
         driver.executemany(f'DELETE FROM {table} WHERE "{key}" = ?', removed)
     if table == "labels":
-        # two labels may exchange their tracks, and one may get that of another that is rejected
+        # two labels may exchange their tracks
         moved = [(each.key,) for each in changes if each.is_update and "track_id" in (each.after or {})]
         if len(changes) > 1 and moved:
             driver.executemany("UPDATE labels SET track_id = NULL WHERE uid = ?", moved)
-        changes = sorted(changes, key=lambda each: (each.after or {}).get("state") != "rejected")
-    statements: dict[tuple[str, ...], list[tuple[Any, ...]]] = defaultdict(list)
+    # the rejected ones first: others may get their tracks
+    statements: dict[tuple[bool, tuple[str, ...]], list[tuple[Any, ...]]] = defaultdict(list)
     inserted: dict[tuple[str, ...], list[tuple[Any, ...]]] = defaultdict(list)
     for each in changes:
         if each.after is None:
@@ -247,8 +247,9 @@ def _apply(
         if each.before is None:
             inserted[tuple(values)].append(tuple(values.values()))
         else:
-            statements[tuple(values)].append((*values.values(), each.key))
-    for columns, rows in statements.items():
+            is_left = values.get("state") != "rejected"
+            statements[is_left, tuple(values)].append((*values.values(), each.key))
+    for (_, columns), rows in sorted(statements.items()):
         driver.executemany(_update(table, columns), rows)
     for columns, rows in inserted.items():
         driver.executemany(_insert(table, columns), rows)
