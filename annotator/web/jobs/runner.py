@@ -284,18 +284,18 @@ class JobRunner:
 
     def cancel(self, job_id: str) -> Job:
         """Stops a job: a waiting one at once, a running one at its next safe point."""
-        job = self.get(job_id)
         with self._lock:
+            job = self.get(job_id)
             waiting = [task for task in self._waiting if task.job_id == job_id]
             self._waiting = [task for task in self._waiting if task.job_id != job_id]
-            running = self._jobs[job_id].state is JobState.RUNNING
+            running = job.state is JobState.RUNNING
             if running and job_id not in self._stopping:
                 self._stopping.add(job_id)
                 if job_id in self._workers:
                     self._workers[job_id].stop()
-        if waiting:
-            return self._update(job_id, state=JobState.CANCELLED, message="stopped before it began")
-        return self._update(job_id, stage="stopping") if running else job
+            if waiting:
+                return self._update(job_id, state=JobState.CANCELLED, message="stopped before it began")
+            return self._update(job_id, stage="stopping") if running else job
 
     def require_none(self, project: str) -> None:
         """Checks that no job of a project runs or waits."""
@@ -454,12 +454,13 @@ class JobRunner:
             for job_id in old:
                 del self._jobs[job_id]
             needed = exports | {job.id for job in self._jobs.values() if not job.state.ended}
-        # marked before the removal, so that no page offers a file that is being removed
-        for job in self.all():
-            file = self._export_file(job)
-            download = None if file is None else "kept" if job.id in needed and file.is_file() else "gone"
-            if download != job.download:
-                self._update(job.id, download=download)
+            # marked before the removal, so that no page offers a file that is being removed; within the lock, as the
+            # other lane may take a job off the list
+            for job in self.all():
+                file = self._export_file(job)
+                download = None if file is None else "kept" if job.id in needed and file.is_file() else "gone"
+                if download != job.download:
+                    self._update(job.id, download=download)
         for path in folders:
             if path.name not in needed:
                 shutil.rmtree(path, ignore_errors=True)
