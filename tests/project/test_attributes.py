@@ -13,7 +13,7 @@ from annotator.project.changes import LabelProposed, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, ReviewState
+from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
 
 
@@ -320,3 +320,12 @@ def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
         project.history.undo("ann")
     assert project.history.undo("ann", skip=True).frame_id == 2
     assert [entry.frame_id for entry in project.labels.select()] == [1]
+
+
+def test_undo_brings_a_label_back_without_an_image_box_of_a_removed_class(project: Project, frame: int) -> None:
+    drawn = NewLabel("person", box_at(), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0))
+    (uid,) = project.labels.create(frame, [drawn], by_hand()).uids
+    project.labels.delete(frame, uid, by_hand(1))
+    project.change_classes(lambda config: edit.remove_class(config, "hand"), "bea")
+    project.history.undo("ann")
+    assert project.labels.get(uid).image_box is None

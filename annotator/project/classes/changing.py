@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
@@ -15,7 +15,7 @@ from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
 from annotator.project.log import Writer
 from annotator.project.records import SaidRecord, parsed
-from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, driver_of, values_json, values_of
 from annotator.project.sources import show_others
 from annotator.types import ReviewState, Source
 
@@ -136,11 +136,7 @@ def _changed(terms: Terms, change: Relabelling, table: str, row: Row) -> Row | N
         name = terms.names[row["class_id"]]
         if name in change.removed:
             return None
-        image_box = row["image_box"]
-        if image_box is not None and change.removed:
-            (box,) = terms.boxes_2d(f"[{image_box}]")
-            image_box = None if box.label in change.removed else image_box
-        return row | {"image_box": image_box} | values_after(terms, [change], name, row)
+        return row | values_after(terms, [change], name, row)
     boxes = terms.boxes_2d(row["boxes"])
     left = [box for box in boxes if box.label not in change.removed]
     if table == "view_labels":
@@ -175,9 +171,12 @@ def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
     ]
 
 
-def values_after(terms: Terms, changes: Iterable[Relabelling], label: str, row: Row) -> Row:
-    """The columns with values of a label after changes of the classes, as far as the row has them."""
+def values_after(terms: Terms, changes: Sequence[Relabelling], label: str, row: Row) -> Row:
+    """The columns of a label that changes of the classes and attributes change, as far as the row has them."""
     after: Row = {}
+    if (image_box := box_2d_of(row.get("image_box"), terms.key)) is not None:
+        is_gone = any(image_box.label in change.removed for change in changes)
+        after["image_box"] = None if is_gone else row["image_box"]
     if "attributes" in row:
         values = values_of(row["attributes"])
         for change in changes:
