@@ -123,7 +123,8 @@ class Proposals:
                 make(write, payload)
                 if before.others:
                     # one object stays one proposal; those of ours that were hidden are replaced, too
-                    replace_open(write, [each for each in before.others if each.source != OWN])
+                    theirs = [each for each in before.others if each.source != OWN]
+                    replace_open(write, OpenProposals.of(write), theirs)
                     write.event(KIND)
             receipt = write.finish()
             if run is not None:

@@ -205,7 +205,7 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     ]
     new, covering = [_said(source, box) for box in boxes], covered_by(boxes, staying)
     free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
-    groups = replace_open(write, [*(each for each in proposed.others if each.source != source), *free])
+    groups = replace_open(write, proposed, [*(each for each in proposed.others if each.source != source), *free])
     write.event(KIND)
     attributes = write.config.attributes
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
@@ -219,7 +219,7 @@ def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -
     proposed = OpenProposals.of(write, uids)
     gone = {each.uid for each in proposed.ours if each.label in removed}
     others = [each for each in proposed.others if each.label not in removed]
-    replace_open(write, others, leaving_out=gone, never_kept=uids)
+    replace_open(write, proposed, others, leaving_out=gone)
     write.event(KIND)
 
 
@@ -320,23 +320,19 @@ class OpenProposals:
 
 
 def replace_open(
-    write: Write,
-    others: Sequence[SaidRecord],
-    *,
-    leaving_out: Collection[str] = (),
-    never_kept: Collection[str] = (),
+    write: Write, proposed: OpenProposals, others: Sequence[SaidRecord], *, leaving_out: Collection[str] = ()
 ) -> list[Group]:
     """Replaces the open proposals of a frame by one for each object that our own proposals and the others see.
 
     A proposal that stays the same keeps its row.
 
     Args:
+        proposed: the present ones.
         leaving_out: uids of our own proposals that are removed.
 
     Returns:
         The objects, each source in its own words.
     """
-    proposed = OpenProposals.of(write, never_kept)
     rows = {row["uid"]: row for row in write.labels() if _is_open(row, proposed.kept)}
     ours = [each for each in proposed.ours if each.uid not in leaving_out]
     uids = {each.uid for each in ours}
