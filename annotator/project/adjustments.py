@@ -59,8 +59,8 @@ class Adjustments:
         """Recordings whose calibration is, or once was, corrected: their views may have been drawn of other clouds."""
         with self.writer.store.read() as connection:
             made = read_events(connection, select(events).where(events.c.kind == KIND))
-            changed = [row for event in made for row in event.rows if row.after and "correction" in row.after]
-            return frozenset(int(row.key) for row in changed if moving(row.after["correction"]) is not None)
+            changed = {(int(row.key), (row.after or {}).get("correction")) for event in made for row in event.rows}
+        return frozenset(id for id, correction in changed if correction and moving(correction) is not None)
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
