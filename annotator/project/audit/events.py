@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import ColumnElement, Connection, Select, case, select
 from sqlalchemy.exc import IntegrityError
 
 from annotator.project.database.schema import AUDITED, NOT_AUDITED, AnyRow, columns_of, events, packed
@@ -176,8 +176,13 @@ def read_events(connection: Connection, query: Select[Any] | None = None, after:
         after = rows[-1].id
 
 
+def without_rows(of: ColumnElement[bool]) -> list[ColumnElement[Any]]:
+    """The columns of events, without the changed rows of some, of which there may be too many to read for nothing."""
+    return [case((~of, each)).label("rows") if each.name == "rows" else each for each in events.c]
+
+
 def event_of(row: AnyRow) -> Event:
-    """The event of a table row."""
+    """The event of a table row, which may be `without_rows`."""
     return Event(
         row.id,
         row.frame_id,
@@ -187,7 +192,7 @@ def event_of(row: AnyRow) -> Event:
         row.author,
         row.time_ns,
         Source(row.source),
-        rows_of(row.rows),
+        () if row.rows is None else rows_of(row.rows),
         row.action,
         row.undoes,
         row.subject,

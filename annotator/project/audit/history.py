@@ -17,13 +17,25 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from typing import Any
 
-from sqlalchemy import Connection, bindparam, func, select
+from sqlalchemy import Connection, Select, bindparam, func, select
 
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
 from annotator.project.adjustments import make_stale
-from annotator.project.audit.events import CLASSES, Effort, Event, Key, RowChange, as_one, event_of, read_row, rows_of
+from annotator.project.audit.events import (
+    CLASSES,
+    Effort,
+    Event,
+    Key,
+    RowChange,
+    as_one,
+    event_of,
+    read_row,
+    rows_of,
+    without_rows,
+)
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, fitting
 from annotator.project.classes.changing import made_changes, values_after
@@ -65,11 +77,12 @@ _ACTIONS = (
     .order_by(events.c.id)
 )
 _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
-_CHANGES = (
-    select(events, frames.c.recording_id, frames.c.key)
+_CHANGES, _NAMED = (
+    select(*columns, frames.c.recording_id, frames.c.key)
     .join(frames, frames.c.id == events.c.frame_id)
     .where(events.c.action == bindparam("action"))
     .order_by(events.c.id)
+    for columns in (events.c, without_rows(events.c.source == Source.IMPORTED.value))
 )
 
 
@@ -296,9 +309,11 @@ def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
             yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
 
 
-def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[_Change]:
+def _changes_of(
+    connection: Connection, action: str, recordings: Collection[int], query: Select[Any] = _CHANGES
+) -> list[_Change]:
     """What an action has changed in some recordings."""
-    changed = connection.execute(_CHANGES, {"action": action}).all()
+    changed = connection.execute(query, {"action": action}).all()
     return [_Change(event_of(row), row.recording_id, row.key) for row in changed if row.recording_id in recordings]
 
 
@@ -471,7 +486,8 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    return _action_words(connection, _changes_of(connection, step.original, step.recordings))
+    # the words for an import need none of its rows
+    return _action_words(connection, _changes_of(connection, step.original, step.recordings, _NAMED))
 
 
 def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:

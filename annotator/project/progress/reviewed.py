@@ -19,11 +19,12 @@ from sqlalchemy import Connection, func, select
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import SAME_BOX
-from annotator.project.audit.events import Effort, Event, RowChange, event_of
+from annotator.project.audit.events import Effort, Event, RowChange, event_of, without_rows
 from annotator.project.changes import Origin
 from annotator.project.database.schema import AnyRow, events, labels
 from annotator.project.records import BOXES_2D, parsed
 from annotator.project.rows import Terms
+from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Box2D, ReviewState, Source
 
 DRAFT = "draft-"
@@ -148,8 +149,9 @@ def _is_rejected(state: str | None) -> bool | None:
 def read_log(connection: Connection) -> ActionLog:
     """Reads all actions."""
     log = ActionLog()
-    query = select(events).where(events.c.action.is_not(None), events.c.frame_id.is_not(None)).order_by(events.c.id)
-    for row in connection.execute(query):
+    # nobody has decided about imported proposals
+    query = select(*without_rows(events.c.kind == IMPORTED)).where(events.c.action.is_not(None))
+    for row in connection.execute(query.where(events.c.frame_id.is_not(None)).order_by(events.c.id)):
         log.add(event_of(row))
     return log
 
