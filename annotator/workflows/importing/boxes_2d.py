@@ -247,9 +247,12 @@ def store_on_view(
         view_id = project.views.store(content)
         revision = revisions.get(view_id, 0) if frame is None else frame.revision
         context = WriteContext(revision, AUTHOR, Source.IMPORTED)
-        # retried if the frame was changed since it was read
-        with suppress(StaleRevisionError):
+        try:
             project.boxes.set_on_view(
                 view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
             )
             return Stored.KEPT
+        except StaleRevisionError:
+            # retried if the frame was changed since it was read; only another import changes a view without a frame
+            if frame is None:
+                raise

@@ -15,10 +15,11 @@ from annotator.formats.coco import read_coco
 from annotator.formats.losses import Lost
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, RunShare, WriteContext
+from annotator.project.boxes import Boxes
 from annotator.project.records import ViewGeometry
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
-from annotator.types.errors import ConfigError, FormatError
+from annotator.types.errors import ConfigError, FormatError, StaleRevisionError
 from annotator.workflows.exporting import (
     ExportFilter,
     ExportFormat,
@@ -247,7 +248,7 @@ def test_yolo_boxes_are_valid_for_scaled_but_not_for_cropped_copies(people: Proj
         import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
 
 
-def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> None:
+def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = yolo_of(tmp_path / "labels", front="0 0.5 0.5 0.25 0.5\n")
     (tmp_path / "pictures").mkdir()
     cv2.imwrite(str(tmp_path / "pictures/front.png"), picture(5))
@@ -255,6 +256,10 @@ def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> No
     assert (done.frames, done.boxes.total(), done.views) == (0, 1, 1)
     (view,) = people.boxes.on_views()
     assert view.boxes == (Box2D("person", 23.5, 11.5, 39.5, 35.5),) and view.frame_id is None
+    # another import stores boxes on it in the meantime
+    monkeypatch.setattr(Boxes, "on_views", lambda self: ())
+    with pytest.raises(StaleRevisionError):
+        import_view_boxes(people, folder, tmp_path / "pictures", BoxKind.SILHOUETTE, FlatFormat.YOLO)
 
 
 def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(
