@@ -36,7 +36,8 @@ def change_classes(
     if change.removed:
         _show_others(writer, connection, old, change.removed, author)
     stale = set[int]()
-    query = select(func.max(events.c.revision)).where(events.c.view_id == CLASSES)
+    of_classes = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
+    query = select(func.max(events.c.revision)).where(of_classes)
     revision = connection.execute(query).scalar() or 0
     write = _write(writer, connection, revision, author, old)
     for number, name in list(write.terms.names.items()):
