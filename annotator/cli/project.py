@@ -230,7 +230,8 @@ def run_repair(
         return
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
-        lost = ", ".join(amount(count, table.removesuffix("s")) for table, count in sorted(done.lost.items()))
+        one = {table: "pass" if table == "passes" else table.removesuffix("s") for table in done.lost}
+        lost = ", ".join(amount(count, one[table]) for table, count in sorted(done.lost.items()))
         print_line(f"missing, unreadable or unusable: {lost}; compare with the newest backup")
     if done.restored:
         print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")

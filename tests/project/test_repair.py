@@ -13,11 +13,12 @@ from typing import Any
 import pytest
 from store_samples import box_at, by_hand, damage, stored_state
 
-from annotator.project import NewLabel, Project, StoredRecording
+from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.make import Reason, automatic_backups, back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
+from annotator.project.changes import ProposalsReplaced
 from annotator.project.database.schema import columns_of
 from annotator.types.errors import ProjectError
 
@@ -170,6 +171,11 @@ def test_repair_of_something_that_is_no_database_says_so(full: Path) -> None:
     assert {path.name for path in full.parent.iterdir()} == {"hands"}
 
 
+def latest_pass(project: Path) -> ProposalsReplaced | None:
+    with open_project(project) as opened:
+        return opened.proposals.latest(opened.frames.of()[0].id)
+
+
 def with_rows(project: Path, change: Callable[[Any], Any]) -> None:
     """Changes what the newest event of a label says."""
     with closing(sqlite3.connect(project / "project.db")) as connection:
@@ -199,13 +205,14 @@ def with_rows(project: Path, change: Callable[[Any], Any]) -> None:
     ],
 )
 def test_an_event_that_cannot_be_applied_is_named_and_left_out(full: Path, change: Callable[[Any], Any]) -> None:
-    whole = stored_state(full)
+    whole, found = stored_state(full), latest_pass(full)
     with_rows(full, change)
     assert "the events contradict each other" in " ".join(verify(full, deep=True).problems)
     repaired = repair(full, "saved")
     assert repaired.is_new and repaired.lost == {"events": 1} and repaired.restored == 1
     assert verify(repaired.path, deep=True).problems == ()
     assert stored_state(repaired.path)["labels"] == whole["labels"]
+    assert latest_pass(repaired.path) == found is not None
 
 
 DELETED = {"all events": "1", "every third": "id % 3 = 0", "the last ones": "id > (SELECT max(id) - 3 FROM events)"}

@@ -6,7 +6,7 @@ import os
 import shutil
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,8 +138,9 @@ def _salvage(project: Path, name: str) -> Repaired:
                 source.execute("SELECT count(*) FROM sqlite_master").fetchone()
                 if application_problem(source.execute("PRAGMA application_id").fetchone()[0]) == UNRELEASED:
                     raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
-                _copy_plain(source, store, repaired)
+                _copy_plain(source, store, repaired, _PLAIN)
                 _replay(source, store, repaired)
+                _copy_plain(source, store, repaired, ("passes",))  # which refer to events
                 config = _config(project, name, source)
         except sqlite3.Error as error:
             raise ProjectError(
@@ -167,9 +168,9 @@ def _fill_up(database: Path) -> None:
         os.truncate(database, size)
 
 
-def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
+def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired, tables: Sequence[str]) -> None:
     with store.write() as connection:
-        for table in _PLAIN:
+        for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
             for row in _rows(source, table, repaired):
                 kept = {key: value for key, value in row.items() if key in known}
