@@ -91,6 +91,8 @@ def _started() -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
+        # each thread of OpenBLAS, which decoders do not need, would take address space
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         # an interrupt at the terminal is for this process, which then ends the other
         process_group=0 if os.name != "nt" else None,
     )
@@ -101,31 +103,39 @@ def _started() -> subprocess.Popen[bytes]:
 
 def serve() -> None:
     """Answers what comes in, until there is no more."""
-    most_bytes = LIBRARIES_BYTES + 2 * frame_memory()
     if sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+        most_bytes, (_, hard) = LIBRARIES_BYTES + 2 * frame_memory(), resource.getrlimit(resource.RLIMIT_AS)
+        # a lower one may hold already; macOS may refuse any
+        if hard == resource.RLIM_INFINITY or most_bytes < hard:
+            with suppress(ValueError):
+                resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
     out = os.fdopen(os.dup(1), "wb")
     # what libraries print must not be taken for an answer
     os.dup2(2, 1)
     while True:
         try:
-            function, values = pickle.load(sys.stdin.buffer)
+            # without names, so that nothing of a file stays
+            out.write(_answer(*pickle.load(sys.stdin.buffer)))
         except EOFError:
             return
-        module, _, name = function.partition(":")
-        try:
-            packed = pickle.dumps(getattr(import_module(module), name)(*values), pickle.HIGHEST_PROTOCOL)
-            if len(packed) > frame_memory():
-                raise MemoryError
-        except MemoryError:
-            said = f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)"
-            packed = pickle.dumps(FenceError(said))
-        except ValueError as error:
-            packed = pickle.dumps(error)
-        # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
-        except BaseException as error:
-            packed = pickle.dumps(FenceError(f"cannot be decoded ({str(error)[:100]})"))
-        out.write(packed)
         out.flush()
+
+
+def _answer(function: str, values: tuple[Any, ...]) -> bytes:
+    """Returns the pickled result of a function, or error."""
+    module, _, name = function.partition(":")
+    try:
+        packed = pickle.dumps(getattr(import_module(module), name)(*values), pickle.HIGHEST_PROTOCOL)
+        if len(packed) > frame_memory():
+            raise MemoryError
+        return packed
+    except MemoryError:
+        said = f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)"
+        return pickle.dumps(FenceError(said))
+    except ValueError as error:
+        return pickle.dumps(error)
+    # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
+    except BaseException as error:
+        return pickle.dumps(FenceError(f"cannot be decoded ({type(error).__name__}: {str(error)[:100]})"))
