@@ -15,7 +15,7 @@ import sys
 from contextlib import suppress
 from importlib import import_module
 from threading import Lock, Timer
-from typing import Any
+from typing import IO, Any
 
 from annotator.frame_limits import VARIABLE, frame_memory
 
@@ -23,6 +23,8 @@ from annotator.frame_limits import VARIABLE, frame_memory
 LIBRARIES_BYTES = 1 << 32
 # The largest clouds take some seconds.
 MOST_S = 120.0
+# What users may set.
+PIPE_BYTES = 1 << 20
 PROGRAM = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from annotator import fence; fence.serve()"
 
 
@@ -57,7 +59,7 @@ class _Fence:
                 watch.start()
                 pickle.dump((function, values), process.stdin, pickle.HIGHEST_PROTOCOL)
                 process.stdin.flush()
-                answer = pickle.load(process.stdout)
+                answer = _received(process.stdout)
             except (OSError, EOFError, pickle.UnpicklingError) as error:
                 self._end()
                 raise FenceError("is damaged: its decoder crashed, or did not end") from error
@@ -85,6 +87,15 @@ class _Fence:
 fenced = _Fence()
 
 
+def _received(stream: IO[bytes]) -> Any:
+    packed, lengths = pickle.load(stream)
+    arrays = [bytearray(length) for length in lengths]
+    for array in arrays:
+        if stream.readinto(array) < len(array):  # type: ignore[attr-defined]
+            raise EOFError
+    return pickle.loads(packed, buffers=arrays)
+
+
 def _started() -> subprocess.Popen[bytes]:
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", PROGRAM],
@@ -96,7 +107,14 @@ def _started() -> subprocess.Popen[bytes]:
         # an interrupt at the terminal is for this process, which then ends the other
         process_group=0 if os.name != "nt" else None,
     )
-    assert process.stdin is not None
+    assert process.stdin is not None and process.stdout is not None
+    if sys.platform == "linux":
+        import fcntl
+
+        # a third of the time for large arrays; refused where a user has many pipes
+        with suppress(OSError):
+            for stream in (process.stdin, process.stdout):
+                fcntl.fcntl(stream, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
     pickle.dump(sys.path, process.stdin)
     return process
 
@@ -117,25 +135,33 @@ def serve() -> None:
     while True:
         try:
             # without names, so that nothing of a file stays
-            out.write(_answer(*pickle.load(sys.stdin.buffer)))
+            out.writelines(_answer(*pickle.load(sys.stdin.buffer)))
         except EOFError:
             return
         out.flush()
 
 
-def _answer(function: str, values: tuple[Any, ...]) -> bytes:
-    """Returns the pickled result of a function, or error."""
+def _answer(function: str, values: tuple[Any, ...]) -> list[bytes | memoryview]:
+    """Returns the parts of what `_received` reads: a function's result or error, and the arrays in it as they are."""
     module, _, name = function.partition(":")
     try:
-        packed = pickle.dumps(getattr(import_module(module), name)(*values), pickle.HIGHEST_PROTOCOL)
-        if len(packed) > frame_memory():
-            raise MemoryError
-        return packed
+        result: Any = getattr(import_module(module), name)(*values)
+        return _parts(result)
     except MemoryError:
-        said = f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)"
-        return pickle.dumps(FenceError(said))
+        result = FenceError(f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)")
     except ValueError as error:
-        return pickle.dumps(error)
+        result = error
     # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
     except BaseException as error:
-        return pickle.dumps(FenceError(f"cannot be decoded ({type(error).__name__}: {str(error)[:100]})"))
+        result = FenceError(f"cannot be decoded ({type(error).__name__}: {str(error)[:100]})")
+    return _parts(result)
+
+
+def _parts(result: Any) -> list[bytes | memoryview]:
+    buffers: list[pickle.PickleBuffer] = []
+    packed = pickle.dumps(result, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+    arrays = [buffer.raw() for buffer in buffers]
+    lengths = [array.nbytes for array in arrays]
+    if len(packed) + sum(lengths) > frame_memory():
+        raise MemoryError
+    return [pickle.dumps((packed, lengths)), *arrays]
