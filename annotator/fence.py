@@ -15,7 +15,7 @@ import sys
 from contextlib import suppress
 from importlib import import_module
 from threading import Lock, Timer
-from typing import Any
+from typing import IO, Any
 
 from annotator.frame_limits import VARIABLE, frame_memory
 
@@ -23,6 +23,15 @@ from annotator.frame_limits import VARIABLE, frame_memory
 LIBRARIES_BYTES = 1 << 32
 # The largest clouds take some seconds.
 MOST_S = 120.0
+SETTINGS = {
+    # each thread of OpenBLAS, which decoders do not need, would take address space
+    "OPENBLAS_NUM_THREADS": "1",
+    # glibc keeps so much memory for the next file: new pages took a quarter of the time of a cloud of SUN RGB-D
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
+    "MALLOC_TRIM_THRESHOLD_": str(1 << 26),
+}
+# What users may set.
+PIPE_BYTES = 1 << 20
 PROGRAM = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); from annotator import fence; fence.serve()"
 
 
@@ -57,7 +66,7 @@ class _Fence:
                 watch.start()
                 pickle.dump((function, values), process.stdin, pickle.HIGHEST_PROTOCOL)
                 process.stdin.flush()
-                answer = pickle.load(process.stdout)
+                answer = _received(process.stdout)
             except (OSError, EOFError, pickle.UnpicklingError) as error:
                 self._end()
                 raise FenceError("is damaged: its decoder crashed, or did not end") from error
@@ -85,47 +94,80 @@ class _Fence:
 fenced = _Fence()
 
 
+def _received(stream: IO[bytes]) -> Any:
+    packed, lengths = pickle.load(stream)
+    arrays = [bytearray(length) for length in lengths]
+    for array in arrays:
+        if stream.readinto(array) < len(array):  # type: ignore[attr-defined]
+            raise EOFError
+    return pickle.loads(packed, buffers=arrays)
+
+
 def _started() -> subprocess.Popen[bytes]:
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", PROGRAM],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
+        env=os.environ | SETTINGS,
         # an interrupt at the terminal is for this process, which then ends the other
         process_group=0 if os.name != "nt" else None,
     )
-    assert process.stdin is not None
+    assert process.stdin is not None and process.stdout is not None
+    if sys.platform == "linux":
+        import fcntl
+
+        # a third of the time for large arrays; refused where a user has many pipes
+        with suppress(OSError):
+            for stream in (process.stdin, process.stdout):
+                fcntl.fcntl(stream, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
     pickle.dump(sys.path, process.stdin)
     return process
 
 
 def serve() -> None:
     """Answers what comes in, until there is no more."""
-    most_bytes = LIBRARIES_BYTES + 2 * frame_memory()
     if sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+        most_bytes, (_, hard) = LIBRARIES_BYTES + 2 * frame_memory(), resource.getrlimit(resource.RLIMIT_AS)
+        # a lower one may hold already; macOS may refuse any
+        if hard == resource.RLIM_INFINITY or most_bytes < hard:
+            with suppress(ValueError):
+                resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
     out = os.fdopen(os.dup(1), "wb")
     # what libraries print must not be taken for an answer
     os.dup2(2, 1)
     while True:
         try:
-            function, values = pickle.load(sys.stdin.buffer)
+            # without names, so that nothing of a file stays
+            out.writelines(_answer(*pickle.load(sys.stdin.buffer)))
         except EOFError:
             return
-        module, _, name = function.partition(":")
-        try:
-            packed = pickle.dumps(getattr(import_module(module), name)(*values), pickle.HIGHEST_PROTOCOL)
-            if len(packed) > frame_memory():
-                raise MemoryError
-        except MemoryError:
-            said = f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)"
-            packed = pickle.dumps(FenceError(said))
-        except ValueError as error:
-            packed = pickle.dumps(error)
-        # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
-        except BaseException as error:
-            packed = pickle.dumps(FenceError(f"cannot be decoded ({str(error)[:100]})"))
-        out.write(packed)
         out.flush()
+
+
+def _answer(function: str, values: tuple[Any, ...]) -> list[bytes | memoryview]:
+    """Returns the parts of what `_received` reads: a function's result or error, and the arrays in it as they are."""
+    module, _, name = function.partition(":")
+    try:
+        result: Any = getattr(import_module(module), name)(*values)
+        return _parts(result)
+    except MemoryError:
+        result = FenceError(f"is too large: decoding it takes more memory than a frame may ({VARIABLE} sets more)")
+    except ValueError as error:
+        result = error
+    # for damaged files, libraries raise any exception; lazrs a PanicException, which is not an Exception
+    except BaseException as error:
+        result = FenceError(f"cannot be decoded ({type(error).__name__}: {str(error)[:100]})")
+    return _parts(result)
+
+
+def _parts(result: Any) -> list[bytes | memoryview]:
+    buffers: list[pickle.PickleBuffer] = []
+    packed = pickle.dumps(result, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+    arrays = [buffer.raw() for buffer in buffers]
+    lengths = [array.nbytes for array in arrays]
+    if len(packed) + sum(lengths) > frame_memory():
+        raise MemoryError
+    return [pickle.dumps((packed, lengths)), *arrays]

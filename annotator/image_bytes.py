@@ -41,14 +41,14 @@ JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
 
 
-def read_image(path: Path, flags: int, *, give_points: bool = False) -> np.ndarray:
+def read_image(path: Path, flags: int) -> np.ndarray:
     """Decodes a PNG or JPEG file as `decode_image`.
 
     Raises:
         OSError: it cannot be read.
         ValueError: as `decode_image`.
     """
-    return decode_image(read_frame_file(path), flags, give_points=give_points)
+    return decode_image(read_frame_file(path), flags)
 
 
 def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.ndarray:

@@ -19,15 +19,10 @@ from annotator.files import read_file
 HEAD_BYTES, COMPRESSED = 128, 15
 # Elements of cells and structs, each of which becomes an object; SUN RGB-D's table has about 700,000.
 MOST_OBJECTS = 2**21
-STEP_BYTES = 2**20
 
 
 class MatFileError(ValueError):
     """Not a supported MATLAB file, or it does not contain the variable."""
-
-
-class MatSizeError(MatFileError):
-    """A variable that is larger than the limit."""
 
 
 def read_mat(path: Path, name: str, most_bytes: int) -> object:
@@ -44,52 +39,56 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
         OSError: the file cannot be read.
     """
     try:
-        data = read_file(path, most_bytes)
-        if not _fits(data, most_bytes):
-            raise MatSizeError(f"is larger than {most_bytes // 2**20} MiB")
-        return fenced(f"{__name__}:load", data, name)
+        return fenced(f"{__name__}:load", read_file(path, most_bytes), name, most_bytes)
     except FenceError as error:
         raise MatFileError(str(error)) from error
     except OSError as error:
         if error.errno == errno.EFBIG:
-            raise MatSizeError(f"is larger than {most_bytes // 2**20} MiB") from error
+            raise _too_large(most_bytes) from error
         raise
 
 
-def _fits(data: bytes, most_bytes: int) -> bool:
-    """Counts the bytes after decompression, without keeping them."""
-    order, at = ">" if data[126:128] == b"MI" else "<", HEAD_BYTES
-    while at + 8 <= len(data):
-        kind, length = struct.unpack_from(order + "II", data, at)
-        packed, at = data[at + 8 : at + 8 + length], at + 8 + length
-        if kind == COMPRESSED:
-            unpacking = zlib.decompressobj()
-            try:
-                while packed and not unpacking.eof:
-                    most_bytes -= len(unpacking.decompress(packed, STEP_BYTES))
-                    if most_bytes < 0:
-                        return False
-                    packed = unpacking.unconsumed_tail
-            except zlib.error:
-                return True  # scipy says what is wrong
-    return True
-
-
-def load(data: bytes, name: str) -> object:
+def load(data: bytes, name: str, most_bytes: int) -> object:
     """As `read_mat`, in this process."""
     from scipy.io import loadmat
 
     if data[126:128] not in (b"IM", b"MI"):
         raise MatFileError("is not a MATLAB file of version 5 to 7; save it with -v7")
     try:
-        found = loadmat(io.BytesIO(data), variable_names=[name])
-    except MemoryError:
+        found = loadmat(io.BytesIO(_unpacked(data, most_bytes)), variable_names=[name])
+    except (MatFileError, MemoryError):
         raise
     except Exception as error:  # of a damaged file, scipy raises any
         raise MatFileError(f"is damaged ({str(error)[:80]})") from error
     if name not in found:
         raise MatFileError(f"has no variable {name}")
     return _plain(found[name], count())
+
+
+def _unpacked(data: bytes, most_bytes: int) -> bytes:
+    """Returns a file without its compression, which scipy would undo without a limit."""
+    head = struct.Struct(">II" if data[126:128] == b"MI" else "<II")
+    view, at, left = memoryview(data), HEAD_BYTES, most_bytes
+    parts: list[bytes | memoryview] = [view[:at]]
+    while at + head.size <= len(data):
+        kind, length = head.unpack_from(data, at)
+        element: bytes | memoryview = view[at : at + head.size + length]
+        at += len(element)
+        if kind == COMPRESSED:
+            element = zlib.decompressobj().decompress(element[head.size :], left + 1)
+            left -= len(element)
+            if left < 0:
+                raise _too_large(most_bytes)
+            end = head.size + head.unpack_from(element)[1]
+            if end > len(element):
+                raise MatFileError("is damaged (a variable is cut off)")
+            element = element[:end]
+        parts.append(element)
+    return b"".join(parts)
+
+
+def _too_large(most_bytes: int) -> MatFileError:
+    return MatFileError(f"is larger than {most_bytes // 2**20} MiB")
 
 
 def _plain(value: Any, objects: Iterator[int]) -> object:

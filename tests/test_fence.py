@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -25,10 +27,20 @@ def test_a_crash_and_too_much_memory_or_time_are_errors_and_the_next_file_is_rea
         fenced("builtins:bytes", frame_memory())
     with pytest.raises(ValueError, match="invalid literal"):
         fenced("builtins:int", "x")
+    with pytest.raises(FenceError, match="TypeError: object of type"):
+        fenced("builtins:len", 3)
     assert fenced("builtins:len", b"abc") == 3
     monkeypatch.setattr(fence, "MOST_S", 0.1)
     with pytest.raises(FenceError, match="or did not end"):
         fenced("time:sleep", 60)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit memory so")
+def test_its_memory_is_limited_also_where_the_shell_has_a_lower_limit() -> None:
+    assert fenced("resource:getrlimit", 9) == (fence.LIBRARIES_BYTES + 2 * frame_memory(),) * 2
+    code = "from annotator.fence import fenced; print(*fenced('resource:getrlimit', 9))"
+    low = ["sh", "-c", 'ulimit -v 6000000; exec "$0" -c "$1"', sys.executable, code]
+    assert subprocess.run(low, capture_output=True, check=True).stdout.split() == [b"%d" % (6_000_000 << 10)] * 2
 
 
 CELLS = np.empty((1, 2), object)

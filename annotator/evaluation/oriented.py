@@ -1,4 +1,4 @@
-"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks.
+"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors.
 
 Average precision is the area under the precision envelope (PASCAL VOC since 2010), over all frames together. Detections
 are processed in order of descending score. Each is compared only with the true box of its frame that it overlaps most.

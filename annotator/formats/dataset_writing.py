@@ -314,9 +314,7 @@ def writing(out: Path) -> Iterator[None]:
         raise FormatError(out, f"cannot be written ({error.strerror}); the incomplete dataset was removed") from error
 
 
-def encoded_image(
-    rgb: UInt8[np.ndarray, "h w 3"], image_format: Literal["png", "jpg"], jpeg_quality: int = JPEG_QUALITY
-) -> bytes:
+def encoded_image(rgb: UInt8[np.ndarray, "h w 3"], image_format: Literal["png", "jpg"]) -> bytes:
     """Returns an RGB image as the bytes of an image file.
 
     Raises:
@@ -324,7 +322,7 @@ def encoded_image(
     """
     import cv2
 
-    settings = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if image_format == "jpg" else []
+    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if image_format == "jpg" else []
     done, data = cv2.imencode(f".{image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
     if not done:
         height_px, width_px = rgb.shape[:2]

@@ -17,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.files import read_file
+from annotator.files import TABLE_BYTES, read_file
 from annotator.formats.reading import finite_number
 from annotator.formats.units import Angles
 from annotator.types import OrientedBox, Truth
@@ -59,7 +59,7 @@ def read_tracklets(path: Path) -> dict[int, list[Truth]]:
 
 def _tracklets(path: Path) -> list[Element]:
     try:
-        tracklets = _root(path, read_file(path)).find("tracklets")
+        tracklets = _root(path, read_file(path, TABLE_BYTES)).find("tracklets")
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     except expat.ExpatError as error:

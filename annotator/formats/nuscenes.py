@@ -176,8 +176,6 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
     boxes = _boxes(folder, _rows(folder / ANNOTATIONS, SampleAnnotation), on_fault)
     frames: dict[str, tuple[Truth, ...]] = {}
     for stem, row, camera, T_global_camera in _camera_images(folder):
-        if not row.is_key_frame:
-            continue
         name = origins[stem].name if stem in origins else stem
         if name in frames:
             raise FormatError(
@@ -219,11 +217,14 @@ def _table_folder(path: Path) -> Path:
 
 
 def _camera_images(folder: Path) -> Iterator[tuple[str, SampleData, CalibratedSensor, RigidTransform]]:
-    """Yields the stem of each camera image, its row, its camera, and T_global_camera."""
+    """Yields the stem of each camera's key frames, its row, its camera, and T_global_camera."""
     sensors, calibrated = _table(folder, "sensor", Sensor), _table(folder, "calibrated_sensor", CalibratedSensor)
     places = _table(folder, "ego_pose", EgoPose)
+    file = folder / "sample_data.json"
     for row in _table(folder, "sample_data", SampleData).values():
-        file = folder / "sample_data.json"
+        # most images are between two key frames, and a pose takes time
+        if not row.is_key_frame:
+            continue
         camera = _linked(file, row, calibrated, "calibrated_sensor", row.calibrated_sensor_token)
         if _linked(file, row, sensors, "sensor", camera.sensor_token).modality != "camera":
             continue

@@ -73,9 +73,10 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
 
 
 MAX_FILES = 1_000_000
+SUFFIX = ".txt"
 
 
-def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
+def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Path, str]]:
     """Yields key (the `normal` name without suffix), path and content of each text file, sorted by name.
 
     In an archive, the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
@@ -83,26 +84,25 @@ def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> I
 
     Args:
         path: the folder or the archive.
-        suffix: suffix of the files to read.
         within: a folder name; if an archive has matching files in a folder of this name, only those are read.
     """
     if path.is_dir():
-        yield from _of_folder(path, suffix)
+        yield from _of_folder(path)
     elif path.is_file() and _is_archive(path):
-        yield from _of_archive(path, suffix, within)
+        yield from _of_archive(path, within)
     elif path.exists():
-        raise FormatError(path, f"is neither a folder of *{suffix} files nor a zip archive of one")
+        raise FormatError(path, f"is neither a folder of *{SUFFIX} files nor a zip archive of one")
     else:
         raise FormatError(path, "there is no such folder or zip archive")
 
 
-def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
+def _of_folder(path: Path) -> Iterator[tuple[str, Path, str]]:
     try:
-        files = sorted(file for file in path.iterdir() if _is_wanted(file, suffix))
+        files = sorted(file for file in path.iterdir() if _is_wanted(file))
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if not files:
-        raise FormatError(path, f"has no {suffix} files; give the folder that contains them")
+        raise FormatError(path, f"has no {SUFFIX} files; give the folder that contains them")
     seen = set[str]()
     for file in files:
         if (key := normal(file.stem)) in seen:
@@ -115,8 +115,8 @@ def _twice(path: Path, name: str) -> FormatError:
     return FormatError(path, f"has two files called {name}; keep one")
 
 
-def _is_wanted(file: PurePath, suffix: str) -> bool:
-    return file.suffix == suffix and not file.name.startswith(".")
+def _is_wanted(file: PurePath) -> bool:
+    return file.suffix == SUFFIX and not file.name.startswith(".")
 
 
 def read_text(file: Path) -> str:
@@ -133,17 +133,17 @@ def text_rows(file: Path) -> list[tuple[int, list[str]]]:
     return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
 
 
-def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[str, Path, str]]:
+def _of_archive(path: Path, within: str | None) -> Iterator[tuple[str, Path, str]]:
     try:
         with open_file(path) as file, open_archive(file) as archive:
             named: dict[str, zipfile.ZipInfo] = {}
-            for info in _wanted(archive, suffix, within):
+            for info in _wanted(archive, within):
                 name = PurePosixPath(info.filename)
                 if normal(name.stem) in named:
                     raise _twice(path, name.name)
                 named[normal(name.stem)] = info
             if not named:
-                raise FormatError(path, f"has no {suffix} files")
+                raise FormatError(path, f"has no {SUFFIX} files")
             for key in sorted(named):
                 with archive.open(named[key]) as stream:
                     # the size that an archive declares may be wrong
@@ -154,12 +154,12 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
         raise FormatError(path, f"the archive cannot be read ({error})") from error
 
 
-def holds_texts(path: Path, suffix: str = ".txt") -> bool:
+def holds_texts(path: Path) -> bool:
     """True for a folder with text files or one that cannot be listed, and for any zip archive."""
     if not path.is_dir():
         return path.is_file() and _is_archive(path)
     try:
-        return any(_is_wanted(file, suffix) for file in path.iterdir())
+        return any(_is_wanted(file) for file in path.iterdir())
     except OSError:
         return True  # its reader says what is wrong
 
@@ -171,11 +171,11 @@ def _is_archive(path: Path) -> bool:
     return False
 
 
-def _wanted(archive: zipfile.ZipFile, suffix: str, within: str | None) -> list[zipfile.ZipInfo]:
+def _wanted(archive: zipfile.ZipFile, within: str | None) -> list[zipfile.ZipInfo]:
     matching = [
         info
         for info in archive.infolist()[:MAX_FILES]
-        if not info.is_dir() and _is_wanted(PurePosixPath(info.filename), suffix)
+        if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))
     ]
     return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 

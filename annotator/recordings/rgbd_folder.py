@@ -185,9 +185,13 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
         if size == color.size:
             return None
         if size[0] * color.size[1] != size[1] * color.size[0]:
-            remedy = f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
-            remedy += "intrinsic_matrix, depth_to_color)"
-            require_size(image, np.empty(size[::-1]), color.size, "the colour image has", remedy)
+            raise FrameError(
+                image,
+                f"the image is {size[0]} x {size[1]} pixels, but the colour image has "
+                f"{color.size[0]} x {color.size[1]}",
+                f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
+                "intrinsic_matrix, depth_to_color)",
+            )
         return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
     read = read_camera(path, color.depth_scale)
     with file_errors(path, "write four rows of four numbers"):

@@ -46,7 +46,7 @@ class VideoFile:
         self._next = 0
         try:
             check_file(path)
-            with av.open(str(path), options=CONTAINER_OPTIONS) as container:
+            with av.open(str(path), format="mp4", options=CONTAINER_OPTIONS) as container:
                 if not container.streams.video:
                     raise ValueError("it has no video")
                 stream = container.streams.video[0]
@@ -105,7 +105,7 @@ class VideoFile:
         import av
 
         check_file(self.path)
-        with av.open(str(self.path), options=CONTAINER_OPTIONS) as container:
+        with av.open(str(self.path), format="mp4", options=CONTAINER_OPTIONS) as container:
             stream = container.streams.video[0]
             strictness = STRICTEST if stream.codec_context.name == "hevc" else STRICT
             stream.codec_context.options = {"err_detect": strictness, "max_pixels": str(most_pixels())}

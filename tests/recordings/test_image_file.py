@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,8 +17,9 @@ from hypothesis import strategies as st
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
-from annotator.recordings.image_file import read_rgb
-from annotator.recordings.ros.pictures import color_image
+from annotator.recordings.image_file import decode_depth, read_rgb
+from annotator.recordings.phones.stray_scanner import _depth_m
+from annotator.recordings.ros.pictures import color_image, depth_image
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
@@ -112,6 +114,25 @@ def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
 def ros(encoding: str, values: np.ndarray, **more: object) -> SimpleNamespace:
     fields = {"width": values.shape[1], "height": values.shape[0], "encoding": encoding, "is_bigendian": 0, "step": 0}
     return SimpleNamespace(**fields, data=np.frombuffer(values.tobytes(), np.uint8), **more)
+
+
+def stray(folder: Path) -> np.ndarray:
+    (folder / "0.png").write_bytes(as_png(MILLIMETRES))
+    return _depth_m(folder / "0.png")
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        pytest.param(lambda folder: open_recording(rgbd(folder, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
+        pytest.param(lambda _: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
+        pytest.param(lambda _: depth_image(ros("16UC1", MILLIMETRES)), id="ros"),
+        pytest.param(stray, id="stray"),
+    ],
+)
+def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Path], np.ndarray]):
+    expected = np.where(np.isin(MILLIMETRES, (65535, 65504)), 0, MILLIMETRES / 1000)
+    np.testing.assert_allclose(read(tmp_path), expected, rtol=1e-6)
 
 
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]

@@ -48,7 +48,7 @@ def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
 
     try:
         check_file(path)
-        with av.open(str(path), metadata_errors="replace") as container:
+        with av.open(str(path), format="matroska", metadata_errors="replace") as container:
             tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
             for stream in container.streams:
                 is_named = "K4A_CALIBRATION_FILE" in stream.metadata or stream.metadata.get("filename") == (
@@ -235,7 +235,7 @@ def is_azure_kinect(path: Path) -> bool:
         return False
     check_file(path)
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with av.open(str(path), format="matroska", metadata_errors="replace") as container:
             return {stream.metadata.get("title") for stream in container.streams} >= TRACKS
     except (av.error.FFmpegError, ValueError):
         return False

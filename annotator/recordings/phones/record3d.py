@@ -28,7 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
 from annotator.fence import fenced
-from annotator.files import ARCHIVE_ERRORS, check_file, open_archive, open_file
+from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
@@ -72,7 +72,6 @@ def unpack(data: bytes, expected_bytes: int) -> bytes:
 @lru_cache(maxsize=4)
 def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
     """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
-    check_file(path)
     with open_file(path) as file:
         # refuses an endless list of files
         open_archive(file).close()

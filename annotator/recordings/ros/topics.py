@@ -114,9 +114,9 @@ def frame_of(topic: Topic) -> str | None:
         return None
 
 
-def first_message(topic: Topic, tried: int = 5) -> Any:
+def first_message(topic: Topic) -> Any:
     """Returns the first readable of a topic's first messages; None if none is."""
-    for i in range(min(len(topic), tried)):
+    for i in range(min(len(topic), 5)):
         try:
             return message(topic, i)
         except ValueError:

@@ -83,6 +83,18 @@ def test_text_ply_with_byte_colours_and_another_element_is_read(tmp_path: Path):
     np.testing.assert_array_equal(read.rgb, [[0, 1, 1]])
 
 
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_named(tmp_path: Path, suffix: str):
+    path = tmp_path / f"a{suffix}"
+    table = structured({name: np.array([1.0, 4.5]) for name in "xyz"})
+    text = (pcd(table, "ascii") if suffix == ".pcd" else ply(table, "ascii")).decode()
+    path.write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
+    np.testing.assert_array_equal(read_cloud(path).xyz_m, [[1, 1, 1], [4.5, 4.5, 4.5]])
+    path.write_text(text.replace("4.5", "4,5"))
+    with pytest.raises(FrameError, match="point 2: '4,5' has a decimal comma; write a point"):
+        read_cloud(path)
+
+
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
 def test_pcd_with_padding_and_intensity_is_read(tmp_path: Path, data: str):
     rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "u1", 3), ("i", "u1"), ("_1", "<i2", 2)])

@@ -14,7 +14,7 @@ import pytest
 from annotator.recordings import open_recording
 from annotator.recordings.kinect import matroska
 from annotator.recordings.kinect.matroska import read_index
-from annotator.recordings.kinect.mkv_recording import AzureKinect
+from annotator.recordings.kinect.mkv_recording import AzureKinect, is_azure_kinect
 from annotator.types.errors import FrameError, RecordingError
 
 
@@ -155,6 +155,13 @@ def test_unusable_recordings_are_errors_with_a_cause(tmp_path: Path, write: Call
         open_recording(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert ";" in str(caught.value) or "expected" in str(caught.value)
+
+
+def test_a_list_of_other_files_is_no_recording(recording_file: Path):
+    """FFmpeg would open the files that it names."""
+    (recording_file.parent / "list.mkv").write_text(f"ffconcat version 1.0\nfile {recording_file.name}\n")
+    assert not is_azure_kinect(recording_file.parent / "list.mkv")
+    assert is_azure_kinect(recording_file)
 
 
 def test_recordings_of_orbbecs_wrapper_are_read(tmp_path: Path):

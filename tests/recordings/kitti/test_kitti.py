@@ -74,10 +74,6 @@ def scan_path(folder: Path) -> Path:
     return root_of(folder) / "velodyne" / "000003.bin"
 
 
-def image_path(folder: Path) -> Path:
-    return next(root_of(folder).glob("image_*/000003.png"))
-
-
 def calib_path(folder: Path) -> Path:
     flat = root_of(folder) / "calib.txt"
     return flat if flat.is_file() else root_of(folder) / "calib" / "000003.txt"

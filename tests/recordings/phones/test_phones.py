@@ -154,6 +154,15 @@ def test_images_of_a_video_are_decoded_in_any_order(tmp_path: Path, codec: str):
         assert np.percentile(np.abs(video.image(i).astype(int) - images[i]), 99) <= 4
 
 
+def test_a_list_of_other_videos_is_no_video(tmp_path: Path):
+    """FFmpeg would open the files that it names."""
+    made.write_video(tmp_path / "other.mp4", [rgb for rgb, _, _ in made.frames(2)], "libx264", keyframes=1)
+    assert len(open_video(tmp_path / "other.mp4")) == 2
+    (tmp_path / "rgb.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
+    with pytest.raises(ValueError, match="not a readable video"):
+        open_video(tmp_path / "rgb.mp4")
+
+
 def test_a_video_of_another_length_is_told(tmp_path: Path):
     path = made.write_stray_scanner(tmp_path / "take", made.frames())
     table = (path / "odometry.csv").read_text().splitlines(keepends=True)
