@@ -198,16 +198,13 @@ Steps = Mapping[int, Sequence[ViewBoxes]]
 SizePx = Callable[[ViewBoxes], tuple[int, int]]
 
 
-def redrawn(
-    frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx, config: RcvConfig
-) -> UInt8[np.ndarray, "h w 3"] | None:
+def redrawn(frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx) -> UInt8[np.ndarray, "h w 3"] | None:
     """The picture that a stored view shows of a frame; None if its drawn boxes enclose hardly a point.
 
     Args:
         view: with geometry and image box.
         steps: all views of the same object, by step.
         size_px: gives the width and height of a view's picture.
-        config: how views are drawn; their size is that of the picture.
     """
     geometry = view.geometry
     assert geometry is not None and geometry.image_box is not None
