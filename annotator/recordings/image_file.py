@@ -97,7 +97,7 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
     """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 
-    More than 8 bits are reduced to 8, by one depth for the images of a folder (`deep_images`).
+    More than 8 bits are reduced to 8, by one depth for the images of a folder (`common_levels`).
 
     Args:
         size: width and height of the calibration; None if it does not say it.
