@@ -14,7 +14,6 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import RigidTransform
 
-CONTAINERS = ("ros1", "sqlite3", "mcap")
 SECOND = 10**9
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 # standard in ROS 1, but not among the types of rosbags

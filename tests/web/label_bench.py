@@ -67,10 +67,6 @@ class Bench:
         camera = self.scene.frame.camera
         drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
 
-    def draw_on_view(self, place: int, view: dict[str, Any], box: dict[str, Any]) -> None:
-        """Draws a box on one of the four views."""
-        drag_box(self.page, f"view-{VIEWS[place]}", box, view["width"], view["height"])
-
     def wait_for_view(self, place: int, view: dict[str, Any]) -> None:
         pane = self.page.get_by_test_id(f"view-{VIEWS[place]}")
         pane.locator(f'img.picture[src="{view["url"]}"]').wait_for(state="attached")
