@@ -174,11 +174,9 @@ def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_S
     return {uid: box for uid, box in pairs if box is not None}
 
 
-def undrawn(
-    camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
-) -> dict[str, Box2D]:
+def undrawn(camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D]) -> dict[str, Box2D]:
     """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one."""
-    boxes = outlines(camera, labels, min_side_px)
+    boxes = outlines(camera, labels)
     matched = drawn_of(boxes, drawn)
     return {uid: box for uid, box in boxes.items() if uid not in matched}
 
