@@ -110,6 +110,9 @@ def test_a_result_is_computed_once_and_again_after_an_error() -> None:
     assert len(computed) == 2
     memo.get("c", lambda: "c")
     assert [key in memo for key in "abc"] == [True, False, True], "the latest are kept"
+    with pytest.raises(ZeroDivisionError):
+        memo.get("d", lambda: 1 / 0)
+    assert "d" not in memo
 
 
 def test_an_unreadable_frame_is_an_error_each_time(people: Project) -> None:
