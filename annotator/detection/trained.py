@@ -13,6 +13,7 @@ from annotator.detection.weights import DESCRIPTION, describe, filled, half, rea
 from annotator.files import read_file, write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import DetectionError, FormatError
+from annotator.types.messages import first_problem
 
 MODEL_NAME, RUN_NAME = "model.json", "run.json"
 
@@ -103,8 +104,10 @@ def read_trained(folder: Path) -> TrainedModel:
         stored = TrainedModel.model_validate_json(read_file(path))
     except FileNotFoundError as error:
         raise FormatError(path, "no such file; the detector is not trained, or its training was interrupted") from error
-    except (OSError, ValidationError) as error:
-        raise FormatError(path, f"not a trained model ({error}); train the detector again") from error
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror or error}); train the detector again") from error
+    except ValidationError as error:
+        raise FormatError(path, f"not a trained model ({first_problem(error)}); train the detector again") from error
     if stored.weights.name != str(stored.weights):
         raise FormatError(path, f"names weights outside its folder ({stored.weights}); train the detector again")
     return stored.model_copy(update={"weights": folder / stored.weights})
@@ -117,8 +120,13 @@ def read_run(folder: Path) -> RunRecord | None:
         return None
     try:
         return RunRecord.model_validate_json(read_file(path))
-    except (OSError, ValidationError) as error:
-        raise FormatError(path, f"not a training run ({error}); remove the folder and train again") from error
+    except OSError as error:
+        raise FormatError(
+            path, f"cannot be read ({error.strerror or error}); remove the folder and train again"
+        ) from error
+    except ValidationError as error:
+        problem = f"not a training run ({first_problem(error)}); remove the folder and train again"
+        raise FormatError(path, problem) from error
 
 
 LAST, BEST = "last.safetensors", "best.safetensors"

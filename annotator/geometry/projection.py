@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, Shaped, UInt8
 
 from annotator.geometry.distortion import distort, undistort
 from annotator.types import Box2D, Camera
@@ -216,7 +216,7 @@ def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
     return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
 
 
-def every_nth(values: Float[np.ndarray, "n 3"], most: int) -> Float[np.ndarray, "k 3"]:
+def every_nth(values: Shaped[np.ndarray, "n *rest"], most: int) -> Shaped[np.ndarray, "k *rest"]:
     """At most so many rows, spread evenly over their order."""
     return values if len(values) <= most else values[np.linspace(0, len(values) - 1, most).astype(np.intp)]
 

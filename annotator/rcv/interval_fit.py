@@ -135,7 +135,7 @@ class BoxFit:
     held: bool
 
     def expected_iou_loss(self) -> float:
-        """The expected 1 - IoU with the true box (`fit_uncertainty`), by the errors that the fit itself has."""
+        """The expected 1 - IoU with the true box, by the errors that the fit itself has."""
         ends = self.ends
         known = ends.inverse > 0
         errors = np.abs(ends.residuals(self.center_m, self.rotation, self.size_m)) * ends.inverse

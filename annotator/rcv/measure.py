@@ -14,7 +14,6 @@ from jaxtyping import Float64
 
 from annotator.geometry.iou import box_iou
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrace
 
@@ -105,7 +104,6 @@ def pair_all(
     front_boxes: Sequence[Box2D],
     side_boxes: Sequence[Box2D],
     cloud: PointCloud,
-    config: RcvConfig,
 ) -> list[Pair]:
     """The pairs of several objects in one frustum, best first; each detection is used at most once.
 
@@ -277,7 +275,6 @@ def measure_consensus(
     last: OrientedBox | None,
     earlier: Intervals | None,
     up: Float64[np.ndarray, "3"] | None,
-    config: RcvConfig,
     start_box: OrientedBox | None = None,
     bounds: Intervals | None = None,
 ) -> Measurement | None:

@@ -218,7 +218,7 @@ def absorb_step(
     else:
         start_box = state.box if state.is_warm and not state.steps else None
         measured = measure_consensus(
-            plan.axes, plan.views, boxes, state.box, state.measured, state.up, config, start_box, _planes(state, config)
+            plan.axes, plan.views, boxes, state.box, state.measured, state.up, start_box, _planes(state, config)
         )
     return [_advance(state, plan, boxes, measured, config)]
 
@@ -235,7 +235,7 @@ def _absorb_first(
     state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
 ) -> list[ObjectState]:
     axes, views = plan.axes[0], (plan.views[0], plan.views[1])
-    pairs = pair_all(axes, views, boxes[0], boxes[1], state.cloud, config)
+    pairs = pair_all(axes, views, boxes[0], boxes[1], state.cloud)
     if not pairs:
         return [_advance(state, plan, boxes, None, config)]
     results = []

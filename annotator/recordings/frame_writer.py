@@ -28,7 +28,7 @@ from annotator.types.errors import RecordingError
 JPEG_QUALITY = 95
 # Fast compression; files are a few percent larger.
 PNG_COMPRESSION = 1
-# Readers take higher numbers for no measurement (`in_metres`).
+# Readers take higher numbers for no measurement (`SATURATED`).
 MM_PER_M, MOST_MM = 1000.0, SATURATED[0] - 1
 COLOR, DEPTH, CLOUDS, GRAVITY = "color", "depth", "clouds", "gravity.json"
 # Suffix of files that are being written; readers ignore it.

@@ -313,7 +313,7 @@ class _Source:
         self._labels_seen = 0
         self._unchanged = 0
         self._recordings = {recording.id: recording.name for recording in project.recordings.all()}
-        known = {self._name(frame) for frame in project.frames.of()}
+        known = {self._name(frame) for frame in project.frames.of()} if self._names else set()
         if missing := sorted((self._names or set()) - known):
             raise ConfigError(
                 f"project {self._project.config.name} has no frame {missing[0]} (unknown: {len(missing)} of "

@@ -174,11 +174,9 @@ def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_S
     return {uid: box for uid, box in pairs if box is not None}
 
 
-def undrawn(
-    camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
-) -> dict[str, Box2D]:
+def undrawn(camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D]) -> dict[str, Box2D]:
     """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one."""
-    boxes = outlines(camera, labels, min_side_px)
+    boxes = outlines(camera, labels)
     matched = drawn_of(boxes, drawn)
     return {uid: box for uid, box in boxes.items() if uid not in matched}
 
@@ -198,16 +196,13 @@ Steps = Mapping[int, Sequence[ViewBoxes]]
 SizePx = Callable[[ViewBoxes], tuple[int, int]]
 
 
-def redrawn(
-    frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx, config: RcvConfig
-) -> UInt8[np.ndarray, "h w 3"] | None:
+def redrawn(frame: Frame, view: ViewBoxes, steps: Steps, size_px: SizePx) -> UInt8[np.ndarray, "h w 3"] | None:
     """The picture that a stored view shows of a frame; None if its drawn boxes enclose hardly a point.
 
     Args:
         view: with geometry and image box.
         steps: all views of the same object, by step.
         size_px: gives the width and height of a view's picture.
-        config: how views are drawn; their size is that of the picture.
     """
     geometry = view.geometry
     assert geometry is not None and geometry.image_box is not None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from attacks import content_of, request, require_alive
-from live_server import Live, running
+from live_server import Live, ended, running
 
 from annotator.cli.main import main
 from annotator.web.security import ServerSettings
@@ -83,6 +85,14 @@ def test_no_path_parameter_leads_out(places: Live, tmp_path: Path) -> None:
                     wrong.append((method, target[:200], status))
     assert wrong == []
     require_alive(places)
+
+
+def test_no_file_beside_the_page_is_served(places: Live) -> None:
+    for prefix in ("/assets/", "/", "/viser/1/"):
+        for name in (*PARTS, "../secret", "//etc/passwd", "js/../../secret", "../../../../../../../etc/passwd"):
+            status, answer = request(places, "GET", prefix + name)
+            assert 400 <= status < 500, (prefix + name, status)
+            assert SECRET not in answer and b"root:" not in answer
 
 
 FOLDERS = [
@@ -169,6 +179,36 @@ def test_no_command_follows_a_link(
     assert not (outside.parent / "out").exists()
 
 
+@pytest.mark.parametrize("place", [".jobs", ".jobs/journal.json", f".jobs/{'a' * 32}/x.zip"])
+def test_a_server_does_not_start_with_linked_jobs(
+    web_settings: ServerSettings, outside: Path, place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    linked(web_settings.projects_root / place, outside)
+    before = content_of(outside)
+    assert main(["serve", "--projects", str(web_settings.projects_root), "--port", "0"]) == 2
+    assert "is a link that leads out of the projects' folder of jobs; remove it" in capsys.readouterr().err
+    assert content_of(outside) == before
+
+
+@pytest.mark.parametrize("job", ["a" * 32, "../../outside"])
+def test_a_journal_leads_nowhere(web_settings: ServerSettings, outside: Path, job: str) -> None:
+    folder = web_settings.projects_root / ".jobs"
+    (folder / ("a" * 32)).mkdir(parents=True)
+    record = {"project": "room", "kind": "export", "state": "done", "created_ns": 1, "operator": "Eve"}
+    files = {job: "../../../outside/secret.txt", "b" * 32: "/etc/passwd", "c" * 32: "..", "d" * 32: 3}
+    jobs = [{**record, "id": name, "download": "kept", "result": {"file": file}} for name, file in files.items()]
+    (folder / "journal.json").write_text(json.dumps({"jobs": jobs}), encoding="utf-8")
+    before = content_of(outside)
+    with running(web_settings) as live:
+        # a name that is none makes it no journal
+        assert len(live.client.get("/api/jobs").json()["jobs"]) == (4 if job == "a" * 32 else 0)
+        for name in files:
+            answer = live.client.get(f"/api/jobs/{name.replace('/', '%2f')}/download")
+            assert answer.status_code in (404, 422), answer.text
+            assert SECRET_TEXT not in answer.text and "root:" not in answer.text
+    assert content_of(outside) == before
+
+
 @pytest.mark.parametrize("path", ["/etc/passwd", "OUTSIDE", "../../outside"])
 def test_a_recording_elsewhere_shows_nothing(web_settings: ServerSettings, outside: Path, path: str) -> None:
     """Its path is of the project's author. What is no recording is not shown; to others, nothing outside is."""
@@ -177,6 +217,17 @@ def test_a_recording_elsewhere_shows_nothing(web_settings: ServerSettings, outsi
         database.execute("UPDATE recordings SET path = ?", [named])
     with running(web_settings) as live:
         _require_nothing(live)
+
+
+def test_other_computers_see_no_recording_elsewhere(web_settings: ServerSettings, tmp_path: Path) -> None:
+    """Neither a page nor a job of a server for other computers reads it, although it is a sound one."""
+    (tmp_path / "offered").mkdir()
+    with running(replace(web_settings, host="0.0.0.0", token="t" * 32, folders=(tmp_path / "offered",))) as live:
+        _require_nothing(live)
+        asked = {"kind": "export", "format": "rcv", "empty_frames": True}
+        job = ended(live, live.client.post("/api/projects/room/jobs", json=asked).json())
+        assert job["state"] == "failed", job
+        assert "lies outside the folders that this server offers" in job["message"]
 
 
 def _require_nothing(live: Live) -> None:

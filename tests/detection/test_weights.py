@@ -168,3 +168,13 @@ def test_no_layer_of_a_weights_file_is_constructed(tmp_path: Path, monkeypatch: 
         with pytest.raises(DetectionError, match="holds no network"):
             load_weights(tmp_path / "detector.pt", "cpu")
     assert made == []
+
+
+def test_no_description_in_the_working_folder_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trap = tmp_path / "ran"
+    for name in ("yolo11n.yaml", "yolo11.yaml"):
+        code = f"activation: __import__('pathlib').Path({str(trap)!r}).touch()\n"
+        (tmp_path / name).write_text(f"nc: 1\n{code}backbone: []\nhead: []\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert len(build(NetworkDescription(architecture="yolo11n", labels=("cat",))).model) == 24
+    assert not trap.exists()

@@ -115,6 +115,9 @@ def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: 
     assert _moves(project) == [("take", "there", "ann"), ("there", "take", "bob")]
     project.log.rebuild()
     assert project.recordings.get(recording.id) == recording
+    other = project.recordings.add(recording.path.parent / "other", "rgbd", "other", keys, True)
+    with pytest.raises(ProjectError, match="is in the project already, as recording other"):
+        project.recordings.move(recording.id, other.path, keys, "ann")
 
 
 def test_recordings_are_moved_together_or_not_at_all(project: Project, recording: StoredRecording) -> None:

@@ -24,6 +24,7 @@ from store_samples import replace_folder
 from annotator.project import create_project
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
+from annotator.types import BoxKind, DetectorKind
 from annotator.web.app import Fair, create_app
 from annotator.web.background import Learner, Watch
 from annotator.web.folders import clear_leftovers, hold_server_lock
@@ -34,6 +35,7 @@ from annotator.workflows.workbench import contact_sheet
 
 if TYPE_CHECKING:
     import httpx
+    from live_server import Live
 
     from annotator.web.context import Context
 
@@ -139,8 +141,33 @@ ODD: dict[str, Callable[[Path], object]] = {
     "too-new": _run("PRAGMA user_version = 1000"),
     "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
     "empty": lambda folder: (folder / "project.db").write_bytes(b""),
+    "a-link": lambda folder: (folder / "models" / "view").symlink_to("/"),
     "json-folder": lambda folder: ((folder / "project.json").unlink(), (folder / "project.json").mkdir()),
 }
+
+
+def test_no_link_in_an_open_project_is_served(live: Live, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.jpg"
+    secret.write_bytes(b"\xff\xd8 not for others")
+    project = live.context.project("room")
+    run, view = project.models_folder / "view" / "run", "0" * 64
+    (run / "validation").mkdir(parents=True)
+    (run / "detector.safetensors").write_bytes(b"weights")
+    project.models.register(
+        DetectorKind.VIEW,
+        run / "detector.safetensors",
+        labels=["person"],
+        box_kind=BoxKind.BOX,
+        metrics={},
+        fingerprint="f",
+        activate=False,
+    )
+    (run / "validation" / "0.jpg").symlink_to(secret)
+    (project.path / "views" / f"{view}.png").symlink_to(secret)
+    for path in ("models/1/pictures/0.jpg", f"views/{view}.png"):
+        answer = live.client.get(f"{ROOM}/{path}")
+        assert (answer.status_code, secret.read_bytes() in answer.content) == (404, False)
+    assert live.client.get(f"{ROOM}/models").json()["models"][0]["pictures"] == []
 
 
 def test_odd_projects_are_cards_that_say_what_to_do(
@@ -163,6 +190,7 @@ def test_odd_projects_are_cards_that_say_what_to_do(
         opened = send(app, "GET", f"/api/projects/{name}")
         assert opened.status_code in (400, 404), (name, opened.text)
         assert opened.json()["error"]["message"] == listed[name]
+    assert "models/view: is a link that leads out of the project" in listed["a-link"]
     assert "check the permissions" not in str(listed)
     monkeypatch.setattr(Path, "is_file", _refuse)
     assert "check the permissions" in send(app, "GET", "/api/projects/dropped").json()["error"]["message"]

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import httpx
 import pytest
 from fastapi import FastAPI
 from hypothesis import given
@@ -286,6 +287,9 @@ def test_sign_in_and_out(live: Live) -> None:
     for name in ("  ", "a\nb", "x" * 65, None):
         refused = client.post("/api/session", json={"operator": name})
         assert (refused.status_code, refused.json()["error"]["kind"]) == (422, "ValidationError")
+    for cookie in ("%20", "a%0ab", "%ed%a0%80", "x" * 65):  # that nobody was given
+        answer = httpx.get(f"{live.url}/api/session", headers={"Cookie": f"annotator_operator={cookie}"})
+        assert (answer.status_code, answer.json()["operator"]) == (200, None)
     assert client.delete("/api/session").json()["operator"] is None
     assert client.get("/api/session").json()["operator"] is None
 

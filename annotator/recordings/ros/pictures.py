@@ -125,7 +125,7 @@ def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: o
     """Returns the picture of an image message, RGB order.
 
     Args:
-        common: returns the levels of a topic, given those of a picture of more than 8 bits (`levels_of`).
+        common: returns the levels of a topic, given those of a picture of more than 8 bits.
     """
     import cv2
 

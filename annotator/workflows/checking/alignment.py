@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
-from annotator.geometry.projection import project, undistort_px
+from annotator.geometry.projection import every_nth, project, undistort_px
 from annotator.types import Camera, Frame
 
 # The tested rotations, degrees: about x and y (shifts of the image), and about z (in the image plane).
@@ -60,8 +60,7 @@ class Alignment:
         px = depth_edges(frame)
         if len(px) < LEAST_EDGES:
             return
-        px = px[np.linspace(0, len(px) - 1, min(len(px), MOST_EDGES)).astype(np.int64)]
-        scores = _fit(frame.camera, px, edge_strength(frame.rgb))
+        scores = _fit(frame.camera, every_nth(px, MOST_EDGES), edge_strength(frame.rgb))
         spread = float(scores.std())
         if np.isfinite(spread) and spread > 0:
             self.scores.append((scores - scores.mean()) / spread)

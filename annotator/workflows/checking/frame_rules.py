@@ -10,7 +10,7 @@ import numpy as np
 from annotator.formats.kitti_rows import NEAR_M, KittiLabel, derived_box, label_box, observation_angle
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
-from annotator.geometry.projection import project
+from annotator.geometry.projection import every_nth, project
 from annotator.recordings.plausible import DISTANCES_M
 from annotator.types import Camera, Frame
 from annotator.workflows.checking import findings as rules
@@ -177,7 +177,7 @@ def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[CameraBreach
     distance_m = float(np.median(np.linalg.norm(xyz_m, axis=1)))
     if not DISTANCES_M[0] <= distance_m <= DISTANCES_M[1]:
         yield rules.CLOUD_SCALE, f"half of the points are nearer than {distance_m:g} m; are they in metres?"
-    chosen = np.linspace(0, len(xyz_m) - 1, min(len(xyz_m), SAMPLE)).astype(np.int64)
+    chosen = every_nth(np.arange(len(xyz_m)), SAMPLE)
     px = project(frame.camera, xyz_m[chosen])
     if frame.cloud.pixel_index is not None:
         v, u = np.divmod(frame.cloud.pixel_index[chosen], frame.camera.width_px)

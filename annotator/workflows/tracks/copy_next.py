@@ -21,6 +21,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.propose_boxes import (
     Changed,
     NewProposal,
+    label_of,
     next_track_id,
     page_at,
     proposal_events,
@@ -64,8 +65,8 @@ def copy_next(
         TrackTakenError: another object has just been given the label's new track id.
         NotFoundError, RecordingError, FrameError: no such frame or label, or the next frame cannot be read.
     """
-    page = page_at(project, frame_id, revision, uid)
-    frame, label = page.frame, project.labels.get(uid).label
+    page = page_at(project, frame_id, revision)
+    frame, label = page.frame, label_of(page, uid).label
     timeline = Timeline(project, frame.recording_id)
     if page.next is None:
         raise ConfigError(f"frame {frame.key} is the last of its recording; there is no next frame")
@@ -133,7 +134,8 @@ def carry_correction(
         ConfigError: the label is not reviewed, has no track, or is as it was; or no proposal of the track follows.
         NotFoundError: no such frame or label.
     """
-    frame, label = page_at(project, frame_id, revision, uid).frame, project.labels.get(uid).label
+    page = page_at(project, frame_id, revision)
+    frame, label = page.frame, label_of(page, uid).label
     if label.state not in REVIEWED:
         raise ConfigError("only a reviewed box says how the later ones are to be corrected; correct this one first")
     if label.track_id is None:

@@ -30,6 +30,7 @@ from annotator.workflows.tracks.propose_boxes import (
     Changed,
     NewProposal,
     blocking,
+    label_of,
     next_track_id,
     page_at,
     proposal_events,
@@ -450,9 +451,10 @@ def follow_from_frame(
         ConfigError: the recording is no sequence, there is no reviewed box, or no frame to follow it to.
         NotFoundError, RecordingError: no such frame or label, or the recording cannot be opened.
     """
-    page = page_at(project, frame_id, revision, uid)
-    frame, labels = page.frame, (stored.label for stored in page.labels)
-    reviewed = [label for label in labels if label.state in REVIEWED and uid in (None, label.uid)]
+    page = page_at(project, frame_id, revision)
+    frame = page.frame
+    chosen = page.labels if uid is None else [label_of(page, uid)]
+    reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
         raise ConfigError(f"{which}; accept {'it' if uid is not None else 'one'} first")

@@ -16,7 +16,7 @@ from annotator.tracking.smooth import between
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.label import MOST_TRACK
-from annotator.workflows.tracks.propose_boxes import Changed, NewProposal, page_at, proposal_events, write
+from annotator.workflows.tracks.propose_boxes import Changed, NewProposal, label_of, page_at, proposal_events, write
 from annotator.workflows.tracks.timeline import KeyFrame, Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.frame_cache import OpenFrame
@@ -95,8 +95,19 @@ def interpolate(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
-    timeline = Timeline(project, recording_id)
-    frames, times = timeline.frames, timeline.times.tolist()
+    return _filled(Timeline(project, recording_id), track_id, author, first, last, fit, effort)
+
+
+def _filled(
+    timeline: Timeline,
+    track_id: int,
+    author: str,
+    first: str | None,
+    last: str | None,
+    fit: FitBox | None,
+    effort: Effort | None,
+) -> Interpolated:
+    project, frames, times = timeline.project, timeline.frames, timeline.times.tolist()
     changes: list[tuple[StoredFrame, list[Payload]]] = []
     finalised = covered = 0
     for before, after in pairwise(_chosen(timeline.key_frames(track_id), frames, track_id, first, last)):
@@ -138,7 +149,8 @@ def interpolate_back(
         StaleRevisionError: the frame was changed in the meantime.
         ConfigError: the label is not reviewed, has no track, or is the first of its track; or as `interpolate`.
     """
-    frame, label = page_at(project, frame_id, revision, uid).frame, project.labels.get(uid).label
+    page = page_at(project, frame_id, revision)
+    frame, label = page.frame, label_of(page, uid).label
     if label.state not in REVIEWED:
         raise ConfigError("only reviewed boxes are key frames; accept the box first")
     if label.track_id is None:
@@ -148,8 +160,7 @@ def interpolate_back(
     earlier = [each.key for each in keys if (each.index or 0) < (frame.index or 0)]
     if not earlier:
         raise ConfigError(f"track {label.track_id} has no reviewed box in an earlier frame")
-    ends = {"first": earlier[-1], "last": frame.key}
-    return interpolate(project, frame.recording_id, label.track_id, author, fit=fit, effort=effort, **ends)
+    return _filled(timeline, label.track_id, author, earlier[-1], frame.key, fit, effort)
 
 
 def _chosen(

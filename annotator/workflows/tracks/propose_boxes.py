@@ -109,19 +109,25 @@ def proposal_events(
     return [*replaced, *proposed, *values]
 
 
-def page_at(project: Project, frame_id: int, revision: int, uid: str | None = None) -> FramePage:
-    """Returns the present state of a frame that an operator has seen at a revision, and of a label there.
+def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
+    """Returns the present state of a frame that an operator has seen at a revision.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
-        NotFoundError: no such frame or label.
+        NotFoundError: no such frame.
     """
     page = read_page(project, frame_id)
     if page.frame.revision != revision:
         raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)
-    if uid is not None and all(stored.label.uid != uid for stored in page.labels):
-        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
     return page
+
+
+def label_of(page: FramePage, uid: str) -> StoredLabel:
+    """Returns a label of a frame, as it was when the frame was read."""
+    label = next((stored for stored in page.labels if stored.label.uid == uid), None)
+    if label is None:
+        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
+    return label
 
 
 def write(

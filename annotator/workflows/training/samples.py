@@ -179,7 +179,7 @@ def view_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
-    for view, sample in _drawn(project, material.views_of_kind, rcv, skip):
+    for view, sample in _drawn(project, material.views_of_kind, skip):
         yield replace(sample, boxes=view.boxes, label_uids=_drawn_uids(view))
     for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip):
         doubtful = [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
@@ -191,19 +191,17 @@ def view_samples(
             yield TrainingSample(drawn.rgb, taught.boxes, frame_group(known.stored), TAUGHT, uids, drawn.look_px)
 
 
-def _drawn(
-    project: Project, views: Sequence[ViewBoxes], rcv: RcvConfig, skip: Skip
-) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
+def _drawn(project: Project, views: Sequence[ViewBoxes], skip: Skip) -> Iterator[tuple[ViewBoxes, TrainingSample]]:
     """Yields drawn pseudo-views, each with a sample of its picture that has no boxes yet."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view, rgb in drawn_pictures(project, views, rcv, skip):
+    for view, rgb in drawn_pictures(project, views, skip):
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
         yield view, TrainingSample(rgb, (), group, DRAWN, (), look_px)
 
 
 def drawn_pictures(
-    project: Project, views: Sequence[ViewBoxes], rcv: RcvConfig, skip: Skip
+    project: Project, views: Sequence[ViewBoxes], skip: Skip
 ) -> Iterator[tuple[ViewBoxes, UInt8[np.ndarray, "_ _ 3"]]]:
     """Yields labelled pseudo-views with their pictures, which are new where a calibration was corrected.
 
@@ -222,7 +220,7 @@ def drawn_pictures(
         for view in again[stored.id]:
             assert view.geometry is not None and view.geometry.image_box is not None
             steps = objects.get((stored.id, view.geometry.image_box), {})
-            rgb = redrawn(frame, view, steps, lambda each: project.views.size(each.view_id), rcv)
+            rgb = redrawn(frame, view, steps, lambda each: project.views.size(each.view_id))
             if rgb is not None:
                 yield view, rgb
             else:
@@ -372,7 +370,7 @@ def agnostic_samples(
         start: the class-agnostic detector that the training starts from.
     """
     # the drawn box of a view's own object, which is the first of a view that belongs to an object
-    for view, sample in _drawn(project, material.views, rcv, skip):
+    for view, sample in _drawn(project, material.views, skip):
         if len(view.boxes) <= 1 or (view.geometry is not None and view.geometry.image_box is not None):
             yield replace(sample, boxes=_boxes_of(view, material, start, sample.load()))
     for known in known_objects(project, material, rcv, config, MOST_AGNOSTIC_DRAWS, skip, both_kinds=True):

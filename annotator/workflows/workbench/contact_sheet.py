@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.projection import thin
+from annotator.geometry.projection import every_nth, thin
 from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
 from annotator.project.boxes import png
 from annotator.project.changes import LabelAccepted
@@ -102,10 +102,7 @@ def _near(
 ) -> tuple[PointCloud, Bool[np.ndarray, "n"]]:
     """Returns the points that the views may show, thinned out, and the mask of those in the box."""
     is_inside = contains(box, points.xyz_m[near])
-    inside, around = (
-        part if len(part) <= most else part[np.linspace(0, len(part) - 1, most).astype(np.int64)]
-        for part, most in ((near[is_inside], MAX_INSIDE), (near[~is_inside], MAX_AROUND))
-    )
+    inside, around = every_nth(near[is_inside], MAX_INSIDE), every_nth(near[~is_inside], MAX_AROUND)
     cloud = replace(points, normals=None).select(np.concatenate([inside, around]))
     return cloud, np.arange(len(cloud)) < len(inside)
 

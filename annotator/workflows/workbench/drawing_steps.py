@@ -293,7 +293,7 @@ def label_steps(
     steps.append(Step(second, on_second))
     last = _filled(drawn[2:], on_second)
     if _are_both(last):
-        box = final_box((*first, *second), (*filled, *last), up, kind, config)
+        box = final_box((*first, *second), (*filled, *last), up, kind)
     return _labelling(opened, tuple(steps), box, None, note if found is None else found.note)
 
 
@@ -320,7 +320,6 @@ def final_box(
     boxes: tuple[Box2D, Box2D, Box2D, Box2D],
     up: Float64[np.ndarray, "3"] | None,
     kind: BoxKind,
-    config: RcvConfig,
 ) -> OrientedBox:
     """Returns the 3D box of all four boxes; the module docstring compares the methods."""
     span = cross_box((views[2], views[3]), (boxes[2], boxes[3]), up)

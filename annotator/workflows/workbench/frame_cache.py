@@ -49,7 +49,8 @@ class Memo:
     def __contains__(self, key: Hashable) -> bool:
         """Whether a result is kept, or is being computed."""
         with self._lock:
-            return key in self._results
+            lock, result = self._results.get(key, (None, []))
+        return bool(result) or (lock is not None and lock.locked())
 
     def get(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result; an error is raised to each caller, and the next one tries again."""

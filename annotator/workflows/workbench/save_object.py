@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Origin, Project, Receipt, StoredLabel, WriteContext
+from annotator.project import REVIEWED, Origin, Project, Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, LabelChange, LabelCreated, LabelEdited, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion
-from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, why_left_out
+from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.workflows.tracks.propose_boxes import NewProposal, label_of, proposal_events, why_left_out
 from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import (
     MAX_BOXES,
@@ -207,7 +207,7 @@ def _label_change(
         new, record = uuid.uuid4().hex, BoxRecord.of(measured)
         suggestion, origin = drawn.suggestion, Origin.DRAWN
         return LabelCreated(uid=new, box=record, origin=origin, suggestion=suggestion, box_kind=kind, **shared)
-    present = _label(page, uid)
+    present = label_of(page, uid)
     is_kept = measured is None or _are_drawn(page, view_boxes)
     box = present.label.box if is_kept or measured is None else measured
     is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
@@ -236,15 +236,8 @@ def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:
 
 def _label_uid(page: FramePage, drawn: ObjectDrawn) -> str | None:
     if drawn.uid is not None:
-        return _label(page, drawn.uid).label.uid
+        return label_of(page, drawn.uid).label.uid
     return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)
-
-
-def _label(page: FramePage, uid: str) -> StoredLabel:
-    stored_label = next((stored for stored in page.labels if stored.label.uid == uid), None)
-    if stored_label is None:
-        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
-    return stored_label
 
 
 def _effort_target(

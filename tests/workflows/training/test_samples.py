@@ -130,10 +130,10 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     material, (recording,) = simulate(people, BoxKind.SILHOUETTE, every=3), people.recordings.all()
     before = stored_pictures(people)
     people.adjustments.correct(recording.id, Correction(time_offset_s=0.001), "me")
-    again = {view.view_id: rgb for view, rgb in drawn_pictures(people, material.views, CONFIG, never)}
+    again = {view.view_id: rgb for view, rgb in drawn_pictures(people, material.views, never)}
     assert all(np.array_equal(again[view], before[view]) for view in before)
     people.adjustments.correct(recording.id, Correction((0.0, 0.03, 0.0), (0.05, 0.0, 0.0)), "me")
-    moved = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), CONFIG, never)}
+    moved = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
     assert moved.keys() == before.keys() and len(before) == 24
     assert all(moved[view].shape == before[view].shape for view in before)
     assert not any(np.array_equal(moved[view], before[view]) for view in before), "the colours are others"
@@ -142,7 +142,7 @@ def test_drawn_views_are_drawn_anew_after_a_correction(people: Project) -> None:
     trained = [sample.load() for sample in views(people, gather(people)) if sample.origin == DRAWN]
     assert {rgb.tobytes() for rgb in trained} == {rgb.tobytes() for rgb in moved.values()}
     people.adjustments.correct(recording.id, NO_CORRECTION, "me")
-    back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), CONFIG, never)}
+    back = {view.view_id: rgb for view, rgb in drawn_pictures(people, people.boxes.on_views(), never)}
     assert max(np.mean((back[view] != before[view]).any(axis=2)) for view in before) < 0.01, "but for rounding"
 
 
@@ -152,7 +152,7 @@ def test_drawn_views_whose_box_a_correction_leaves_empty_do_not_train(people: Pr
     people.adjustments.correct(recording.id, Correction((0.0, 0.0, 0.0), (40.0, 0.0, 0.0)), "me")
     skipped: list[str] = []
     material = gather(people)
-    assert not list(drawn_pictures(people, material.views, CONFIG, lambda _, error: skipped.append(str(error))))
+    assert not list(drawn_pictures(people, material.views, lambda _, error: skipped.append(str(error))))
     assert len(skipped) == 12 and all(
         "the corrected calibration leaves no points in its box" in line for line in skipped
     )

@@ -5,15 +5,18 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
+from live_server import wait_until
 
-from annotator.project import NewLabel, Project, WriteContext
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.recordings.rgbd_folder import RgbdFolder
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox
 from annotator.types.errors import FrameError, NotFoundError
-from annotator.workflows.workbench.frame_cache import FrameCache
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.workbench.frame_cache import FrameCache, Memo, OpenFrame
 from annotator.workflows.workbench.frame_state import show_frame
 
 
@@ -56,6 +59,60 @@ def test_a_kept_frame_shows_what_has_changed_since(people: Project) -> None:
     people.labels.reject(frame, first.labels[0].stored.label.uid, WriteContext(3, "Bob"))
     assert [each.stored.label.author for each in show_frame(people, frame, opened).labels] == ["Bob", "Ada"]
     cache.close()
+
+
+def test_a_frame_is_read_once_the_next_ahead_and_as_many_kept_as_memory_allows(
+    people: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads, read, ids = list[str](), FrameSource.read, [stored.id for stored in people.frames.of()]
+
+    def counted(self: FrameSource, stored: StoredFrame) -> Frame:
+        reads.append(stored.key)
+        return read(self, stored)
+
+    monkeypatch.setattr(FrameSource, "read", counted)
+    cache = FrameCache()
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(lambda _: cache.read(people, ids[0]), range(8)))
+    assert len(set(map(id, found))) == 1
+    wait_until(lambda: len(reads) == 2)
+    assert reads == ["000000", "000001"]
+    cache.close()
+    assert cache.read(people, ids[4]).key == "000004", "after the end frames are still read, but not ahead"
+    small = FrameCache(1, kept_bytes=2 * OpenFrame(found[0]).memory_bytes)
+    small.close()
+    reads.clear()
+    for index in (0, 1, 0, 1, 2, 0):
+        small.read(people, ids[index])
+    assert reads == ["000000", "000001", "000002", "000000"]
+
+
+def test_a_result_is_computed_once_and_again_after_an_error() -> None:
+    memo, began, ends, computed = Memo(2), threading.Event(), threading.Event(), list[str]()
+
+    def slow() -> str:
+        began.set()
+        assert ends.wait(30)
+        computed.append("slow")
+        if len(computed) == 1:
+            raise FrameError(Path("a.png"), "cannot be read")
+        return "slow"
+
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(memo.get, "a", slow)
+        assert began.wait(30)
+        second = threads.submit(memo.get, "a", slow)
+        assert memo.get("b", lambda: "fast") == "fast", "waits for no other result"
+        ends.set()
+        with pytest.raises(FrameError):
+            first.result(30)
+        assert second.result(30) == memo.get("a", slow) == "slow"
+    assert len(computed) == 2
+    memo.get("c", lambda: "c")
+    assert [key in memo for key in "abc"] == [True, False, True], "the latest are kept"
+    with pytest.raises(ZeroDivisionError):
+        memo.get("d", lambda: 1 / 0)
+    assert "d" not in memo
 
 
 def test_an_unreadable_frame_is_an_error_each_time(people: Project) -> None:
