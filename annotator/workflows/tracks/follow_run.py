@@ -31,7 +31,6 @@ from annotator.workflows.tracks.propose_boxes import (
     NewProposal,
     blocking,
     label_of,
-    next_track_id,
     page_at,
     proposal_events,
     write,
@@ -267,7 +266,7 @@ class FollowRun:
                 continue
             track_id = label.track_id
             if track_id is None:
-                track_id = max([next_track_id(project, self._timeline.recording_id), *(id + 1 for id in owners)])
+                track_id = max([project.labels.next_track_id(self._timeline.recording_id), *(id + 1 for id in owners)])
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
@@ -330,9 +329,7 @@ class FollowRun:
         to_come = {index for _, walk in item.walks() for index in walk.left}
         indices = {self._timeline.frames[index].id: index for index in item.passed - to_come}
         events: dict[int, list[Payload]] = {}
-        is_open = project.labels.select(
-            states=[ReviewState.PROPOSED], recordings=[self._timeline.recording_id], tracks=[track_id]
-        )
+        is_open = project.labels.along(self._timeline.recording_id, states=[ReviewState.PROPOSED], tracks=[track_id])
         for stored in is_open:
             uid, index = stored.label.uid, indices.get(stored.frame_id)
             if index is None or item.proposed.get(index) == uid or read[index].finalised:
@@ -489,7 +486,7 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
 
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
     """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
-    stored = timeline.project.labels.select(states=REVIEWED, recordings=[timeline.recording_id])
+    stored = timeline.project.labels.along(timeline.recording_id, states=REVIEWED)
     present = [each for each in stored if each.frame_id in timeline.index]
     known = {each.label.track_id for each in present if each.label.track_id is not None}
     if tracks is not None and (missing := set(tracks) - known):

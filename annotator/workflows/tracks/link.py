@@ -102,7 +102,7 @@ class _Recording:
     def __init__(self, project: Project, recording_id: int, smooth: bool) -> None:
         self.project = project
         by_frame: dict[int, list[StoredLabel]] = defaultdict(list)
-        for stored in project.labels.select(states=LINKED_STATES, recordings=[recording_id]):
+        for stored in project.labels.along(recording_id, states=LINKED_STATES):
             by_frame[stored.frame_id].append(stored)
         timeline = Timeline(project, recording_id)
         self.frames = [frame for frame in timeline.frames if frame.id in by_frame]

@@ -237,7 +237,7 @@ def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:
 def _label_uid(page: FramePage, drawn: ObjectDrawn) -> str | None:
     if drawn.uid is not None:
         return label_of(page, drawn.uid).label.uid
-    return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)
+    return next((stored.label.uid for stored in page.drawn if stored.image_box == drawn.image_box), None)
 
 
 def _effort_target(
