@@ -13,8 +13,9 @@ from nuscenes_samples import real, small
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import box_corners
-from annotator.project import NewLabel, Project, StoredFrame, WriteContext, open_project
+from annotator.project import NewLabel, Project, Receipt, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
+from annotator.project.changes import LabelRejected, Payload
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.look_around import RigCamera
@@ -40,6 +41,7 @@ from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather, image_samples
+from annotator.workflows.workbench.save_object import apply_changes
 
 MakeProject = Callable[..., Project]
 # 45 degrees to the left of ahead: two of four virtual cameras see it.
@@ -162,6 +164,25 @@ def test_a_label_belongs_to_the_moment_and_every_camera_sees_it_at_the_same_plac
     assert around.labels.of_frame(frames["around-270"].id) == ()
     around.log.rebuild()
     assert {around.frames.get(frame.id).revision for frame in frames.values()} == {4}
+
+
+def test_a_label_that_another_camera_rejects_loses_the_box_on_the_image_that_it_was_drawn_on(around: Project):
+    here, there = (frames_of(around)[name] for name in ("around-000", "around-090"))
+    on_image = Box2D("car", 10.0, 10.0, 40.0, 40.0)
+    around.boxes.set_on_image(there.id, [on_image], BoxKind.BOX, WriteContext(0, "maria"))
+    new = NewLabel("car", car_in(around, there), image_box=on_image)
+    (uid,) = around.labels.create(there.id, [new], WriteContext(1, "maria")).uids
+
+    def change(payload: Payload, revision: int) -> Receipt:
+        return apply_changes(around, here.id, [payload], WriteContext(revision, "eve"), pytest.fail)
+
+    def drawn() -> tuple[Box2D, ...]:
+        stored = around.boxes.on_image(there.id)
+        return () if stored is None else stored.boxes
+
+    assert change(LabelRejected(uid=uid), 2).revision == around.frames.get(here.id).revision == 4 and drawn() == ()
+    around.history.undo("eve")
+    assert drawn() == (on_image,) and around.labels.of_frame(here.id)[0].state is ReviewState.ACCEPTED
 
 
 def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_them_in_it_alone(

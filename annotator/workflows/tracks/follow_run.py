@@ -450,7 +450,8 @@ def follow_from_frame(
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
-    chosen = page.labels if uid is None else [label_of(page, uid)]
+    own = [stored for stored in page.labels if stored.frame_id == frame_id]
+    chosen = own if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"
@@ -486,7 +487,7 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
 
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
     """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
-    stored = timeline.project.labels.along(timeline.recording_id, states=REVIEWED)
+    stored = timeline.project.labels.select(states=REVIEWED, recordings=[timeline.recording_id])
     present = [each for each in stored if each.frame_id in timeline.index]
     known = {each.label.track_id for each in present if each.label.track_id is not None}
     if tracks is not None and (missing := set(tracks) - known):
