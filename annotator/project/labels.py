@@ -121,8 +121,7 @@ class Labels:
 
     def of_frame(self, frame_id: int) -> tuple[Label, ...]:
         """The labels of a frame's moment in the order of their creation, rejected ones included."""
-        with self.writer.store.read() as connection:
-            return read_labels(connection, frame_id)
+        return tuple(stored.label for stored in self.of_moment(frame_id))
 
     def of_moment(self, frame_id: int) -> tuple[StoredLabel, ...]:
         """As `of_frame`; `frame_id` is the frame in which each was made, and its box that of this frame's camera."""
@@ -318,13 +317,8 @@ def _created(entry: NewLabel) -> LabelCreated:
 _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 
-def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
-    """The labels of a frame's moment, within the caller's transaction."""
-    return tuple(stored.label for stored in read_stored(connection, frame_id))
-
-
 def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...]:
-    """As `read_labels`; their boxes are in the frame of this camera, wherever they were made."""
+    """As `Labels.of_moment`, within the caller's transaction."""
     terms, rows = Terms(connection), connection.execute(LABELS_OF_MOMENT, {"frame": frame_id})
     return tuple(stored_label(row, terms, frame_id) for row in rows)
 
