@@ -445,21 +445,33 @@ def _update_frames(
     if moved:
         same = (frames.c.recording_id == bindparam("of_recording")) & (frames.c.key == bindparam("of_key"))
         connection.execute(update(frames).where(same).values(position=bindparam("new_position")), moved)
-    shared = select(frames.c.cloud, frames.c.moment_id, frames.c.revision).where(frames.c.cloud.is_not(None))
-    moments = {row[0]: row[1:] for row in connection.execute(shared.where(of_rig(recording_id)))} if clouds else {}
+    moments = _moments(connection, recording_id) if clouds else {}
+
+    def at_cloud(number: int, key: str) -> dict[str, Any]:
+        """The columns that say where a frame without changes belongs."""
+        if (cloud := clouds.get(key)) is None:
+            return {"moment_id": number, "revision": 0, "cloud": None, "pose": None}
+        moment, revision = moments.get(cloud.name, (number, 0))
+        pose = json.dumps(cloud.T_cloud_camera.as_matrix().tolist())
+        return {"moment_id": moment, "revision": revision, "cloud": cloud.name, "pose": pose}
+
+    # those that lacked a pose in the latest scan
+    alone = (frames.c.recording_id == recording_id) & frames.c.cloud.is_(None) & (frames.c.revision == 0)
+    for number, key in connection.execute(select(frames.c.id, frames.c.key).where(alone)).all() if clouds else ():
+        connection.execute(update(frames).where(frames.c.id == number).values(at_cloud(number, key)))
     first = 1 + (connection.execute(select(func.max(frames.c.id))).scalar() or 0)
-    new: list[dict[str, Any]] = []
-    for number, key in enumerate((key for key in present if key not in known), first):
-        cloud = clouds.get(key)
-        moment, revision = moments.get(cloud.name, (number, 0)) if cloud is not None else (number, 0)
-        columns = {"id": number, "recording_id": recording_id, "key": key, "position": present[key]}
-        columns |= {"moment_id": moment, "revision": revision, "finalised": False}
-        columns |= {"cloud": None if cloud is None else cloud.name, "pose": None if cloud is None else _pose(cloud)}
-        new.append(columns)
+    new = [
+        {"id": number, "recording_id": recording_id, "key": key, "position": present[key], "finalised": False}
+        | at_cloud(number, key)
+        for number, key in enumerate((key for key in present if key not in known), first)
+    ]
     if new:
         connection.execute(insert(frames), new)
     return tuple(str(row["key"]) for row in new)
 
 
-def _pose(cloud: SharedCloud) -> str:
-    return json.dumps(cloud.T_cloud_camera.as_matrix().tolist())
+def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:
+    """The moments of a rig, each with its revision, by the name of the cloud."""
+    shared = select(frames.c.cloud, frames.c.moment_id, frames.c.revision)
+    rows = connection.execute(shared.where(of_rig(recording_id), frames.c.cloud.is_not(None)))
+    return {row.cloud: (row.moment_id, row.revision) for row in rows}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -175,10 +176,13 @@ def seen_labels(project: Project, source: FrameSource, frame: StoredFrame) -> tu
 
 
 def shared_clouds(recording: Recording) -> dict[str, SharedCloud]:
-    """The clouds of a recording that other cameras of its rig may share, by the keys of its frames."""
-    if not isinstance(recording, RigCamera) or not recording.cameras:
-        return {}
-    return {
-        key: SharedCloud(recording.moment(index), recording.T_rig_camera(index))
-        for index, key in enumerate(recording.keys)
-    }
+    """The clouds of a recording that other cameras of its rig may share, by the keys of its frames.
+
+    Those that lack a pose, and cannot be read, have none.
+    """
+    found: dict[str, SharedCloud] = {}
+    if isinstance(recording, RigCamera) and recording.cameras:
+        for index, key in enumerate(recording.keys):
+            with suppress(FrameError):
+                found[key] = SharedCloud(recording.moment(index), recording.T_rig_camera(index))
+    return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Project, Receipt, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
 from annotator.project.changes import LabelRejected, Payload
+from annotator.project.recordings import SharedCloud
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.look_around import RigCamera
@@ -103,6 +105,23 @@ def test_all_cameras_are_added_as_recordings_of_one_rig(around: Project, tmp_pat
     add_recordings(around, [tmp_path / "clouds"])
     here = around.frames.find(stored[1].id, "1")
     assert cameras_of(around, here) == [(f"clouds@around-{angle:03}", "1") for angle in (0, 90, 180, 270)]
+
+
+def test_a_frame_whose_pose_was_missing_joins_its_moment_once_it_is_known(make_project: MakeProject, tmp_path: Path):
+    project = make_project()
+    both = {key: SharedCloud(key, RigidTransform.identity()) for key in ("0", "1")}
+    add = partial(project.recordings.add, tmp_path, "nuscenes", keys=["0", "1"], is_sequence=True)
+    one = add(name="one", options='{"camera":"a"}', clouds=both)
+    two = add(name="two", options='{"camera":"b"}', clouds={"0": both["0"]})
+    moments = [frame.moment_id for frame in project.frames.of([one.id])]
+    assert [frame.moment_id for frame in project.frames.of([two.id])] == [moments[0], 4]
+    project.frames.finalise(moments[1], WriteContext(0, "maria"))
+    project.recordings.rescan(two.id, ["0", "1"], clouds=both)
+    joined = project.frames.of([two.id])
+    assert [(frame.moment_id, frame.revision, frame.finalised) for frame in joined] == [
+        (moments[0], 0, False),
+        (moments[1], 1, False),
+    ]
 
 
 def test_scenes_and_cameras_of_a_dataset(make_project: MakeProject, tmp_path: Path):
