@@ -102,6 +102,7 @@ class Proposals:
             covering = covered_by(proposals, staying)
             # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal
             taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
+            taken |= write.hidden_tracks()
             ids = list[int | None]()
             for id, cover in zip(track_ids or [None] * len(proposals), covering, strict=True):
                 ids.append(None if id in taken or cover is not None else id)

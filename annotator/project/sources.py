@@ -173,7 +173,7 @@ def bring(
         driver, present = driver_of(connection), defaultdict[int, list[Row]](list)
         for values in driver.execute(
             f"SELECT {', '.join(columns)} FROM labels WHERE moment_id IN "
-            f"(SELECT moment_id FROM frames WHERE id IN ({places})) ORDER BY id"
+            f"(SELECT moment_id FROM frames WHERE id IN ({places})) AND hidden = 0 ORDER BY id"
         ):
             row = dict(zip(columns, values, strict=True))
             present[row["moment_id"]].append(row)
@@ -290,7 +290,8 @@ class OpenProposals:
 
         Proposals of `never_kept` may be replaced, though a person has set values.
         """
-        others, ours, borrows, taken, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[int](), set[str]()
+        others, ours, borrows, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[str]()
+        taken = write.hidden_tracks()
         for row in write.labels():
             uid, label = row["uid"], write.terms.names[row["class_id"]]
             said = write.terms.said(row["said"], write.frame_id)

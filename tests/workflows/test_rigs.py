@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Project, Receipt, StoredFrame, WriteContext, open_project
 from annotator.project.backup.take_in import copy_project
-from annotator.project.changes import LabelRejected, Payload
+from annotator.project.changes import LabelRejected, LabelTracked, Payload
 from annotator.project.recordings import SharedCloud
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import ReaderOptions, open_recording
@@ -219,9 +219,22 @@ def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_the
         (label,) = project.labels.of_frame(frame.id)
         expected = car_in(project, frame).transformed(T)
         np.testing.assert_allclose(box_corners(label.box), box_corners(expected), atol=1e-9)
-    # labels go with the camera in which they were made; a copy of the project has the others alone
+    # labels go with the camera in which they were made, and keep their places; a copy has the other camera alone
+    uid, context = label.uid, WriteContext(project.frames.get(first.id).revision, "maria")
+    project.log.append(first.id, [LabelTracked(uid=uid, track_id=3)], context)
     project.recordings.remove(first.recording_id, "maria")
     assert project.labels.of_frame(late.id) == ()
+    box = car_in(project, late).transformed(correction.T_camera_recorded)
+    proposal = Proposal("car", 0.5, box, Box2D("car", 1.0, 1.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0))
+    by_machine = WriteContext(project.frames.get(late.id).revision, "rcv", Source.AUTO)
+    project.proposals.replace(late.id, [proposal], by_machine, track_ids=[3])
+    assert [label.track_id for label in project.labels.of_frame(late.id)] == [None]
+    brought = project.proposals.bring("theirs", {late.id: [NewLabel("car", box, 0.9, track_id=3)]})
+    assert brought[late.id].is_open == (True,)
+    (proposed,) = project.labels.of_frame(late.id)
+    context = WriteContext(project.frames.get(late.id).revision, "maria")
+    with pytest.raises(TrackTakenError, match="track 3 has a box"):
+        project.log.append(late.id, [LabelTracked(uid=proposed.uid, track_id=3)], context)
     copy = open_project(copy_project(project.path, tmp_path, "copy", labels=False))
     assert all(frame.moment_id == frame.id >= late.id for frame in copy.frames.of())
 

@@ -32,6 +32,7 @@ from annotator.project.audit.events import (
     RowChange,
     as_one,
     event_of,
+    hide_removed,
     in_moment_of,
     read_row,
     rows_of,
@@ -286,6 +287,8 @@ class History:
             for row in rows:
                 if row.table == "adjustments":
                     make_stale(connection, int(row.key), frame_id)
+        if removed_recordings(connection):  # labels of other cameras of the moment may be there again
+            hide_removed(connection)
         return receipts
 
     @contextmanager

@@ -252,7 +252,7 @@ def _edit(write: Write, payload: LabelEdited) -> None:
         changed["box"] = terms.box_json(payload.box, write.frame_id)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
-        changed["image_box"] = terms.box_2d_json(payload.image_box)
+        changed |= {"image_box": terms.box_2d_json(payload.image_box), "frame_id": write.frame_id}
     if payload.box_kind is not None:
         changed["box_kind"] = payload.box_kind.value
     if payload.suggestion is not None:

@@ -164,11 +164,20 @@ class Write:
         """The rows of all labels of the frame's moment, in the order of their creation."""
         if not self._knows_all:
             columns = columns_of("labels")
-            query = f"SELECT {', '.join(columns)} FROM labels WHERE moment_id = ?"
-            found = driver_of(self.connection).execute(query, (self.moment_id,)).fetchall()
+            query = f"SELECT {', '.join(columns)} FROM labels WHERE moment_id = ? AND (hidden = 0 OR frame_id = ?)"
+            found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id)).fetchall()
             self.know_all(dict(zip(columns, values, strict=True)) for values in found)
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
+
+    def hidden_tracks(self) -> set[int]:
+        """Tracks that have a box in the moment, made in another camera whose recording is removed."""
+        query = (
+            "SELECT track_id FROM labels WHERE moment_id = ? AND hidden = 1 AND frame_id <> ? "
+            "AND track_id IS NOT NULL AND state <> 'rejected'"
+        )
+        found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id))
+        return {int(track_id) for (track_id,) in found}
 
     def is_here(self, row: Row) -> bool:
         """Whether a label was made in this frame, not in that of another camera of the moment."""
@@ -263,7 +272,7 @@ class Write:
 
     def _track_with_two(self) -> int:
         """The track with two boxes in the frame, after an attempt to store both."""
-        seen = set[int]()
+        seen = self.hidden_tracks()
         for row in self.labels():
             if row["track_id"] is not None and row["state"] != ReviewState.REJECTED.value:
                 if row["track_id"] in seen:
