@@ -73,14 +73,16 @@ class StoredLabel:
     """A label as stored in the project.
 
     Attributes:
-        frame_id: the frame in which it was made, and whose camera has its box, unless a method says otherwise.
+        frame_id: the frame in whose camera its box is given.
+        made_in: the frame in which it was made, on whose image `image_box` lies; often the same.
         quality: the recursion's signals for the review, if it was proposed; NaN for a signal without a value.
-        image_box: box that it was drawn from, if any, on the camera image of the frame in which it was made.
+        image_box: box on the camera image that it was drawn from, if any.
         track_linked: True if linking assigned the track id, not a person or a file.
         said: what each source says of the object, if other software proposed it; of ours, only the others.
     """
 
     frame_id: int
+    made_in: int
     label: Label
     quality: Quality | None
     run_id: int | None
@@ -88,6 +90,11 @@ class StoredLabel:
     image_box: Box2D | None = None
     track_linked: bool = False
     said: tuple[SaidRecord, ...] = ()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it was made in this frame, not in that of another camera of the moment."""
+        return self.made_in == self.frame_id
 
 
 @dataclass(frozen=True)
@@ -124,7 +131,7 @@ class Labels:
         return tuple(stored.label for stored in self.of_moment(frame_id))
 
     def of_moment(self, frame_id: int) -> tuple[StoredLabel, ...]:
-        """As `of_frame`; `frame_id` is the frame in which each was made, and its box that of this frame's camera."""
+        """As `of_frame`, with what is stored beside each."""
         with self.writer.store.read() as connection:
             return read_stored(connection, frame_id)
 
@@ -166,7 +173,7 @@ class Labels:
         states: Collection[ReviewState] | None = None,
         tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
-        """The labels of a recording's moments, ordered by frame; `frame_id` and the box are those of its camera."""
+        """The labels of a recording's moments as its camera sees them, ordered by frame."""
         query = select(labels, frames.c.id.label("seen_from")).join(frames, frames.c.moment_id == labels.c.moment_id)
         query = query.where(frames.c.recording_id == recording_id)
         if states is not None:
@@ -176,7 +183,7 @@ class Labels:
         with self.writer.store.read() as connection:
             terms = Terms(connection)
             rows = connection.execute(query.order_by(frames.c.position.nulls_last(), frames.c.id, labels.c.id))
-            return tuple(replace(stored_label(row, terms, row.seen_from), frame_id=row.seen_from) for row in rows)
+            return tuple(stored_label(row, terms, row.seen_from) for row in rows)
 
     def next_track_id(self, recording_id: int) -> int:
         """1 + the highest track id of a recording's rig, at least 1."""
@@ -323,17 +330,18 @@ def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...
     return tuple(stored_label(row, terms, frame_id) for row in rows)
 
 
-def stored_label(row: AnyRow, terms: Terms, seen_from: int | None = None) -> StoredLabel:
+def stored_label(row: AnyRow, terms: Terms, frame_id: int | None = None) -> StoredLabel:
     """The label of a table row; the same object for an equal row, as long as it is remembered.
 
     Args:
-        seen_from: the frame in whose camera its box is given; None = that in which it was made.
+        frame_id: as in `StoredLabel`; None = that in which it was made.
     """
-    return _stored_label(row, terms.key, terms.place(row.frame_id if seen_from is None else seen_from))
+    frame_id = row.frame_id if frame_id is None else frame_id
+    return _stored_label(row, frame_id, terms.key, terms.place(frame_id))
 
 
 @lru_cache(maxsize=2048)
-def _stored_label(row: AnyRow, names: Names, place: Place) -> StoredLabel:
+def _stored_label(row: AnyRow, frame_id: int, names: Names, place: Place) -> StoredLabel:
     label = Label(
         row.uid,
         row.label,
@@ -350,6 +358,7 @@ def _stored_label(row: AnyRow, names: Names, place: Place) -> StoredLabel:
         values_of(row.attributes),
     )
     return StoredLabel(
+        frame_id,
         row.frame_id,
         label,
         _quality(row),

@@ -44,8 +44,7 @@ class FramePage:
     @property
     def drawn(self) -> tuple[StoredLabel, ...]:
         """The labels that were drawn from a box on this image, not on that of another camera."""
-        here = (each for each in self.labels if each.frame_id == self.frame.id)
-        return tuple(each for each in here if each.image_box is not None)
+        return tuple(each for each in self.labels if each.is_own and each.image_box is not None)
 
 
 @dataclass(frozen=True, eq=False)

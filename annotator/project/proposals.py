@@ -95,9 +95,7 @@ class Proposals:
             staying = [
                 stored.label
                 for stored in read_stored(connection, frame_id)
-                if stored.label.state is not ReviewState.PROPOSED
-                or stored.label.uid in kept
-                or stored.frame_id != frame_id
+                if stored.label.state is not ReviewState.PROPOSED or stored.label.uid in kept or not stored.is_own
             ]
             covering = covered_by(proposals, staying)
             # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal

@@ -364,8 +364,7 @@ class _Source:
         return with_truth
 
     def _is_compared(self, stored: StoredFrame) -> bool:
-        of_moment = self._project.labels.of_moment(stored.id)
-        labels = [each.label for each in of_moment if each.frame_id == stored.id]
+        labels = [each.label for each in self._project.labels.of_moment(stored.id) if each.is_own]
         worked_on = bool(labels) or stored.finalised
         if self._choice.against is Against.TRUTH:
             recording = self._frames.recording(stored.recording_id)

@@ -165,13 +165,13 @@ def seen_labels(project: Project, source: FrameSource, frame: StoredFrame) -> tu
         FrameError, RecordingError: the frame cannot be read; it is, if other cameras have labels of the moment.
     """
     stored = project.labels.of_moment(frame.id)
-    if all(each.frame_id == frame.id for each in stored):
+    if all(each.is_own for each in stored):
         return tuple(each.label for each in stored)
     camera = source.read(frame).camera
     return tuple(
         each.label
         for each in stored
-        if each.frame_id == frame.id or is_seen(each.label.box, camera.matrix, camera.width_px, camera.height_px)
+        if each.is_own or is_seen(each.label.box, camera.matrix, camera.width_px, camera.height_px)
     )
 
 

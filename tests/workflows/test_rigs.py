@@ -42,6 +42,8 @@ from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.training.samples import gather, image_samples
 from annotator.workflows.workbench.save_object import apply_changes
 
@@ -154,7 +156,7 @@ def test_a_label_belongs_to_the_moment_and_every_camera_sees_it_at_the_same_plac
     uid = accept(around, frames["around-090"], car_in(around, frames["around-090"]))
     for camera, frame in frames.items():
         (label,) = around.labels.of_moment(frame.id)
-        assert (label.label.uid, label.frame_id) == (uid, frames["around-090"].id)
+        assert (label.label.uid, label.frame_id, label.made_in) == (uid, frame.id, frames["around-090"].id)
         np.testing.assert_allclose(box_corners(label.label.box), box_corners(car_in(around, frame)), atol=1e-9)
         shown = seen_labels(around, FrameSource(around), frame)
         assert len(shown) == (camera in ("around-000", "around-090"))
@@ -202,6 +204,18 @@ def test_a_label_that_another_camera_rejects_loses_the_box_on_the_image_that_it_
     assert change(LabelRejected(uid=uid), 2).revision == around.frames.get(here.id).revision == 4 and drawn() == ()
     around.history.undo("eve")
     assert drawn() == (on_image,) and around.labels.of_frame(here.id)[0].state is ReviewState.ACCEPTED
+
+
+def test_an_object_that_is_seen_by_one_camera_after_the_other_has_one_track(around: Project):
+    for number, camera in enumerate(("around-000", "around-090")):
+        frame = frames_of(around, number)[camera]
+        accept(around, frame, car_in(around, frame))
+    counts = link_tracks(around)
+    assert (counts.recordings, counts.boxes, counts.tracks, counts.changed) == (4, 2, 1, 2)
+    assert [stored.label.track_id for stored in around.labels.select()] == [1, 1]
+    assert link_tracks(around).changed == 0
+    recording = frames_of(around)["around-270"].recording_id
+    assert [(frame.key, label.track_id) for frame, label in boxes_of(around, recording, 1)] == [("0", 1), ("1", 1)]
 
 
 def test_a_camera_that_is_added_later_sees_the_labels_and_a_correction_moves_them_in_it_alone(
@@ -254,7 +268,7 @@ def test_an_object_proposed_from_two_cameras_is_one_label(around: Project):
         propose("around-090", 0.4, 0.9)
         assert batch.summary.failures == 0
         (found,) = around.labels.of_moment(frames["around-090"].id)
-        assert found.frame_id == frames["around-000"].id
+        assert found.made_in == frames["around-000"].id
     # the log has the covered proposal, and what covers it
     latest = around.proposals.latest(frames["around-090"].id)
     assert latest is not None and latest.objects[0].covered_by == found.label.uid

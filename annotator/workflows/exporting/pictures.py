@@ -110,8 +110,7 @@ class _Tally:
     def _of_other_cameras(self, chosen: ChosenPictures, source: FrameSource) -> list[Label]:
         """Returns reviewed labels that were made in other cameras of the moment: objects on this image, too."""
         project, classes = self.job.project, self.job.choose.classes
-        of_moment = project.labels.of_moment(chosen.stored.id)
-        others = {each.label.uid for each in of_moment if each.frame_id != chosen.stored.id}
+        others = {each.label.uid for each in project.labels.of_moment(chosen.stored.id) if not each.is_own}
         seen = seen_labels(project, source, chosen.stored) if others else ()
         return [
             each

@@ -450,8 +450,7 @@ def follow_from_frame(
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
-    own = [stored for stored in page.labels if stored.frame_id == frame_id]
-    chosen = own if uid is None else [label_of(page, uid)]
+    chosen = [stored for stored in page.labels if stored.is_own] if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"

@@ -146,7 +146,7 @@ def _of_other_cameras(project: Project, frame_ids: Set[int]) -> dict[int, tuple[
         frame.id: tuple(
             stored.label
             for stored in project.labels.of_moment(frame.id)
-            if stored.frame_id != frame.id and stored.label.state in REVIEWED
+            if not stored.is_own and stored.label.state in REVIEWED
         )
         for frame in every
         if frame.id in frame_ids and cameras[frame.moment_id] > 1

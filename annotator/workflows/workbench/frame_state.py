@@ -92,7 +92,7 @@ def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
         shown[stored] = ShownLabel(stored, outline, points, doubt(stored.quality, label.score))
     every = [shown[stored] for stored in page.labels]
     # of the other cameras of the moment, those that the image shows
-    return tuple(each for each in every if each.stored.frame_id == page.frame.id or len(each.outline))
+    return tuple(each for each in every if each.stored.is_own or len(each.outline))
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:

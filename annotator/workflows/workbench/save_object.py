@@ -292,7 +292,7 @@ def _on_other_images(
 ) -> Iterator[tuple[int, list[Payload]]]:
     """Yields what changes of labels imply for the images of other cameras from which they were drawn, by frame."""
     uids = {entry.uid for entry in payloads if isinstance(entry, LabelChange)}
-    drawn = {each.frame_id for each in page.labels if each.label.uid in uids and each.image_box is not None}
+    drawn = {each.made_in for each in page.labels if each.label.uid in uids and each.image_box is not None}
     for other_id in sorted(drawn - {page.frame.id}):
         other = read_page(project, other_id)
         if (on_image := image_follower(other, payloads)) is not None:
@@ -341,8 +341,8 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if source_id == frame_id:
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
-    of_moment = project.labels.of_moment(source_id)
-    boxes = [each.label for each in of_moment if each.frame_id == source_id and each.label.state in REVIEWED]
+    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own)
+    boxes = [label for label in own if label.state in REVIEWED]
     copies = [NewProposal.like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected
     payloads = proposal_events(project, frame, copies, where_rejected=True)

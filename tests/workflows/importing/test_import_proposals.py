@@ -302,7 +302,7 @@ def test_results_of_the_real_sample_are_its_boxes_in_every_camera(
     proposed = {}
     for frame, recording in zip(project.frames.of(), recordings, strict=True):
         truths = load_truth(recording, 0, recording.frame(0))
-        labels = [each.label for each in project.labels.of_moment(frame.id) if each.frame_id == frame.id]
+        labels = [each.label for each in project.labels.of_moment(frame.id) if each.is_own]
         proposed[recording.name] = len(labels)
         for label in labels:
             near = [np.abs(box_corners(each.box) - box_corners(label.box)).max() for each in truths]
