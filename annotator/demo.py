@@ -38,7 +38,6 @@ from annotator.workflows.proposing.lift import GivenBoxes, lift
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import AUTHOR, Drawn, simulate_recording, visible_objects
 from annotator.workflows.tracks.follow_run import follow_recording
-from annotator.workflows.tracks.propose_boxes import next_track_id
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
@@ -285,7 +284,7 @@ class SimulatedOperator:
 
         def track(context: store.WriteContext) -> list[int]:
             untracked = [label for label in self._labels(stored, store.REVIEWED) if label.track_id is None]
-            first = next_track_id(self._project, self._recording_id)
+            first = self._project.labels.next_track_id(self._recording_id)
             tracks = list(range(first, first + len(untracked)))
             payloads = [LabelTracked(uid=at.uid, track_id=track) for at, track in zip(untracked, tracks, strict=True)]
             if payloads:
@@ -296,7 +295,7 @@ class SimulatedOperator:
 
     def reviewed_of(self, tracks: Sequence[int]) -> list[int]:
         """Returns the tracks that have a reviewed box; a viewer may have deleted those of the others."""
-        chosen = self._project.labels.select(states=store.REVIEWED, recordings=[self._recording_id], tracks=tracks)
+        chosen = self._project.labels.along(self._recording_id, states=store.REVIEWED, tracks=tracks)
         present = {stored.label.track_id for stored in chosen}
         return [track for track in tracks if track in present]
 

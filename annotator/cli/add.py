@@ -78,9 +78,7 @@ def run(
                 has_labels = has_own_labels(opened, added.recording.id)
                 with counted("reading labels") if has_labels else nullcontext() as progress:
                     try:
-                        imported = import_own_labels(
-                            opened, added.recording.id, progress, [each.recording.id for each in every]
-                        )
+                        imported = import_own_labels(opened, added.recording.id, progress)
                     except FormatError as error:
                         raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project)) from error
                 if imported.frames or imported.notes:

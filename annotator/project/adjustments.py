@@ -104,11 +104,13 @@ class Adjustments:
 
 
 def make_stale(connection: Connection, recording_id: int, frame_id: int) -> None:
-    """Gives the other frames of a recording a new revision: changes based on the earlier geometry are refused."""
-    others = (frames.c.recording_id == recording_id) & (frames.c.id != frame_id)
-    connection.execute(update(frames).where(others).values(revision=frames.c.revision + 1))
+    """Gives the other moments of a recording a new revision: changes based on the earlier geometry are refused."""
+    others = select(_OTHER.c.moment_id).where(_OTHER.c.recording_id == recording_id, _OTHER.c.id != frame_id)
+    newer = update(frames).where(frames.c.moment_id.in_(others)).values(revision=frames.c.revision + 1)
+    connection.execute(newer)
 
 
+_OTHER = frames.alias()
 # Built once, since building this frequent query takes longer than running it.
 _NEWEST = select(adjustments.c.event_id).where(adjustments.c.recording_id == bindparam("recording"))
 

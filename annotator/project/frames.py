@@ -19,11 +19,12 @@ from annotator.types.label import AttributeValue
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """A frame of a recording.
+    """A frame of a recording: what one camera sees of a moment, that is of one cloud.
 
     Attributes:
         index: its index in the recording's latest scan, or None if that scan did not find it.
-        revision: number of changes so far; the next change must be based on it.
+        revision: number of changes of its moment so far; the next change must be based on it.
+        moment_id: the same for the frames of all cameras that share the cloud, and with it the labels.
     """
 
     id: int
@@ -32,6 +33,7 @@ class StoredFrame:
     index: int | None
     revision: int
     finalised: bool
+    moment_id: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +60,6 @@ class Frames:
                 f"recording {recording_id} has no frame {key!r}; if the frame is new, scan the recording again"
             )
         return frame_of(row)
-
-    def present(self, recording_id: int, index: int) -> StoredFrame | None:
-        """The frame with that index in the latest scan of a recording, or None."""
-        same = (frames.c.recording_id == recording_id) & (frames.c.position == index)
-        with self.writer.store.read() as connection:
-            row = connection.execute(select(frames).where(same)).first()
-        return None if row is None else frame_of(row)
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames of some recordings (default: all) in order; those without an index come last."""
@@ -123,4 +118,4 @@ def frame_values(connection: Connection, frame_id: int) -> dict[str, AttributeVa
 
 def frame_of(row: AnyRow) -> StoredFrame:
     """The frame of a table row."""
-    return StoredFrame(row.id, row.recording_id, row.key, row.position, row.revision, row.finalised)
+    return StoredFrame(row.id, row.recording_id, row.key, row.position, row.revision, row.finalised, row.moment_id)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, func, select
+from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
@@ -23,10 +23,11 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
+from annotator.project.recordings import of_rig
 from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
-from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
+from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_of, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -72,6 +73,8 @@ class StoredLabel:
     """A label as stored in the project.
 
     Attributes:
+        frame_id: the frame in whose camera its box is given.
+        made_in: the frame in which it was made, on whose image `image_box` lies; often the same.
         quality: the recursion's signals for the review, if it was proposed; NaN for a signal without a value.
         image_box: box on the camera image that it was drawn from, if any.
         track_linked: True if linking assigned the track id, not a person or a file.
@@ -79,6 +82,7 @@ class StoredLabel:
     """
 
     frame_id: int
+    made_in: int
     label: Label
     quality: Quality | None
     run_id: int | None
@@ -86,6 +90,11 @@ class StoredLabel:
     image_box: Box2D | None = None
     track_linked: bool = False
     said: tuple[SaidRecord, ...] = ()
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it was made in this frame, not in that of another camera of the moment."""
+        return self.made_in == self.frame_id
 
 
 @dataclass(frozen=True)
@@ -118,9 +127,19 @@ class Labels:
     writer: Writer
 
     def of_frame(self, frame_id: int) -> tuple[Label, ...]:
-        """The labels of one frame in the order of their creation, rejected ones included."""
+        """The labels of a frame's moment in the order of their creation, rejected ones included."""
+        return tuple(stored.label for stored in self.of_moment(frame_id))
+
+    def of_moment(self, frame_id: int) -> tuple[StoredLabel, ...]:
+        """As `of_frame`, with what is stored beside each."""
         with self.writer.store.read() as connection:
-            return read_labels(connection, frame_id)
+            return read_stored(connection, frame_id)
+
+    def are_made_in(self, frame_id: int) -> bool:
+        """Whether a frame has labels of its own, not only those that other cameras of the moment have."""
+        query = select(labels.c.id).where(labels.c.frame_id == frame_id).limit(1)
+        with self.writer.store.read() as connection:
+            return connection.execute(query).first() is not None
 
     def get(self, uid: str) -> StoredLabel:
         """One label."""
@@ -136,16 +155,41 @@ class Labels:
         states: Collection[ReviewState] | None = None,
         recordings: Collection[int] | None = None,
         classes: Collection[str] | None = None,
-        tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
-        """Labels of the whole project, ordered by frame; None = no condition. `REVIEWED` holds accepted and edited."""
+        """Labels of the whole project, ordered by the frames in which they were made; None = no condition.
+
+        `REVIEWED` holds accepted and edited.
+        """
         query = _filtered(select(labels), states, recordings, classes)
-        if tracks is not None:
-            query = query.where(labels.c.track_id.in_(tracks))
         ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
         with self.writer.store.read() as connection:
             terms = Terms(connection)
             return tuple(stored_label(row, terms) for row in connection.execute(ordered))
+
+    def along(
+        self,
+        recording_id: int,
+        *,
+        states: Collection[ReviewState] | None = None,
+        tracks: Collection[int] | None = None,
+    ) -> tuple[StoredLabel, ...]:
+        """The labels of a recording's moments as its camera sees them, ordered by frame."""
+        query = select(labels, frames.c.id.label("seen_from")).join(frames, frames.c.moment_id == labels.c.moment_id)
+        query = query.where(frames.c.recording_id == recording_id)
+        if states is not None:
+            query = query.where(labels.c.state.in_([state.value for state in states]))
+        if tracks is not None:
+            query = query.where(labels.c.track_id.in_(tracks))
+        with self.writer.store.read() as connection:
+            terms = Terms(connection)
+            rows = connection.execute(query.order_by(frames.c.position.nulls_last(), frames.c.id, labels.c.id))
+            return tuple(stored_label(row, terms, row.seen_from) for row in rows)
+
+    def next_track_id(self, recording_id: int) -> int:
+        """1 + the highest track id of a recording's rig, at least 1."""
+        query = select(func.max(ALL_LABELS.c.track_id)).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
+        with self.writer.store.read() as connection:
+            return max(0, connection.execute(query.where(of_rig(recording_id))).scalar() or 0) + 1
 
     def recent_boxes(
         self, most: int, *, label: str | None = None, recording: int | None = None
@@ -249,7 +293,7 @@ class Labels:
             return tuple(zip(payloads, self.writer.to_frames_in(connection, parts), strict=True))
 
     def kept(self, frame_id: int) -> frozenset[str]:
-        """Uids of the frame's proposals that no automatic pass replaces, as `classes.values.is_kept`."""
+        """Uids of the moment's proposals that no automatic pass replaces, as `classes.values.is_kept`."""
         with self.writer.store.read() as connection:
             rows = connection.execute(_VALUES_SET, {"frame": frame_id}).all()
             if not rows:
@@ -277,26 +321,31 @@ def _created(entry: NewLabel) -> LabelCreated:
 
 
 # Built once, since building this frequent query takes longer than running it.
-_VALUES_SET = select(labels).where(labels.c.frame_id == bindparam("frame"), labels.c.values_set.is_(True))
+_VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 
-def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
-    """The labels of one frame, within the caller's transaction."""
-    terms = Terms(connection)
-    return tuple(stored_label(row, terms).label for row in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
+def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...]:
+    """As `Labels.of_moment`, within the caller's transaction."""
+    terms, rows = Terms(connection), connection.execute(LABELS_OF_MOMENT, {"frame": frame_id})
+    return tuple(stored_label(row, terms, frame_id) for row in rows)
 
 
-def stored_label(row: AnyRow, terms: Terms) -> StoredLabel:
-    """The label of a table row; the same object for an equal row, as long as it is remembered."""
-    return _stored_label(row, terms.key, terms.correction(row.frame_id))
+def stored_label(row: AnyRow, terms: Terms, frame_id: int | None = None) -> StoredLabel:
+    """The label of a table row; the same object for an equal row, as long as it is remembered.
+
+    Args:
+        frame_id: as in `StoredLabel`; None = that in which it was made.
+    """
+    frame_id = row.frame_id if frame_id is None else frame_id
+    return _stored_label(row, frame_id, terms.key, terms.place(frame_id))
 
 
 @lru_cache(maxsize=2048)
-def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLabel:
+def _stored_label(row: AnyRow, frame_id: int, names: Names, place: Place) -> StoredLabel:
     label = Label(
         row.uid,
         row.label,
-        box_of(row.box, correction),
+        box_of(row.box, place),
         row.score,
         Source(row.source),
         ReviewState(row.state),
@@ -309,6 +358,7 @@ def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLa
         values_of(row.attributes),
     )
     return StoredLabel(
+        frame_id,
         row.frame_id,
         label,
         _quality(row),
@@ -316,7 +366,7 @@ def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLa
         None if row.origin is None else Origin(row.origin),
         box_2d_of(row.image_box, names),
         row.track_linked,
-        () if row.said is None else said_of(row.said, names, correction),
+        () if row.said is None else said_of(row.said, names, place),
     )
 
 

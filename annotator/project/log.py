@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, bindparam, func, select
 
-from annotator.project.audit.events import Event, read_events, rebuild
+from annotator.project.audit.events import Event, in_moment_of, read_events, rebuild
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import (
@@ -20,6 +20,7 @@ from annotator.project.changes import (
 )
 from annotator.project.database.schema import ALL_LABELS, events, frames, recordings
 from annotator.project.database.store import Store
+from annotator.project.recordings import of_rig
 from annotator.project.records import storable
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, StaleRevisionError, TrackTakenError
@@ -34,7 +35,7 @@ _FRAME = (
 
 @dataclass(frozen=True)
 class ChangedFrame:
-    """A changed frame: its latest revision, and the author of its latest event."""
+    """A frame of a changed moment: its latest revision, and the author of its latest event."""
 
     frame_id: int
     revision: int
@@ -108,13 +109,14 @@ class Writer:
 
         Args:
             action: id of an action that is written in several calls (`new_action`); None = a new one.
-            new_tracks: track ids that must still be free in the recording of the first part's frame.
+            new_tracks: track ids that must still be free in the rig of the first part's frame.
         """
         with self.store.write() as connection:
             if new_tracks:
-                recording = select(frames.c.recording_id).where(frames.c.id == parts[0].frame_id).scalar_subquery()
+                here = frames.alias()
+                recording = select(here.c.recording_id).where(here.c.id == parts[0].frame_id).scalar_subquery()
                 used = select(ALL_LABELS.c.track_id).join(frames, frames.c.id == ALL_LABELS.c.frame_id)
-                used = used.where(frames.c.recording_id == recording, ALL_LABELS.c.track_id.in_(new_tracks)).limit(1)
+                used = used.where(of_rig(recording), ALL_LABELS.c.track_id.in_(new_tracks)).limit(1)
                 if (track_id := connection.execute(used).scalar()) is not None:
                     taken = f"track {track_id} has been given to another object in the meantime; try again"
                     raise TrackTakenError(taken, track_id)
@@ -143,9 +145,9 @@ class Writer:
     # --- reading the log ----------------------------------------------------------------------------------------------
 
     def of_frame(self, frame_id: int) -> tuple[Event, ...]:
-        """All events of a frame, in order."""
+        """All events of a frame's moment, in order."""
         with self.store.read() as connection:
-            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
+            return tuple(read_events(connection, select(events).where(in_moment_of(frame_id))))
 
     def since(self, event_id: int = 0) -> Iterator[Event]:
         """Yields all events after `event_id`, in order, as of the start of the iteration."""
@@ -158,12 +160,14 @@ class Writer:
             return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
 
     def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
-        """The id of the newest event, and the frames changed after the event `event_id`."""
-        last = func.max(events.c.id)
+        """The id of the newest event, and the frames whose moments changed after the event `event_id`."""
+        last, at = func.max(events.c.id), frames.alias()
         changed = (
-            select(events.c.frame_id, events.c.revision, events.c.author, last)
-            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
-            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
+            select(frames.c.id, events.c.revision, events.c.author, last)
+            .join(at, at.c.id == events.c.frame_id)
+            .join(frames, frames.c.moment_id == at.c.moment_id)
+            .where(events.c.id > event_id)
+            .group_by(frames.c.id)  # SQLite takes the other columns from the row with the maximum
             .order_by(last)
         )
         with self.store.read() as connection:

@@ -13,9 +13,9 @@ from sqlalchemy import ScalarSelect, bindparam, func, select
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.classes.counts import ClassCounts
-from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
+from annotator.project.database.schema import frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.labels import StoredLabel, stored_label
+from annotator.project.labels import StoredLabel, read_stored, stored_label
 from annotator.project.project import Project
 from annotator.project.rows import Terms, values_of
 from annotator.types import ReviewState
@@ -29,7 +29,7 @@ class FramePage:
 
     Attributes:
         frame: the frame; changes are based on its revision.
-        labels: in the order of their creation, rejected ones included.
+        labels: of its moment, in the order of their creation, rejected ones included.
     """
 
     frame: StoredFrame
@@ -40,6 +40,11 @@ class FramePage:
     image_boxes: ImageBoxes | None
     view_boxes: tuple[ViewBoxes, ...]
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+
+    @property
+    def drawn(self) -> tuple[StoredLabel, ...]:
+        """The labels that were drawn from a box on this image, not on that of another camera."""
+        return tuple(each for each in self.labels if each.is_own and each.image_box is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +75,7 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
-        terms = Terms(connection)
-        stored = tuple(stored_label(each, terms) for each in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
+        stored = read_stored(connection, frame_id)
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
     values = values_of(row.attributes)
     return FramePage(frame, previous, following, name, stored, boxes, views, values)

@@ -15,7 +15,7 @@ from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import ProposalsReplaced, ProposedObject
 from annotator.project.database.schema import frames, labels, passes
 from annotator.project.jobs import read_run, record_result
-from annotator.project.labels import NewLabel, read_labels
+from annotator.project.labels import NewLabel, read_stored
 from annotator.project.log import Writer, require_writable
 from annotator.project.records import OWN, ProposalRecord, parsed, storable
 from annotator.project.rows import Terms
@@ -27,7 +27,7 @@ from annotator.project.sources import (
     covered_by,
     replace_open,
 )
-from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
+from annotator.types import BoxKind, LostObject, OrientedBox, Proposal, ReviewState
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,12 @@ class Proposals:
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
         box_kind: BoxKind = BoxKind.BOX,
-        others: Sequence[Label] = (),
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
-        Accepted, edited and rejected labels stay, and proposals of which a person has set values. A proposal is
-        covered if its exact 3D IoU with one of them, of the same class, is 0.5 or more: it gets no label, and the log
-        stores it with the uid of the covering label.
+        Accepted, edited and rejected labels stay, proposals of which a person has set values, and those that were made
+        in frames of other cameras of the moment. A proposal is covered if its exact 3D IoU with one of them, of the
+        same class, is 0.5 or more: it gets no label, and the log stores it with the uid of the covering label.
         Proposals of other software stay as well. If one of them is surer of the same object, it hides ours
         (`sources.merged`).
 
@@ -84,7 +83,6 @@ class Proposals:
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
-            others: labels of the other cameras of a rig, in this frame's camera; they cover proposals, too.
         """
         with self.writer.store.write() as connection:
             # the cheap checks come before the IoU
@@ -95,13 +93,14 @@ class Proposals:
             before = OpenProposals.of(write)
             kept = before.kept
             staying = [
-                label
-                for label in read_labels(connection, frame_id)
-                if label.state is not ReviewState.PROPOSED or label.uid in kept
+                stored.label
+                for stored in read_stored(connection, frame_id)
+                if stored.label.state is not ReviewState.PROPOSED or stored.label.uid in kept or not stored.is_own
             ]
-            covering = covered_by(proposals, [*staying, *others])
+            covering = covered_by(proposals, staying)
             # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal
             taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
+            taken |= write.hidden_tracks()
             ids = list[int | None]()
             for id, cover in zip(track_ids or [None] * len(proposals), covering, strict=True):
                 ids.append(None if id in taken or cover is not None else id)

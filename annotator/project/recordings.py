@@ -8,10 +8,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import chain, count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from scipy.spatial.transform import RigidTransform
+from sqlalchemy import ColumnElement, Connection, ScalarSelect, bindparam, func, insert, select, update
 
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
@@ -36,6 +38,32 @@ KEPT = frames.c.recording_id.not_in(REMOVED)
 def removed_recordings(connection: Connection) -> frozenset[int]:
     """Ids of the removed recordings."""
     return frozenset(connection.execute(REMOVED).scalars())
+
+
+# --- rigs -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SharedCloud:
+    """The cloud of a frame that other cameras of a rig may share.
+
+    Attributes:
+        name: the same in all recordings of the rig.
+        T_cloud_camera: the camera's pose, without corrections, in a frame that is the same for all of its cameras.
+    """
+
+    name: str
+    T_cloud_camera: RigidTransform
+
+
+NO_CLOUDS: Mapping[str, SharedCloud] = MappingProxyType({})
+_OF_RIG = recordings.alias()
+
+
+def of_rig(recording: int | ScalarSelect[int]) -> ColumnElement[bool]:
+    """Of frames: their recording has the same rig as this one."""
+    rig = select(_OF_RIG.c.rig_id).where(_OF_RIG.c.id == recording).scalar_subquery()
+    return frames.c.recording_id.in_(select(recordings.c.id).where(recordings.c.rig_id == rig))
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
@@ -102,6 +130,7 @@ class Recordings:
         options: str = "",
         fingerprint: str | None = None,
         left_out: Collection[str] = (),
+        clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
     ) -> StoredRecording:
         """Registers a recording and its frames, at revision 0.
 
@@ -109,6 +138,7 @@ class Recordings:
             name: "-2", "-3" ... is appended if another recording has this name.
             up: vector against gravity in the camera frame (3,), any length.
             left_out: keys of frames that get no index, as if a scan had not found them.
+            clouds: by key, of a camera of a rig.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -118,7 +148,9 @@ class Recordings:
                 if there.removed_ns is not None:
                     raise ProjectError(f"{path} was removed from the project; `annotator add` brings it back")
                 raise ProjectError(f"{path} is in the project already; scan it again to find new frames")
+            number = 1 + (connection.execute(select(func.max(recordings.c.id))).scalar() or 0)
             row = {
+                "id": number,
                 "path": str(path),
                 "format": format,
                 "name": _free_name(connection, name),
@@ -127,11 +159,12 @@ class Recordings:
                 "added_ns": self.store.clock(),
                 "options": options,
                 "fingerprint": fingerprint,
+                "rig_id": _rig(connection, path, options) if clouds else None,
             }
-            key = connection.execute(insert(recordings), row).inserted_primary_key
-            assert key is not None  # one row was inserted
-            _update_frames(connection, key[0], {}, _indices(keys, left_out))
-            return _recording(connection, key[0])
+            row["rig_id"] = row["rig_id"] or number
+            connection.execute(insert(recordings), row)
+            _update_frames(connection, number, {}, _indices(keys, left_out), clouds)
+            return _recording(connection, number)
 
     def rescan(
         self,
@@ -139,6 +172,7 @@ class Recordings:
         keys: Sequence[str],
         fingerprint: str | None = None,
         left_out: Collection[str] = (),
+        clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
     ) -> Rescan:
         """Updates a recording's frames: new ones are added; missing ones stay, without an index.
 
@@ -151,7 +185,7 @@ class Recordings:
             before = _recording(connection, recording_id, removed=True)
             _require_unique(before.path, keys)
             known = _positions(connection, recording_id)
-            new = _update_frames(connection, recording_id, known, _indices(keys, left_out))
+            new = _update_frames(connection, recording_id, known, _indices(keys, left_out), clouds)
             if before.fingerprint is None and fingerprint is not None:
                 same = recordings.c.id == recording_id
                 connection.execute(update(recordings).where(same).values(fingerprint=fingerprint))
@@ -164,7 +198,10 @@ class Recordings:
         return self.move_together({recording_id: (path, keys)}, author)[0]
 
     def move_together(
-        self, moved: Mapping[int, tuple[Path, Sequence[str]]], author: str
+        self,
+        moved: Mapping[int, tuple[Path, Sequence[str]]],
+        author: str,
+        clouds: Mapping[int, Mapping[str, SharedCloud]] = MappingProxyType({}),
     ) -> tuple[StoredRecording, ...]:
         """Changes the paths of moved recordings, all or none; their frames, labels and boxes stay as they are.
 
@@ -173,13 +210,22 @@ class Recordings:
         Args:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
+            clouds: by recording id, as for `add`.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
-                self._move(connection, recording_id, path.resolve(), keys, author)
+                self._move(connection, recording_id, path.resolve(), keys, author, clouds.get(recording_id, NO_CLOUDS))
             return tuple(_recording(connection, recording_id) for recording_id in moved)
 
-    def _move(self, connection: Connection, recording_id: int, path: Path, keys: Sequence[str], author: str) -> None:
+    def _move(
+        self,
+        connection: Connection,
+        recording_id: int,
+        path: Path,
+        keys: Sequence[str],
+        author: str,
+        clouds: Mapping[str, SharedCloud],
+    ) -> None:
         _require_unique(path, keys)
         before = _recording(connection, recording_id, removed=True)
         taken = select(recordings.c.id, recordings.c.name, recordings.c.removed_ns).where(
@@ -200,7 +246,7 @@ class Recordings:
         # a removed one has no latest scan
         needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
         _require_same(before, path, needed, keys)
-        _update_frames(connection, recording_id, known, _indices(keys))
+        _update_frames(connection, recording_id, known, _indices(keys), clouds)
         if path != before.path:
             same = recordings.c.id == recording_id
             connection.execute(update(recordings).where(same).values(path=str(path)))
@@ -372,8 +418,23 @@ def _indices(keys: Sequence[str], left_out: Collection[str] = ()) -> dict[str, i
     return {key: None if key in left_out else index for index, key in enumerate(keys)}
 
 
+def _rig(connection: Connection, path: Path, options: str) -> int | None:
+    """The rig of the recordings of a path whose options differ from these only in the camera."""
+
+    def others(text: str) -> dict[str, Any]:
+        return {name: value for name, value in json.loads(text or "{}").items() if name != "camera"}
+
+    beside = select(recordings.c.rig_id, recordings.c.options).where(recordings.c.path == str(path))
+    found = connection.execute(beside.order_by(recordings.c.id)).all()
+    return next((row.rig_id for row in found if others(row.options) == others(options)), None)
+
+
 def _update_frames(
-    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int | None]
+    connection: Connection,
+    recording_id: int,
+    known: dict[str, int | None],
+    present: dict[str, int | None],
+    clouds: Mapping[str, SharedCloud] = NO_CLOUDS,
 ) -> tuple[str, ...]:
     """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""
     moved = [
@@ -384,11 +445,33 @@ def _update_frames(
     if moved:
         same = (frames.c.recording_id == bindparam("of_recording")) & (frames.c.key == bindparam("of_key"))
         connection.execute(update(frames).where(same).values(position=bindparam("new_position")), moved)
+    moments = _moments(connection, recording_id) if clouds else {}
+
+    def at_cloud(number: int, key: str) -> dict[str, Any]:
+        """The columns that say where a frame without changes belongs."""
+        if (cloud := clouds.get(key)) is None:
+            return {"moment_id": number, "revision": 0, "cloud": None, "pose": None}
+        moment, revision = moments.get(cloud.name, (number, 0))
+        pose = json.dumps(cloud.T_cloud_camera.as_matrix().tolist())
+        return {"moment_id": moment, "revision": revision, "cloud": cloud.name, "pose": pose}
+
+    # those that lacked a pose in the latest scan
+    alone = (frames.c.recording_id == recording_id) & frames.c.cloud.is_(None) & (frames.c.revision == 0)
+    for number, key in connection.execute(select(frames.c.id, frames.c.key).where(alone)).all() if clouds else ():
+        connection.execute(update(frames).where(frames.c.id == number).values(at_cloud(number, key)))
+    first = 1 + (connection.execute(select(func.max(frames.c.id))).scalar() or 0)
     new = [
-        {"recording_id": recording_id, "key": key, "position": index, "revision": 0, "finalised": False}
-        for key, index in present.items()
-        if key not in known
+        {"id": number, "recording_id": recording_id, "key": key, "position": present[key], "finalised": False}
+        | at_cloud(number, key)
+        for number, key in enumerate((key for key in present if key not in known), first)
     ]
     if new:
         connection.execute(insert(frames), new)
     return tuple(str(row["key"]) for row in new)
+
+
+def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:
+    """The moments of a rig, each with its revision, by the name of the cloud."""
+    shared = select(frames.c.cloud, frames.c.moment_id, frames.c.revision)
+    rows = connection.execute(shared.where(of_rig(recording_id), frames.c.cloud.is_not(None)))
+    return {row.cloud: (row.moment_id, row.revision) for row in rows}

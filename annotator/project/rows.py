@@ -23,6 +23,21 @@ Row = dict[str, Any]
 
 Names = tuple[tuple[int, str], ...]
 
+Place = tuple[str | None, str | None]
+"""Correction and pose of a frame's camera, as they are stored; None = it does not move the boxes of the cloud."""
+AT_CAMERA: Place = (None, None)
+
+
+@lru_cache(maxsize=1024)
+def T_camera_cloud(place: Place) -> RigidTransform | None:
+    """From the frame of the cloud, in which boxes are stored, to that of the camera; None if they are the same."""
+    correction, pose = place
+    T = None if correction is None else moving(correction)
+    if pose is None:
+        return T
+    T_recorded_cloud = parsed(lambda text: RigidTransform.from_matrix(json.loads(text)), pose).inv()
+    return T_recorded_cloud if T is None else T * T_recorded_cloud
+
 
 def driver_of(connection: Connection) -> sqlite3.Connection:
     """SQLite's own connection, which is several times as fast for small statements."""
@@ -45,7 +60,9 @@ class Terms:
         self._key: Names = tuple(self.names.items())
         stored = self._driver.execute("SELECT recording_id, correction FROM adjustments").fetchall()
         self._corrections = {id: correction for id, correction in stored if moving(correction) is not None}
-        self._of_frames: dict[int | None, str | None] = {}
+        shared = "SELECT 1 FROM frames WHERE cloud IS NOT NULL LIMIT 1"
+        self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
+        self._of_frames: dict[int | None, Place] = {}
 
     # --- classes ------------------------------------------------------------------------------------------------------
 
@@ -66,19 +83,18 @@ class Terms:
 
     # --- clouds -------------------------------------------------------------------------------------------------------
 
-    def correction(self, frame_id: int | None) -> str | None:
-        """The correction of a frame's recording, as it is stored; None if its cloud lies as it was recorded."""
-        if not self._corrections:
-            return None
+    def place(self, frame_id: int | None) -> Place:
+        """Where a frame's camera is at its cloud."""
+        if self._are_same:
+            return AT_CAMERA
         if frame_id not in self._of_frames:
-            found = self._driver.execute("SELECT recording_id FROM frames WHERE id = ?", (frame_id,)).fetchone()
-            self._of_frames[frame_id] = None if found is None else self._corrections.get(found[0])
+            found = self._driver.execute("SELECT recording_id, pose FROM frames WHERE id = ?", (frame_id,)).fetchone()
+            self._of_frames[frame_id] = AT_CAMERA if found is None else (self._corrections.get(found[0]), found[1])
         return self._of_frames[frame_id]
 
     def T_camera_cloud(self, frame_id: int | None) -> RigidTransform | None:
         """From the frame in which a frame's boxes are stored to that of the camera; None if they are the same."""
-        correction = self.correction(frame_id)
-        return None if correction is None else moving(correction)
+        return T_camera_cloud(self.place(frame_id))
 
     def _T_cloud_camera(self, frame_id: int | None) -> RigidTransform | None:
         T = self.T_camera_cloud(frame_id)
@@ -93,16 +109,16 @@ class Terms:
 
     def box(self, content: str, frame_id: int | None) -> OrientedBox:
         """A 3D box, camera frame."""
-        return box_of(content, self.correction(frame_id))
+        return box_of(content, self.place(frame_id))
 
     def record(self, content: str, frame_id: int | None) -> BoxRecord:
-        """A 3D box, camera frame, bit for bit if no correction moves it."""
+        """A 3D box, camera frame, bit for bit if the boxes are stored in it."""
         record, T = parsed(BoxRecord.model_validate_json, content), self.T_camera_cloud(frame_id)
         return record if T is None else moved_box(record, T)
 
     def said(self, content: str | None, frame_id: int | None) -> tuple[SaidRecord, ...]:
         """What sources say of an object."""
-        return () if content is None else said_of(content, self._key, self.correction(frame_id))
+        return () if content is None else said_of(content, self._key, self.place(frame_id))
 
     def boxes_2d(self, content: str) -> tuple[Box2D, ...]:
         """2D boxes."""
@@ -160,16 +176,16 @@ class Terms:
 
 
 @lru_cache(maxsize=4096)
-def box_of(content: str, correction: str | None) -> OrientedBox:
+def box_of(content: str, place: Place) -> OrientedBox:
     """A stored box. A page reads all boxes of its frame again after each change of one."""
     box = parsed(BoxRecord.model_validate_json, content).box()
-    T = None if correction is None else moving(correction)
+    T = T_camera_cloud(place)
     return box if T is None else box.transformed(T)
 
 
-def said_of(content: str, names: Names, correction: str | None) -> tuple[SaidRecord, ...]:
+def said_of(content: str, names: Names, place: Place) -> tuple[SaidRecord, ...]:
     """What sources say of an object."""
-    by_id, T = _by_text(names), None if correction is None else moving(correction)
+    by_id, T = _by_text(names), T_camera_cloud(place)
 
     def read(text: str) -> tuple[SaidRecord, ...]:
         return tuple(

@@ -31,6 +31,7 @@ from annotator.project.database.schema import columns_of, frames, labels
 from annotator.project.database.store import Store
 from annotator.project.labels import NewLabel
 from annotator.project.log import Writer
+from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
 from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
@@ -149,9 +150,9 @@ def bring(
 ) -> dict[int, Brought]:
     """Makes boxes of one source the proposals of some frames; they replace what the same source has said there before.
 
-    A box is not proposed if a reviewed label of its class, or a proposal of which a person has set values, covers it
-    (exact 3D IoU 0.5 or more). Boxes of several sources that overlap as much become one proposal, together with our own
-    (`merged`).
+    A box is not proposed if a label of its class covers it (exact 3D IoU 0.5 or more) that is reviewed, a proposal of
+    which a person has set values, or one that another camera of the moment has. Boxes of several sources that overlap
+    as much become one proposal, together with our own (`merged`).
 
     Args:
         frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
@@ -171,20 +172,24 @@ def bring(
         )
         driver, present = driver_of(connection), defaultdict[int, list[Row]](list)
         for values in driver.execute(
-            f"SELECT {', '.join(columns)} FROM labels WHERE frame_id IN ({places}) ORDER BY id"
+            f"SELECT {', '.join(columns)} FROM labels WHERE moment_id IN "
+            f"(SELECT moment_id FROM frames WHERE id IN ({places})) AND hidden = 0 ORDER BY id"
         ):
             row = dict(zip(columns, values, strict=True))
-            present[row["frame_id"]].append(row)
+            present[row["moment_id"]].append(row)
         found = driver.execute(
-            f"SELECT id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
+            f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
         ).fetchall()
-        done = dict[int, Brought]()
-        for frame_id, revision, finalised in found:
+        done, newest = dict[int, Brought](), dict[int, int]()
+        for frame_id, moment_id, revision, finalised in found:
             if not finalised:
+                revision = newest.get(moment_id, revision)
                 context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
                 write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
-                write.know_all(present[frame_id])
+                if moment_id not in newest:  # else another camera of the moment has changed them
+                    write.know_all(present[moment_id])
+                newest[moment_id] = revision + 1
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
         return done
@@ -201,7 +206,7 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     staying = [
         _Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in write.labels()
-        if not _is_open(row, proposed.kept)
+        if not _is_open(write, row, proposed.kept)
     ]
     new, covering = [_said(source, box) for box in boxes], covered_by(boxes, staying)
     free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
@@ -223,17 +228,17 @@ def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -
     write.event(KIND)
 
 
-def _is_open(row: Row, kept: Collection[str]) -> bool:
-    """Whether an import may replace a label: an open proposal that is not `kept`."""
-    return row["state"] == ReviewState.PROPOSED.value and row["uid"] not in kept
+def _is_open(write: Write, row: Row, kept: Collection[str]) -> bool:
+    """Whether an import may replace a label: an open proposal that was made here and is not `kept`."""
+    return row["state"] == ReviewState.PROPOSED.value and write.is_here(row) and row["uid"] not in kept
 
 
 def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
-    """All track ids of a recording, also of hidden boxes; and those of `source`, by the ids in its files."""
+    """All track ids of a recording's rig, also of hidden boxes; and those of `source`, by the ids in its files."""
     said = func.json_each(labels.c.said).table_valued("value")
     values = [func.json_extract(said.c.value, f"$.{name}") for name in ("track_id", "source", "file_track_id")]
     of_recording = labels.join(frames, frames.c.id == labels.c.frame_id)
-    here = frames.c.recording_id == recording_id
+    here = of_rig(recording_id)
     of_labels = select(labels.c.track_id).select_from(of_recording).where(here, labels.c.track_id.is_not(None))
     is_known = values[0].is_not(None)
     of_sources = select(*values).select_from(of_recording.join(said, true())).where(here, is_known).distinct()
@@ -285,13 +290,14 @@ class OpenProposals:
 
         Proposals of `never_kept` may be replaced, though a person has set values.
         """
-        others, ours, borrows, taken, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[int](), set[str]()
+        others, ours, borrows, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[str]()
+        taken = write.hidden_tracks()
         for row in write.labels():
             uid, label = row["uid"], write.terms.names[row["class_id"]]
             said = write.terms.said(row["said"], write.frame_id)
             if row["values_set"] and uid not in never_kept and is_kept(row, label, said, write.config.attributes):
                 kept.add(uid)
-            if not _is_open(row, kept):
+            if not _is_open(write, row, kept):
                 if row["state"] != ReviewState.REJECTED.value and row["track_id"] is not None:
                     taken.add(row["track_id"])
                 continue
@@ -333,7 +339,7 @@ def replace_open(
     Returns:
         The objects, each source in its own words.
     """
-    rows = {row["uid"]: row for row in write.labels() if _is_open(row, proposed.kept)}
+    rows = {row["uid"]: row for row in write.labels() if _is_open(write, row, proposed.kept)}
     ours = [each for each in proposed.ours if each.uid not in leaving_out]
     uids = {each.uid for each in ours}
     groups = merged([*others, *ours])

@@ -125,14 +125,6 @@ class ArgoverseLog(KeyedFrames):
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
         return Scan(raw.xyz_m, None, raw.reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
-    def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the size that the calibration names."""
-        self.key(i)
-        size = self._size()
-        if size is None:
-            raise FrameError(self.path / INTRINSICS, f"has no size of {self.camera}", REMEDY)
-        return self._intrinsics(*size)
-
     def moment(self, i: int) -> str:
         """Returns the time of the sweep."""
         return self.key(i)

@@ -36,9 +36,6 @@ class RigCamera(Recording, Protocol):
     def cameras(self) -> tuple[str, ...]:
         """The names of all cameras of the rig."""
 
-    def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, without reading its image."""
-
     def moment(self, i: int) -> str:
         """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together."""
 
@@ -157,11 +154,6 @@ class LookAround(KeyedFrames):
 
     def files(self, i: int) -> tuple[Path, ...]:
         return files_of(self.base, i)
-
-    def intrinsics(self, i: int) -> Camera:
-        """Returns the virtual camera, the same for all frames."""
-        self.key(i)
-        return virtual_camera(self.count)
 
     def moment(self, i: int) -> str:
         """Returns the frame's key, which all cameras share."""

@@ -329,14 +329,6 @@ class NuScenes(KeyedFrames):
         """The names of the scene's cameras."""
         return tuple(sorted(self.data.cameras))
 
-    def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the image's size in the tables."""
-        self.key(i)
-        image = self.moments[i][0]
-        if min(image.width_px, image.height_px) < 1:
-            raise FrameError(self.tables / "sample_data.json", f"has no size of {image.file}", REMEDY)
-        return _camera(self.root / image.file, image, image.width_px, image.height_px)
-
     def moment(self, i: int) -> str:
         """Returns the name of the scan's file."""
         self.key(i)

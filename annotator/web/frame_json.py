@@ -18,8 +18,8 @@ from annotator.project import Project, Receipt, ViewBoxes
 from annotator.project.overview import FrameRow
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
-from annotator.types.errors import RecordingError, StaleRevisionError
-from annotator.web.context import Context, Ctx, InProject, Operator
+from annotator.types.errors import StaleRevisionError
+from annotator.web.context import Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
     Box2DOut,
@@ -34,7 +34,6 @@ from annotator.web.schemas import (
     ImageJson,
     LabelJson,
     ObjectJson,
-    OtherLabelJson,
     QualityJson,
     RowId,
     SaidJson,
@@ -42,9 +41,8 @@ from annotator.web.schemas import (
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
-from annotator.workflows.frame_source import Rigs, Sibling
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
+from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
 from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
@@ -120,7 +118,6 @@ def _state(at: InFrame) -> FrameStateJson:
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
     undo, redo = project.history.next(at.operator)
-    rigs, siblings = _siblings(at.ctx, project, shown)
     objects, labels = opened.newest(
         "json",
         page.frame.revision,
@@ -149,29 +146,9 @@ def _state(at: InFrame) -> FrameStateJson:
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=list(objects.values()),
         labels=list(labels.values()),
-        others=[
-            OtherLabelJson.of(
-                each.other.label,
-                camera=each.other.recording.rpartition("@")[2],
-                frame=each.other.frame.id,
-                outline=each.outline.round(2).tolist(),
-            )
-            for each in shown_others(rigs.labels_of(siblings), page.labels, opened)
-        ],
-        siblings=[each.frame.id for each in siblings],
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
-
-
-def _siblings(ctx: Context, project: Project, shown: ShownFrame) -> tuple[Rigs, list[Sibling]]:
-    """The rig's other cameras; none if one of their recordings cannot be read, as after a move."""
-    rigs = ctx.caches.frames.rigs(project)
-    try:
-        return rigs, rigs.siblings(shown.page.frame)
-    except RecordingError as error:
-        LOG.warning("the other cameras of %s are not shown: %s", shown.page.recording_name, error)
-        return rigs, []
 
 
 def _image_version(project: Project, shown: ShownFrame) -> str:
@@ -224,8 +201,8 @@ def _labels(project: Project, shown: Sequence[ShownLabel], opened: OpenFrame) ->
     run_ids = {label.stored.run_id for label in shown} - {None}
     measured_by = base_titles(project) if run_ids else {}
     # most frames have none, and need no query
-    may_be_kept = {each.stored.frame_id for each in shown if each.stored.label.attributes}
-    kept = frozenset[str]().union(*(project.labels.kept(frame_id) for frame_id in may_be_kept))
+    may_be_kept = next((each.stored.frame_id for each in shown if each.stored.label.attributes), None)
+    kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
     # only those that have changed are converted anew
     before: dict[_Facts, LabelJson] = (opened.latest("json") or ((), {}))[1]
     facts = [(each, measured_by.get(each.stored.run_id or 0), each.stored.label.uid in kept) for each in shown]

@@ -244,18 +244,6 @@ class LabelJson(Schema):
     points: int
 
 
-class OtherLabelJson(Schema):
-    """A label that another camera of the rig has, with its outline on this frame's image, and its frame."""
-
-    uid: str
-    label: str
-    state: ReviewState
-    track_id: int | None
-    camera: str
-    frame: int
-    outline: Outline
-
-
 class FrameJson(Schema):
     """A frame: its recording, key, index, neighbours, revision, and values of its own attributes."""
 
@@ -313,7 +301,7 @@ class HistoryJson(Schema):
 
 
 class FrameStateJson(Schema):
-    """All data of a frame that the page shows. `siblings`: frames of the rig's other cameras at the same moment."""
+    """All data of a frame that the page shows. `labels`: also those of other cameras of the moment that it shows."""
 
     frame: FrameJson
     image: ImageJson
@@ -322,8 +310,6 @@ class FrameStateJson(Schema):
     image_boxes: ImageBoxesJson | None
     objects: list[ObjectJson]
     labels: list[LabelJson]
-    others: list[OtherLabelJson]
-    siblings: list[int]
     open_by: list[str]
     history: HistoryJson
 

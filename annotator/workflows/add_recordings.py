@@ -14,6 +14,7 @@ from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.recordings.recording import origin_of
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.workflows.frame_source import shared_clouds
 from annotator.workflows.recorded.condition import (
     SECONDS,
     BrokenFrames,
@@ -166,7 +167,8 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     moved = {number: _moved(each, path, left_out[number]) for number, each in every.items()}
     broken = {number: still_broken(recording, left_out[number]) for number, recording in moved.items()}
     places = {number: (recording.path, recording.keys) for number, recording in moved.items()}
-    first = project.recordings.move_together(places, author)[0]
+    clouds = {number: shared_clouds(recording) for number, recording in moved.items()}
+    first = project.recordings.move_together(places, author, clouds)[0]
     for number, keys in broken.items():
         if keys:
             project.recordings.rescan(number, moved[number].keys, left_out=keys)
@@ -182,7 +184,8 @@ def bring_back(project: Project, recording_id: int) -> StoredRecording:
     """
     known = project.recordings.get(recording_id, removed=True)
     project.recordings.require_readable(known)
-    project.recordings.rescan(known.id, _moved(known, known.path).keys)
+    there = _moved(known, known.path)
+    project.recordings.rescan(known.id, there.keys, clouds=shared_clouds(there))
     return project.recordings.get(known.id)
 
 
@@ -259,9 +262,10 @@ def _add(
             options.stored(),
             fingerprint,
             left_out,
+            shared_clouds(recording),
         )
         return Added(stored, True, stored.frames, 0, recording.notes, left_out=len(left_out))
-    change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out)
+    change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out, shared_clouds(recording))
     stored, came_back = project.recordings.get(known.id), known.removed_by is not None
     new_frames = sum(key not in left_out for key in change.added)
     return Added(stored, False, new_frames, len(change.missing), recording.notes, came_back, left_out=len(left_out))

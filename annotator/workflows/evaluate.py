@@ -28,7 +28,7 @@ from annotator.text import normal
 from annotator.types import Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
-from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.frame_source import FrameSource, seen_labels
 from annotator.workflows.recorded.own_labels import AUTHOR
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, rows_of_truth, true_kitti_rows
 
@@ -308,8 +308,6 @@ class _Source:
         self._choice = choice
         self._names = None if options.frames is None else set(options.frames)
         self._frames = FrameSource(project)
-        self._rigs = Rigs(project, self._frames)
-        self._in_rigs = frozenset(self._rigs.recordings())
         self._labels_seen = 0
         self._unchanged = 0
         self._recordings = {recording.id: recording.name for recording in project.recordings.all()}
@@ -366,7 +364,7 @@ class _Source:
         return with_truth
 
     def _is_compared(self, stored: StoredFrame) -> bool:
-        labels = self._project.labels.of_frame(stored.id)
+        labels = [each.label for each in self._project.labels.of_moment(stored.id) if each.is_own]
         worked_on = bool(labels) or stored.finalised
         if self._choice.against is Against.TRUTH:
             recording = self._frames.recording(stored.recording_id)
@@ -378,7 +376,8 @@ class _Source:
 
     def _measured(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._choice.measured is Measured.LABELS:
-            labels = [label for label in self._labels(stored) if label.state is not ReviewState.REJECTED]
+            seen = seen_labels(self._project, self._frames, stored)
+            labels = [label for label in seen if label.state is not ReviewState.REJECTED]
             self._labels_seen += len(labels)
             self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
             return [_scored_box(label) for label in labels]
@@ -388,17 +387,11 @@ class _Source:
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._choice.against is Against.REVIEWED:
-            return [_scored_box(label) for label in self._labels(stored) if label.state in REVIEWED]
+            seen = seen_labels(self._project, self._frames, stored)
+            return [_scored_box(label) for label in seen if label.state in REVIEWED]
         recording = self._frames.recording(stored.recording_id)
         truths = load_truth(recording, recording.keys.index(stored.key), self._frames.read(stored))
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
-
-    def _labels(self, stored: StoredFrame) -> tuple[Label, ...]:
-        """Returns the labels of a frame, and those that other cameras of its rig have of objects on its image."""
-        own = self._project.labels.of_frame(stored.id)
-        if stored.recording_id not in self._in_rigs:
-            return own
-        return (*own, *self._rigs.others_on_image(stored, self._frames.read(stored).camera, own))
 
 
 def _scored_box(label: Label) -> ScoredBox:

@@ -359,7 +359,7 @@ def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSe
     """
     if page.image_boxes is None:
         return None
-    drawn = {stored.label.uid: stored for stored in page.labels if stored.image_box is not None}
+    drawn = {stored.label.uid: stored for stored in page.drawn}
     boxes = list(page.image_boxes.boxes)
     for payload in payloads:
         match payload:

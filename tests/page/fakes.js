@@ -49,7 +49,6 @@ export function frameState(revision, labels = [], id = 1, project = "room") {
   return {
     frame: { id, revision, recording: 1, attributes: {} },
     image: { url: `/${project}/${id}`, width: 640, height: 480 },
-    siblings: [],
     labels,
     objects: [],
     image_boxes: null,

@@ -55,25 +55,6 @@ test("an older answer never replaces a newer state", async () => {
   isNow(9, false);
 });
 
-test("a change of another camera's frame may change the outlines in this one", async () => {
-  const app = fakeApp({ get: async () => ({ ...frameState(1), siblings: [7] }) });
-  const frames = createFrameState(app);
-  await frames.open(1);
-  frames.hear({ frame: 8, revision: 2 });
-  assert.equal(frames.isBehind, false);
-  frames.hear({ frame: 7, revision: 2 });
-  assert.equal(frames.isBehind, true);
-  // one that is changed while this frame is read anew: the answer may be older, although it has the same revision
-  const answers = [held(), held()];
-  let reads = 0;
-  app.api.get = () => answers[reads++].promise;
-  const opened = frames.open(1);
-  frames.hear({ frame: 7, revision: 3 });
-  for (const answer of answers) answer.resolve({ ...frameState(1), siblings: [7] });
-  await opened;
-  assert.deepEqual([reads, frames.isBehind], [2, false]);
-});
-
 test("a frame that could not be read again is still behind", async () => {
   const app = fakeApp({ get: async () => frameState(1) });
   const frames = createFrameState(app);

@@ -108,7 +108,7 @@ def test_what_is_shown_follows_from_what_each_source_has_said_last(
             project.proposals.replace(frame, ours, change, track_ids=[7 + place for place in sorted(places)])
 
     def columns(frame: int) -> list[dict[str, object]]:
-        left_out = ("id", "time_ns", "uid", "frame_id", "said")
+        left_out = ("id", "time_ns", "uid", "frame_id", "moment_id", "said")
         with project.store.read() as connection:
             rows = connection.execute(select(labels).where(labels.c.frame_id == frame)).mappings().all()
         assert all(row["proposed_box"] is not None for row in rows if row["source"] == Source.AUTO.value)

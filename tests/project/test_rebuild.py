@@ -1,7 +1,11 @@
-"""The tables are those that the audit gives, and an undo gives the state before; two operators work in any order."""
+"""The tables are those that the audit gives, and an undo gives the state before; two operators work in any order.
+
+One moment of the project has two cameras.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 import tempfile
 from collections.abc import Sequence
@@ -12,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule
+from scipy.spatial.transform import RigidTransform, Rotation
 from sqlalchemy import text
 from store_samples import (
     STEPS,
@@ -31,6 +36,7 @@ from annotator.project import NewLabel, Project, WriteContext, create_project, o
 from annotator.project.audit.events import as_one
 from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.database.schema import AUDITED, columns_of
+from annotator.project.recordings import SharedCloud
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Correction, Label, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
@@ -38,9 +44,10 @@ from annotator.types.errors import ConfigError, HistoryError, ProjectError
 BASED = (*(step for step in STEPS if step not in ("bring", "import", "span")), "values", "frame values")
 """Changes that are based on a revision of a frame."""
 KINDS = (*STEPS, "loose view", "link", "adjust", "values", "frame values", "classes")
-KEYS = ["0", "1"]
+CAMERAS = {1: ["0", "1"], 2: ["0"]}
+"""The keys of each recording's frames."""
 SMALL = st.integers(0, 3)
-PLACE = st.integers(0, 1)
+PLACE = st.integers(0, 2)
 OTHER = {"ann": "bob", "bob": "ann"}
 PEOPLE = st.sampled_from(sorted(OTHER))
 
@@ -85,14 +92,20 @@ class TwoOperators(RuleBasedStateMachine):
         self.folder = tempfile.TemporaryDirectory()
         root = Path(self.folder.name)
         self.project = create_project(root, "p", ("hand", "person"))
-        self.project.recordings.add(root / "r", "rgbd", "r", KEYS, True)
+        for number, keys in CAMERAS.items():
+            T_cloud_camera = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, number - 1.0, 0.0]))
+            clouds = {key: SharedCloud(key, T_cloud_camera) for key in keys}
+            options = json.dumps({"camera": f"c{number}"})
+            self.project.recordings.add(root / "r", "rgbd", f"r{number}", keys, True, options=options, clouds=clouds)
         self.views = [self.project.views.store(np.full((2, 2, 3), n, np.uint8)) for n in range(2)]
         self.is_removed = False
         give_attributes(self.project)
         # the row of a recording that was adjusted once stays
-        self.project.adjustments.correct(1, Correction((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)), "bob")
-        for frame in self.project.frames.of():
-            self.project.proposals.replace(frame.id, [proposal_at(0.0), proposal_at(5.0, "person")], by_machine(1))
+        for number in CAMERAS:
+            self.project.adjustments.correct(number, Correction((0.0, 0.0, 0.1 * number), (0.0, 0.0, 0.0)), "bob")
+        for frame in self.project.frames.of([1]):
+            proposals = [proposal_at(0.0), proposal_at(5.0, "person")]
+            self.project.proposals.replace(frame.id, proposals, by_machine(frame.revision))
 
     @rule(who=PEOPLE, steps=st.lists(st.tuples(st.sampled_from(KINDS), PLACE, SMALL, SMALL), min_size=6, max_size=16))
     def act(self, who: str, steps: list[Step]) -> None:
@@ -179,13 +192,15 @@ class TwoOperators(RuleBasedStateMachine):
         for _ in range(2):
             self._bring_back()
             assert sorted_state(self.project) == before
-            self.project.recordings.remove(1, "ann")
+            for number in CAMERAS:
+                self.project.recordings.remove(number, "ann")
             self.is_removed = True
             assert (self.project.labels.select(), self.project.boxes.on_images(), self.project.frames.of()) == ((),) * 3
 
     def _bring_back(self) -> None:
         if self.is_removed:
-            self.project.recordings.rescan(1, KEYS)
+            for number, keys in CAMERAS.items():
+                self.project.recordings.rescan(number, keys)
         self.is_removed = False
 
     @rule()

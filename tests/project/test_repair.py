@@ -65,8 +65,9 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
     (
         "an added label",
         damage(
-            "INSERT INTO labels (uid, frame_id, class_id, box, source, state, author, time_ns, track_linked, box_kind, "
-            "attributes, values_set) VALUES ('x', 1, 1, '{}', 'manual', 'accepted', 'a', 1, 0, 'box', '{}', 0)"
+            "INSERT INTO labels (uid, frame_id, moment_id, class_id, box, source, state, author, time_ns, "
+            "track_linked, box_kind, attributes, values_set) "
+            "VALUES ('x', 1, 1, 1, '{}', 'manual', 'accepted', 'a', 1, 0, 'box', '{}', 0)"
         ),
         "labels has rows that the events do not give: x",
     ),

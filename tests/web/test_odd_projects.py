@@ -132,8 +132,8 @@ def _as_a_table(folder: Path) -> None:
 
 
 NONSENSE = (
-    "INSERT INTO labels (uid, frame_id, class_id, box, source, state, author, time_ns, track_linked, box_kind, "
-    "attributes, values_set) VALUES ('u', 1, 1, '{', 'manual', 'bogus', 'Ada', 0, 0, 'box', '{}', 0)"
+    "INSERT INTO labels (uid, frame_id, moment_id, class_id, box, source, state, author, time_ns, track_linked, "
+    "box_kind, attributes, values_set) VALUES ('u', 1, 1, 1, '{', 'manual', 'bogus', 'Ada', 0, 0, 'box', '{}', 0)"
 )
 ODD: dict[str, Callable[[Path], object]] = {
     "dropped": _run("DROP TABLE labels"),

@@ -18,12 +18,6 @@ export function createFrameState(/** @type {App} */ app) {
    */
   const heard = new Map();
   let hasMissed = false;
-  /**
-   * Frames that were changed while a frame was being read: it may show old outlines of their objects.
-   *
-   * @type {Set<number>}
-   */
-  const changed = new Set();
 
   // each project counts its frames from 1; the address of the picture, apart from a time offset, names the project
   const pictureOf = (/** @type {FrameState} */ frame) => frame.image.url.split("&")[0];
@@ -49,14 +43,9 @@ export function createFrameState(/** @type {App} */ app) {
     async open(/** @type {number} */ id, /** @type {RequestOptions} */ options) {
       /** @returns {Promise<FrameState>} */
       const read = () => app.api.get(app.path("frames", id), options);
-      changed.clear();
       let frame = await read();
-      const hasOldOutlines = () => frame.siblings.some((other) => changed.has(other));
-      for (let reads = 1; reads < MOST_READS && (isOutdated(frame) || hasOldOutlines()); reads += 1) {
-        changed.clear();
-        frame = await read();
-      }
-      hasMissed = hasOldOutlines();
+      for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
+      hasMissed = false;
       // the open frame may be newer than the answer
       if (!isSame(frame, state.frame)) state.set({ frame });
       else if (!frames.take(frame)) state.set({ frame: state.frame });
@@ -81,10 +70,7 @@ export function createFrameState(/** @type {App} */ app) {
 
     /** Handles an event: a frame has a new revision, perhaps saved by this page. */
     hear(/** @type {Messages["frame"]} */ { frame, revision }) {
-      changed.add(frame);
       heard.set(frame, Math.max(heard.get(frame) ?? -1, revision));
-      // objects of the rig's other cameras are outlines in this one
-      if (state.frame?.siblings.includes(frame)) hasMissed = true;
     },
 
     /** Events may have been missed. */

@@ -14,7 +14,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Select, case, select
 from sqlalchemy.exc import IntegrityError
 
-from annotator.project.database.schema import AUDITED, NOT_AUDITED, AnyRow, columns_of, events, packed
+from annotator.project.database.schema import AUDITED, NOT_AUDITED, AnyRow, columns_of, events, frames, packed
 from annotator.project.records import parsed
 from annotator.project.rows import Row, driver_of
 from annotator.types import Source
@@ -176,6 +176,12 @@ def read_events(connection: Connection, query: Select[Any] | None = None, after:
         after = rows[-1].id
 
 
+def in_moment_of(frame_id: int | None) -> ColumnElement[bool]:
+    """Of events: they changed the moment of a frame."""
+    moment = select(frames.c.moment_id).where(frames.c.id == frame_id).scalar_subquery()
+    return events.c.frame_id.in_(select(frames.c.id).where(frames.c.moment_id == moment))
+
+
 def without_rows(of: ColumnElement[bool]) -> list[ColumnElement[Any]]:
     """The columns of events, without the changed rows of some, of which there may be too many to read for nothing."""
     return [case((~of, each)).label("rows") if each.name == "rows" else each for each in events.c]
@@ -314,7 +320,7 @@ def rebuild(connection: Connection) -> int:
 
 @contextmanager
 def without_track_index(connection: Connection) -> Iterator[None]:
-    """In the block, a track may have several boxes in a frame, as between the events of one write."""
+    """In the block, a track may have several boxes in a moment, as between the events of one write."""
     (sql,) = connection.exec_driver_sql("SELECT sql FROM sqlite_master WHERE name = 'one_box_a_track'").one()
     connection.exec_driver_sql("DROP INDEX one_box_a_track")
     yield

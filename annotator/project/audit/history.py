@@ -32,6 +32,8 @@ from annotator.project.audit.events import (
     RowChange,
     as_one,
     event_of,
+    hide_removed,
+    in_moment_of,
     read_row,
     rows_of,
     without_rows,
@@ -285,6 +287,8 @@ class History:
             for row in rows:
                 if row.table == "adjustments":
                     make_stale(connection, int(row.key), frame_id)
+        if removed_recordings(connection):  # labels of other cameras of the moment may be there again
+            hide_removed(connection)
         return receipts
 
     @contextmanager
@@ -448,7 +452,7 @@ class _Restoring:
         event = self._last[row.table, row.key]
         query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
         if row.table != "adjustments":
-            query = query.where((events.c.frame_id == event.frame_id) | events.c.frame_id.is_(None))
+            query = query.where(in_moment_of(event.frame_id) | events.c.frame_id.is_(None))
         for found in self.connection.execute(query.order_by(events.c.id.desc())):
             if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
                 moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
@@ -473,7 +477,7 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
     """The class of a changed label after an event."""
     states = [row.after, row.before]
     if not any(state is not None and "class_id" in state for state in states):
-        of_frame = (events.c.frame_id == event.frame_id) | (events.c.view_id == CLASSES)
+        of_frame = in_moment_of(event.frame_id) | (events.c.view_id == CLASSES)
         query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
         later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
         states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]

@@ -114,7 +114,8 @@ def _in_order(table: str, row: Row) -> Row:
 def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     """The row of a new label; columns that are not given have no value."""
     row: Row = dict.fromkeys(columns_of("labels"))
-    row |= {"id": write.next_label_id(), "uid": uid, "frame_id": write.frame_id, "class_id": write.class_id(label)}
+    row |= {"id": write.next_label_id(), "uid": uid, "class_id": write.class_id(label)}
+    row |= {"frame_id": write.frame_id, "moment_id": write.moment_id}
     row |= {"source": write.context.source.value, "track_linked": 0, "values_set": 0, "attributes": "{}"}
     return row | write.author | values
 
@@ -182,10 +183,10 @@ def _create(write: Write, payload: LabelCreated | LabelProposed) -> None:
 
 
 def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
-    """Applies an automatic pass: its proposals replace the unreviewed labels of the frame, except imported ones."""
+    """Applies an automatic pass: its proposals replace the unreviewed labels made here, except imported ones."""
     for row in write.labels():
         is_ours = row["state"] == ReviewState.PROPOSED.value and row["source"] != Source.IMPORTED.value
-        if is_ours and row["uid"] not in payload.kept:
+        if write.is_here(row) and is_ours and row["uid"] not in payload.kept:
             write.put("labels", row["uid"], None)
     new = [entry for entry in payload.objects if entry.covered_by is None]
     tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.config.attributes else {}
@@ -228,7 +229,7 @@ def _link(write: Write, linked: LinkedLabel) -> None:
     row = write.row("labels", linked.uid)
     # linking never changes a reviewed box
     is_free = linked.box is None or (row is not None and row["state"] == ReviewState.PROPOSED.value)
-    if row is None or row["frame_id"] != write.frame_id or not is_free:
+    if row is None or row["moment_id"] != write.moment_id or not is_free:
         raise ProjectError(
             f"{write.where}: label {linked.uid} is not in this frame, or has been reviewed since; link the tracks again"
         )
@@ -251,7 +252,7 @@ def _edit(write: Write, payload: LabelEdited) -> None:
         changed["box"] = terms.box_json(payload.box, write.frame_id)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
-        changed["image_box"] = terms.box_2d_json(payload.image_box)
+        changed |= {"image_box": terms.box_2d_json(payload.image_box), "frame_id": write.frame_id}
     if payload.box_kind is not None:
         changed["box_kind"] = payload.box_kind.value
     if payload.suggestion is not None:
@@ -276,7 +277,7 @@ def _tracked(write: Write, row: Row, before: str, after: str, track_id: int | No
 
 def _set_values(write: Write, payload: LabelAttributesSet) -> None:
     row = write.row("labels", payload.uid)
-    if row is None or row["frame_id"] != write.frame_id:
+    if row is None or row["moment_id"] != write.moment_id:
         raise NotFoundError(
             f"{write.where}: there is no label {payload.uid}; it may have been deleted; reload the frame"
         )

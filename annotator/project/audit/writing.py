@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from sqlalchemy import Connection
@@ -35,7 +36,7 @@ class Receipt:
 
     Attributes:
         event_ids: of the appended events, in order.
-        revision: of the frame (or view) after the write; the next change must be based on it.
+        revision: of the moment (or view) after the write; the next change must be based on it.
     """
 
     event_ids: tuple[int, ...]
@@ -108,6 +109,13 @@ class Write:
             self._config = read_config(self._folder)
         return self._config
 
+    @cached_property
+    def moment_id(self) -> int | None:
+        """The moment of the frame."""
+        query = "SELECT moment_id FROM frames WHERE id = ?"
+        found = driver_of(self.connection).execute(query, (self.frame_id,)).fetchone()
+        return None if found is None else int(found[0])
+
     @property
     def author(self) -> Row:
         """The columns of who changes a row, and when."""
@@ -130,13 +138,13 @@ class Write:
             self._rows.append(change)
 
     def label(self, uid: str) -> Row:
-        """The row of a label of the frame.
+        """The row of a label of the frame's moment.
 
         Raises:
             ProjectError: there is none.
         """
         row = self.row("labels", uid)
-        if row is None or row["frame_id"] != self.frame_id:
+        if row is None or row["moment_id"] != self.moment_id:
             raise ProjectError(
                 f"{self.where}: label {uid} is not in this frame; it may have been deleted; reload the frame"
             )
@@ -147,20 +155,33 @@ class Write:
         self._now.setdefault((table, key), row)
 
     def know_all(self, rows: Iterable[Row]) -> None:
-        """Takes the rows of all labels of the frame, read within the transaction."""
+        """Takes the rows of all labels of the moment, read within the transaction."""
         for row in rows:
             self.know("labels", row["uid"], row)
         self._knows_all = True
 
     def labels(self) -> list[Row]:
-        """The rows of all labels of the frame, in the order of their creation."""
+        """The rows of all labels of the frame's moment, in the order of their creation."""
         if not self._knows_all:
             columns = columns_of("labels")
-            query = f"SELECT {', '.join(columns)} FROM labels WHERE frame_id = ?"
-            found = driver_of(self.connection).execute(query, (self.frame_id,)).fetchall()
+            query = f"SELECT {', '.join(columns)} FROM labels WHERE moment_id = ? AND (hidden = 0 OR frame_id = ?)"
+            found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id)).fetchall()
             self.know_all(dict(zip(columns, values, strict=True)) for values in found)
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
-        return sorted((row for row in now if row["frame_id"] == self.frame_id), key=lambda row: int(row["id"]))
+        return sorted((row for row in now if row["moment_id"] == self.moment_id), key=lambda row: int(row["id"]))
+
+    def hidden_tracks(self) -> set[int]:
+        """Tracks that have a box in the moment, made in another camera whose recording is removed."""
+        query = (
+            "SELECT track_id FROM labels WHERE moment_id = ? AND hidden = 1 AND frame_id <> ? "
+            "AND track_id IS NOT NULL AND state <> 'rejected'"
+        )
+        found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id))
+        return {int(track_id) for (track_id,) in found}
+
+    def is_here(self, row: Row) -> bool:
+        """Whether a label was made in this frame, not in that of another camera of the moment."""
+        return bool(row["frame_id"] == self.frame_id)
 
     def next_label_id(self) -> int:
         """An id that no label has ever had."""
@@ -246,12 +267,12 @@ class Write:
                 track_id,
             ) from error
         if self.frame_id is not None:
-            newer = "UPDATE frames SET revision = ? WHERE id = ?"
-            driver_of(self.connection).execute(newer, (stored[-1].revision, self.frame_id))
+            newer = "UPDATE frames SET revision = ? WHERE moment_id = ?"
+            driver_of(self.connection).execute(newer, (stored[-1].revision, self.moment_id))
 
     def _track_with_two(self) -> int:
         """The track with two boxes in the frame, after an attempt to store both."""
-        seen = set[int]()
+        seen = self.hidden_tracks()
         for row in self.labels():
             if row["track_id"] is not None and row["state"] != ReviewState.REJECTED.value:
                 if row["track_id"] in seen:

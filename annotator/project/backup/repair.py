@@ -204,8 +204,7 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                         event = event_of(_Attributes(values))
                         _require_applicable(connection, event)
                         apply_events(connection, [event])
-                        newer = update(frames).where(frames.c.id == event.frame_id)
-                        connection.execute(newer.values(revision=event.revision))
+                        _set_revision(connection, event.frame_id, event.revision)
                 except (AnnotatorError, DBAPIError, sqlite3.Error, *UNFIT):
                     _count_lost(repaired, "events")
                 else:
@@ -229,7 +228,7 @@ def _free_tracks(connection: Connection, store: Store) -> None:
     """Takes second boxes off their tracks, where the events that did so are lost."""
     query = (
         "SELECT uid, frame_id, track_id FROM labels AS own WHERE track_id IS NOT NULL AND state <> 'rejected' "
-        "AND EXISTS (SELECT 1 FROM labels AS other WHERE other.frame_id = own.frame_id "
+        "AND EXISTS (SELECT 1 FROM labels AS other WHERE other.moment_id = own.moment_id "
         "AND other.track_id = own.track_id AND other.state <> 'rejected' AND other.id < own.id)"
     )
     for uid, frame_id, track_id in connection.exec_driver_sql(query).all():
@@ -248,6 +247,12 @@ class _Attributes:
 
     def __init__(self, values: Row) -> None:
         self.__dict__.update(values)
+
+
+def _set_revision(connection: Connection, frame_id: int | None, revision: int) -> None:
+    at = frames.alias()
+    moment = select(at.c.moment_id).where(at.c.id == frame_id).scalar_subquery()
+    connection.execute(update(frames).where(frames.c.moment_id == moment).values(revision=revision))
 
 
 def _revision(connection: Connection, values: Row) -> int:
@@ -299,7 +304,7 @@ def _append(connection: Connection, store: Store, frame_id: int | None, change: 
     revision = _revision(connection, {"frame_id": frame_id, "view_id": view}) + 1
     event = Event(0, frame_id, view, revision, KIND, AUTHOR, store.clock(), Source.IMPORTED, (change,))
     apply_events(connection, [insert_event(connection, event)])
-    connection.execute(update(frames).where(frames.c.id == frame_id).values(revision=revision))
+    _set_revision(connection, frame_id, revision)
 
 
 def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:

@@ -61,15 +61,18 @@ def remove_labels(database: Path) -> None:
 
 def _copy_rows(old: Store, new: Store) -> None:
     with old.read() as source, new.write() as target:
-        for table, there in (
-            (recordings, recordings.c.removed_ns.is_(None)),
-            (frames, KEPT & frames.c.position.is_not(None)),
-            (models, true()),
+        for table, there, first_of in (
+            (recordings, recordings.c.removed_ns.is_(None), "rig_id"),
+            (frames, KEPT & frames.c.position.is_not(None), "moment_id"),
+            (models, true(), None),
             # detectors that were trained before a class was renamed need them
-            (class_changes, true()),
+            (class_changes, true(), None),
         ):
             unlabelled = {"revision": 0, "finalised": False, "attributes": None} if table is frames else {}
-            rows = [{**row, **unlabelled} for row in source.execute(select(table).where(there)).mappings()]
+            query = select(table).where(there).order_by(table.c.id)
+            rows, first = [{**row, **unlabelled} for row in source.execute(query).mappings()], dict[int, int]()
+            for row in rows if first_of else ():  # the first one may be left out
+                row[first_of] = first.setdefault(row[first_of], row["id"])
             if rows:
                 target.execute(insert(table), rows)
 

@@ -56,8 +56,9 @@ def change_classes(
                 stale.add(frame_id)
         write.event(KIND, CLASSES)
         revision = write.finish().revision
-    newer = "UPDATE frames SET revision = revision + 1 WHERE id = ?"
-    driver_of(connection).executemany(newer, [(frame_id,) for frame_id in sorted(stale)])
+    driver = driver_of(connection)
+    moments = {driver.execute("SELECT moment_id FROM frames WHERE id = ?", (id,)).fetchone() for id in stale}
+    driver.executemany("UPDATE frames SET revision = revision + 1 WHERE moment_id = ?", sorted(moments))
     row = {"event_id": newest, "author": author, "time_ns": writer.store.clock()}
     row |= {"content": change.model_dump_json(), "config": config_hash(new)}
     key = connection.execute(insert(class_changes), row).inserted_primary_key

@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Select, select
 
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.database.schema import frames, labels
+from annotator.project.recordings import of_rig
 from annotator.project.records import SaidRecord
 from annotator.project.rows import Terms, values_of
 from annotator.types import ReviewState, Source
@@ -80,7 +81,7 @@ def of_tracks(
     frame_id: int | None,
     tracks: Collection[int | None],
 ) -> dict[int | None, Values]:
-    """Values of tracks in a frame's recording, by track id: of each attribute that of its first label with a value."""
+    """Values of tracks in a frame's rig, by track id: of each attribute that of its first label with a value."""
     names = {each.name for each in attributes if each.of is AttributeOf.TRACK}
     known = {track for track in tracks if track is not None}
     found: dict[int | None, Values] = defaultdict(dict)
@@ -97,12 +98,13 @@ def of_tracks(
 
 
 def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[Any]:
-    """Query for the labels of tracks in a frame's recording that are not rejected, with their frames' revisions."""
-    recording = select(frames.c.recording_id).where(frames.c.id == frame_id).scalar_subquery()
+    """Query for the labels of tracks in a frame's rig that are not rejected, with their frames' revisions."""
+    here = frames.alias()
+    recording = select(here.c.recording_id).where(here.c.id == frame_id).scalar_subquery()
     query = select(labels, frames.c.revision).join(frames, frames.c.id == labels.c.frame_id)
     return query.where(
         labels.c.track_id.in_(tracks),
-        frames.c.recording_id == recording,
+        of_rig(recording),
         labels.c.state != ReviewState.REJECTED.value,
     ).order_by(labels.c.id)
 

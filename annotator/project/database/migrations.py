@@ -146,6 +146,7 @@ def _append_only(table: str, is_taken: str) -> tuple[str, ...]:
 
 # up: three numbers, as JSON. options: of the reader, as JSON; '' = none. removed_ns, removed_by: when and by whom;
 # NULL = in the project. fingerprint: SHA-256 (hex) of a frame that could be read, `:`, and its key; NULL = not known.
+# rig_id: the first recording of those that differ only in their camera: they share moments and tracks.
 _RECORDINGS = """
 CREATE TABLE recordings (
     id INTEGER PRIMARY KEY,
@@ -159,6 +160,7 @@ CREATE TABLE recordings (
     removed_ns INTEGER,
     removed_by TEXT,
     fingerprint TEXT,
+    rig_id INTEGER NOT NULL REFERENCES recordings (id),
     UNIQUE (path, options)
 )
 """
@@ -173,12 +175,19 @@ CREATE TABLE moves (
     time_ns INTEGER NOT NULL
 )
 """
-# position: index in the latest scan; NULL if that scan did not find the frame. attributes: values, as JSON.
+# A frame is what one camera sees of a moment, that is of one cloud. moment_id: the first frame of the moment.
+# cloud: the name of a cloud that several cameras may share; NULL = this camera alone has it. pose: T_cloud_recorded, a
+# matrix of 4 x 4 as JSON, from the frame of the camera (without corrections) to that of the cloud, in which the boxes
+# of the moment are stored; NULL = they are the same. position: index in the latest scan; NULL if that scan did not find
+# the frame. revision: the same for all frames of a moment. attributes: values, as JSON.
 _FRAMES = """
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
     recording_id INTEGER NOT NULL REFERENCES recordings (id),
+    moment_id INTEGER NOT NULL REFERENCES frames (id),
     "key" TEXT NOT NULL,
+    cloud TEXT,
+    pose TEXT,
     position INTEGER,
     revision INTEGER NOT NULL,
     finalised BOOLEAN NOT NULL CHECK (finalised IN (0, 1)),
@@ -222,6 +231,7 @@ CREATE TABLE events (
     CHECK (frame_id IS NOT NULL OR view_id IS NOT NULL)
 )
 """
+# A label belongs to a moment. frame_id: the frame in which it was made, and whose image `image_box` lies on.
 # track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what
 # each source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box:
 # as the recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
@@ -231,6 +241,7 @@ CREATE TABLE labels (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
     uid TEXT NOT NULL UNIQUE,
     frame_id INTEGER NOT NULL REFERENCES frames (id),
+    moment_id INTEGER NOT NULL REFERENCES frames (id),
     class_id INTEGER NOT NULL REFERENCES classes (id),
     hidden BOOLEAN NOT NULL DEFAULT 0 CHECK (hidden IN (0, 1)),
     state TEXT NOT NULL CHECK (state IN ('proposed', 'accepted', 'edited', 'rejected')),
@@ -310,7 +321,7 @@ CREATE TABLE passes (
 # What people see: without the labels and boxes of removed recordings. A join with the classes would be made for every
 # query, and keep SQLite from choosing the order of others.
 _SHOWN_LABELS = """
-CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.class_id,
+CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.moment_id, labels.class_id,
     (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label, labels.state, labels.source,
     labels.score, labels.track_id, labels.track_linked, labels.view_disagreement, labels.kept_share,
     labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind, labels.values_set,
@@ -370,16 +381,19 @@ _FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 
 
 _INDEXES = (
     "CREATE INDEX frames_in_order ON frames (recording_id, position)",
+    "CREATE INDEX frames_of_moment ON frames (moment_id)",
+    "CREATE INDEX frames_of_cloud ON frames (cloud) WHERE cloud IS NOT NULL",
     "CREATE UNIQUE INDEX events_of_frame ON events (frame_id, revision) WHERE frame_id IS NOT NULL",
     "CREATE UNIQUE INDEX events_of_view ON events (view_id, revision) WHERE frame_id IS NULL",
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
     "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden)",
+    "CREATE INDEX labels_of_moment ON labels (moment_id)",
     "CREATE INDEX labels_by_class ON labels (class_id, state, hidden)",
     "CREATE INDEX labels_of_track ON labels (track_id) WHERE track_id IS NOT NULL",
-    # an object has one box in a frame
-    "CREATE UNIQUE INDEX one_box_a_track ON labels (frame_id, track_id) "
+    # an object has one box in a moment
+    "CREATE UNIQUE INDEX one_box_a_track ON labels (moment_id, track_id) "
     "WHERE track_id IS NOT NULL AND state <> 'rejected'",
     "CREATE INDEX view_labels_of_frame ON view_labels (frame_id)",
     "CREATE INDEX frame_results_of_run ON frame_results (run_id)",

@@ -4,8 +4,9 @@ What people change lies in six tables. One door (`audit/`) writes a changed row,
 audit: who, when, in which action, from which source, at which revision of the frame; and each changed row as
 `[table, key, before, after]`. Of an updated row, `before` and `after` have the columns that differ; null is no row.
 
-- `labels` (key: `uid`): 3D boxes. A label names its class by id. Its box lies in the frame of its cloud, as it was
-  recorded, so a correction of the calibration moves none. A track has one box in a frame: an index says so.
+- `labels` (key: `uid`): 3D boxes. A label belongs to a *moment*, that is to a cloud at a time, which several cameras
+  may share: frames with the same `moment_id`. It names its class by id. Its box lies in the frame of its cloud, as it
+  was recorded, so a correction of the calibration moves none. A track has one box in a moment: an index says so.
 - `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
   too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
 - `frames` (`id`): only `finalised` and `attributes` are audited; `revision` counts the changes, and the scans of a
@@ -126,7 +127,7 @@ NOT_AUDITED = {
     "view_labels": ("revision", "event_id", "hidden"),
     "adjustments": ("event_id",),
     "labels": ("hidden",),
-    "frames": ("recording_id", "key", "position", "revision"),
+    "frames": ("recording_id", "moment_id", "key", "cloud", "pose", "position", "revision"),
 }
 
 
@@ -137,4 +138,5 @@ def columns_of(table: str) -> tuple[str, ...]:
 
 
 # Queries of many modules, built once, since building a statement takes longer than running it.
-LABELS_OF_FRAME = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
+_MOMENT = select(frames.c.moment_id).where(frames.c.id == bindparam("frame")).scalar_subquery()
+LABELS_OF_MOMENT = select(labels).where(labels.c.moment_id == _MOMENT).order_by(labels.c.id)

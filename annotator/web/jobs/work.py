@@ -264,7 +264,7 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     every = ImportReport(Become.LABELS, job.project.config.classes)
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
-        every.include(import_own_labels(job.project, recording.id, counter, request.recordings))
+        every.include(import_own_labels(job.project, recording.id, counter))
     return _imported(every)
 
 

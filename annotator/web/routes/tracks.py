@@ -22,6 +22,7 @@ from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate_back
 from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
+from annotator.workflows.workbench.frame_state import show_frame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
 router = APIRouter(tags=["tracks"])
@@ -240,8 +241,8 @@ def track_sheet(at: AtProject, recording_id: RowId, track_id: TrackId) -> Stream
 @router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
 def frame_sheet(at: AtFrame) -> StreamingResponse:
     """The pictures of a frame's boxes, as those of a track."""
-    stored = at.project.frames.get(at.frame_id)
-    return _tiles(at, [(stored, label) for label in at.project.labels.of_frame(at.frame_id)])
+    shown = show_frame(at.project, at.frame_id, at.open())
+    return _tiles(at, [(shown.page.frame, each.stored.label) for each in shown.labels])
 
 
 def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:

@@ -22,7 +22,7 @@ from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor
 from annotator.web.viewport.viewports import Viewport, Viewports, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import present_page
+from annotator.workflows.workbench.frame_state import show_frame
 
 
 @asynccontextmanager
@@ -160,11 +160,11 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
-    page = present_page(project, frame_id, opened)
-    labels = [stored.label for stored in page.labels] if body.labels == "all" else []
+    shown = show_frame(project, frame_id, opened)
+    labels = [each.stored.label for each in shown.labels] if body.labels == "all" else []
     previews = [*body.added, *([] if body.preview is None else [body.preview])]
     return SceneContent(
-        key=(project.path.name, page.frame.recording_id),
+        key=(project.path.name, shown.page.frame.recording_id),
         frame=opened.frame,
         boxes=_boxes(labels, [(preview.uid, preview.box.box()) for preview in previews]),
         selected=body.selected,

@@ -17,7 +17,6 @@ from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, Stored
 from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.types.messages import alternatives, amount
-from annotator.workflows.frame_source import once
 
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -154,7 +153,7 @@ def choose_frames(
     Args:
         states: the states of `choose`, or the format's default.
     """
-    labels = once(project, labels_by_frame(project, choose, states))
+    labels = labels_by_frame(project, choose, states)
     if not labels and not choose.empty_frames:
         raise ConfigError(_no_labels(project, choose, states))
     every = project.frames.of(choose.recordings)

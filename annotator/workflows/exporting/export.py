@@ -25,7 +25,6 @@ from annotator.workflows.exporting.choose import (
 from annotator.workflows.exporting.job import ExportJob, ExportOptions, ExportReport
 from annotator.workflows.exporting.pictures import write_pictures
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.propose_boxes import next_track_id
 
 UNREGISTERED = "unregistered"
 
@@ -44,7 +43,7 @@ def write_boxes(job: ExportJob) -> ExportReport:
         vertices=options.vertices,
         detectors=_detectors(job),
         places=[(each.recording, each.stored.key, each.stored.index or 0) for each in job.chosen],
-        free_tracks={name: next_track_id(project, id) for name, id in recordings.items()} if is_tracking else {},
+        free_tracks={name: project.labels.next_track_id(id) for name, id in recordings.items()} if is_tracking else {},
     )
     written = write_dataset(FORMATS[job.format], job.out, job.items(), info, job.losses, overwrite=job.overwrite)
     return job.report(dict(written.counts), written.notes)

@@ -32,7 +32,7 @@ from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
-from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.frame_source import FrameSource, seen_labels
 from annotator.workflows.views import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.
@@ -88,12 +88,11 @@ class _Tally:
 
     def pictures(self) -> Iterator[LabelledPicture]:
         job, source = self.job, FrameSource(self.job.project)
-        rigs = Rigs(job.project, source)
         for number, chosen in enumerate(job.chosen, 1):
             assert isinstance(chosen, ChosenPictures)  # formats of 2D boxes use `choose_pictures`
             if chosen.image:
                 frame = source.read(chosen.stored)
-                yield self._image(chosen, frame, self._of_other_cameras(rigs, chosen, frame))
+                yield self._image(chosen, frame, self._of_other_cameras(chosen, source))
             for view in chosen.views:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
             if job.progress is not None:
@@ -108,12 +107,16 @@ class _Tally:
             part = "train" if "train" in self.parts else next(iter(self.parts), None)
             yield self._view(view, part, None)
 
-    def _of_other_cameras(self, rigs: Rigs, chosen: ChosenPictures, frame: Frame) -> list[Label]:
-        """Returns reviewed labels of the rig's other cameras: objects on this image, too."""
-        own = self.job.project.labels.of_frame(chosen.stored.id)
-        others = rigs.others_on_image(chosen.stored, frame.camera, own)
-        classes = self.job.choose.classes
-        return [each for each in others if each.state in REVIEWED and (classes is None or each.label in classes)]
+    def _of_other_cameras(self, chosen: ChosenPictures, source: FrameSource) -> list[Label]:
+        """Returns reviewed labels that were made in other cameras of the moment: objects on this image, too."""
+        project, classes = self.job.project, self.job.choose.classes
+        others = {each.label.uid for each in project.labels.of_moment(chosen.stored.id) if not each.is_own}
+        seen = seen_labels(project, source, chosen.stored) if others else ()
+        return [
+            each
+            for each in seen
+            if each.uid in others and each.state in REVIEWED and (classes is None or each.label in classes)
+        ]
 
     def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> LabelledPicture:
         losses, image_format = self.job.losses, self.job.options.image_format

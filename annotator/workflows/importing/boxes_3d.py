@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.values import ValueReader
 from annotator.project.records import OWN
-from annotator.project.sources import source_tracks
-from annotator.types import Frame, Source, Truth
+from annotator.project.sources import covered_by, source_tracks
+from annotator.types import Frame, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
@@ -24,9 +24,6 @@ MOST_NAME = 200
 # Frames and boxes that are stored in one transaction: other writers wait for it.
 MOST_FRAMES, MOST_BOXES = 50, 500
 
-Choose = Callable[[StoredFrame, list[NewLabel]], list[NewLabel]]
-"""Returns those of the labels of a frame that are to be imported."""
-
 
 def import_labels(
     project: Project,
@@ -36,9 +33,10 @@ def import_labels(
     names: Mapping[str, str] = NO_NAMES,
     importer: Importer = PROGRAM,
     fill: bool = False,
-    choose: Choose | None = None,
 ) -> ImportReport:
     """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
+
+    A box that a label of another camera covers, which shares the cloud of the frame, is not imported again.
 
     Args:
         recording: name of the recording of plain frame names, if several recordings have such frames.
@@ -48,7 +46,7 @@ def import_labels(
             frames stay as they are.
     """
     reader = Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
-    labels = _Labels(reader, importer, fill, choose)
+    labels = _Labels(reader, importer, fill)
     reader.read_all(labels.add, progress)
     return reader.report
 
@@ -164,14 +162,14 @@ class Reader:
 class _Labels:
     """Stores boxes as labels."""
 
-    def __init__(self, reader: Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
-        self._reader, self._importer, self._fill, self._choose = reader, importer, fill, choose
+    def __init__(self, reader: Reader, importer: Importer, fill: bool) -> None:
+        self._reader, self._importer, self._fill = reader, importer, fill
         self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
         self._attributes = {each.name for each in reader.project.config.attributes}
 
     def add(self, name: str, stored: StoredFrame) -> None:
         """Stores the labels and values of a frame without labels, or the values that a labelled one lacks."""
-        is_labelled = stored.finalised or bool(self._project.labels.of_frame(stored.id))
+        is_labelled = stored.finalised or self._project.labels.are_made_in(stored.id)
         if is_labelled:
             self._report.add(Note.ALREADY)
             if stored.finalised or not self._fill or not self._has_values(name):
@@ -186,17 +184,14 @@ class _Labels:
     def _create(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
         report = self._report
         self._reader.count(truths)
-        new = self._reader.labels(truths)
-        if self._choose is not None and new:
-            chosen = self._choose(stored, new)
-            report.add(Note.OTHER_CAMERA, len(new) - len(chosen))
-            new = chosen
-        new, repeated = with_tracks_once(new)
-        if not create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
+        every, repeated = with_tracks_once(self._reader.labels(truths))
+        new = create_if_unlabelled(self._project, stored.id, every, self._importer.author, self._importer.action)
+        if new is None:
             report.add(Note.ALREADY)
             return
         self._give(name, stored)
         report.frames += 1
+        report.add(Note.OTHER_CAMERA, len(every) - len(new))
         report.boxes.update(label.label for label in new)
         left_out = self._dataset.left_out_of(name)
         report.add(Note.NOT_REVIEWED, left_out.not_reviewed)
@@ -219,9 +214,13 @@ class _Labels:
         )[0]
 
 
-def with_tracks_once(new: Sequence[NewLabel]) -> tuple[list[NewLabel], int]:
-    """Returns a frame's labels, the first box of each track with its id, the others without; and how many these are."""
-    taken, kept = set[int | None](), list[NewLabel]()
+def with_tracks_once(new: Sequence[NewLabel], taken: Iterable[int | None] = ()) -> tuple[list[NewLabel], int]:
+    """Returns a frame's labels, the first box of each track with its id, the others without; and how many these are.
+
+    Args:
+        taken: tracks that have a box already.
+    """
+    taken, kept = {*taken} - {None}, list[NewLabel]()
     for label in new:
         kept.append(replace(label, track_id=None, file_track_id=None) if label.track_id in taken else label)
         taken |= {label.track_id} - {None}
@@ -230,21 +229,28 @@ def with_tracks_once(new: Sequence[NewLabel]) -> tuple[list[NewLabel], int]:
 
 def create_if_unlabelled(
     project: Project, frame_id: int, new: Sequence[NewLabel], author: str, action: str | None = None
-) -> bool:
-    """Stores imported labels; returns False if the frame has labels or is finalised, even by a concurrent edit.
+) -> Sequence[NewLabel] | None:
+    """Stores imported labels, without those that labels of other cameras of the moment cover; returns the others.
 
-    A finalised frame without labels is confirmed as empty.
+    None if the frame has labels or is finalised, even by a concurrent edit. A finalised frame without labels is
+    confirmed as empty.
     """
     while True:
         stored = project.frames.get(frame_id)
-        if stored.finalised or project.labels.of_frame(frame_id):
-            return False
-        if not new:
-            return True
+        if stored.finalised or project.labels.are_made_in(frame_id):
+            return None
+        if there := project.labels.of_frame(frame_id):
+            taken = [label.track_id for label in there if label.state is not ReviewState.REJECTED]
+            left = [label for label, cover in zip(new, covered_by(new, there), strict=True) if cover is None]
+            chosen = with_tracks_once(left, taken)[0]
+        else:
+            chosen = list(new)
+        if not chosen:
+            return chosen
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, WriteContext(stored.revision, author, Source.IMPORTED), action)
-            return True
+            project.labels.create(frame_id, chosen, WriteContext(stored.revision, author, Source.IMPORTED), action)
+            return chosen
 
 
 class _Proposals:

@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import islice
 
 from annotator.project import StoredRecording
@@ -26,7 +25,6 @@ from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.frame_source import Rigs
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
 from annotator.workflows.proposing.tasks import (
     FrameAnswer,
@@ -79,11 +77,6 @@ class Batch:
     box_kind: BoxKind
     recordings: dict[int, StoredRecording] = field(default_factory=dict)
 
-    @cached_property
-    def rigs(self) -> Rigs:
-        """The project's rigs."""
-        return Rigs(self.project)
-
     def recording(self, recording_id: int) -> StoredRecording:
         """Returns a recording as it was when the batch began with it."""
         if recording_id not in self.recordings:
@@ -125,7 +118,6 @@ class Batch:
                     run=share,
                     track_ids=tracks,
                     box_kind=self.box_kind,
-                    others=[other.label for other in self.rigs.others(frame)],
                 )
                 return
             except StaleRevisionError:

@@ -6,13 +6,12 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from annotator.formats.table import BoxFormat
-from annotator.project import NewLabel, Project, StoredFrame
-from annotator.project.sources import covered_by
+from annotator.project import Project, StoredFrame
 from annotator.recordings import Recording
 from annotator.recordings.look_around import LookAround
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, ConfigError, FormatError, FrameError, UnitError
-from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import import_labels
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.placing import Importer, MatchedFrames
@@ -128,20 +127,15 @@ def has_own_labels(project: Project, recording_id: int) -> bool:
 
 
 def import_own_labels(
-    project: Project,
-    recording_id: int,
-    progress: Callable[[int, int], None] | None = None,
-    together: Collection[int] = (),
+    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
 ) -> ImportReport:
     """Imports the true boxes beside a recording, for every frame without labels.
 
-    A box that another camera of the rig has already is not imported again. Of a recording with virtual cameras whose
-    labels are only of what its own camera sees, none is imported: frames would count as labelled where nobody looked.
+    Of a recording with virtual cameras whose labels are only of what its own camera sees, none is imported: frames
+    would count as labelled where nobody looked.
 
     Args:
         progress: called with (frames done, frames).
-        together: ids of recordings whose boxes are imported by the same operation. Of the cameras of a rig among them,
-            the one that sees the middle of a box best gets it.
 
     Raises:
         FormatError: the label file is broken and holds the labels of all frames.
@@ -152,35 +146,9 @@ def import_own_labels(
         report = ImportReport(Become.LABELS, project.config.classes)
         report.add(Note.PARTIAL, isinstance(recording, LookAround) and has_truth(recording.base))
         return report
-    rigs = Rigs(project)
     labels = RecordedLabels(project, [recording_id])
-    report = import_labels(
-        project,
-        labels,
-        progress=progress,
-        importer=Importer(AUTHOR),
-        choose=lambda stored, new: _of_this_camera(project, rigs, stored, new, together),
-    )
+    report = import_labels(project, labels, progress=progress, importer=Importer(AUTHOR))
     report.add(Note.FLAT, labels.flat)
     # labels of an earlier import of the recording
     report.notes.pop(Note.ALREADY, None)
     return report
-
-
-def _of_this_camera(
-    project: Project, rigs: Rigs, frame: StoredFrame, labels: list[NewLabel], together: Collection[int]
-) -> list[NewLabel]:
-    """Returns the labels that no other camera of the rig has, or will get because it sees them better."""
-    waiting = [
-        sibling
-        for sibling in rigs.siblings(frame)
-        if sibling.frame.recording_id in together
-        and not sibling.frame.finalised
-        and not project.labels.of_frame(sibling.frame.id)
-    ]
-    covers = covered_by(labels, [other.label for other in rigs.others(frame)])
-    return [
-        label
-        for label, cover in zip(labels, covers, strict=True)
-        if cover is None and not rigs.is_better_seen(label.box, waiting)
-    ]

@@ -22,7 +22,6 @@ from annotator.workflows.tracks.propose_boxes import (
     Changed,
     NewProposal,
     label_of,
-    next_track_id,
     page_at,
     proposal_events,
     why_left_out,
@@ -77,7 +76,7 @@ def copy_next(
     if read is not None:
         box = _registered(project, label, read(frame), read(next_frame), box)
     is_new = label.track_id is None
-    track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
+    track_id = project.labels.next_track_id(frame.recording_id) if label.track_id is None else label.track_id
     proposal = NewProposal.like(label, box, track_id, origin=Origin.COPIED)
     events = proposal_events(project, next_frame, [proposal])
     if not events:
@@ -104,9 +103,7 @@ def _moved(timeline: Timeline, here: int, label: Label) -> OrientedBox:
         return label.box
     earlier = {
         timeline.index[other.frame_id]: other.label.box
-        for other in timeline.project.labels.select(
-            states=REVIEWED, recordings=[timeline.recording_id], tracks=[label.track_id]
-        )
+        for other in timeline.project.labels.along(timeline.recording_id, states=REVIEWED, tracks=[label.track_id])
         if here - MAX_GAP <= timeline.index.get(other.frame_id, here) < here
     }
     known = sorted(earlier)[1 - MOTION_BOXES :]
@@ -144,7 +141,7 @@ def carry_correction(
         raise ConfigError("this box was not corrected, so there is nothing to do alike; correct it first")
     frames = {each.id: each for each in project.frames.of([frame.recording_id])}
     changes: list[tuple[StoredFrame, list[Payload]]] = []
-    for other in project.labels.select(recordings=[frame.recording_id], tracks=[label.track_id]):
+    for other in project.labels.along(frame.recording_id, tracks=[label.track_id]):
         at = frames[other.frame_id]
         if at.index is None or at.index <= (frame.index or 0):
             continue

@@ -31,7 +31,6 @@ from annotator.workflows.tracks.propose_boxes import (
     NewProposal,
     blocking,
     label_of,
-    next_track_id,
     page_at,
     proposal_events,
     write,
@@ -267,7 +266,7 @@ class FollowRun:
                 continue
             track_id = label.track_id
             if track_id is None:
-                track_id = max([next_track_id(project, self._timeline.recording_id), *(id + 1 for id in owners)])
+                track_id = max([project.labels.next_track_id(self._timeline.recording_id), *(id + 1 for id in owners)])
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
@@ -330,9 +329,7 @@ class FollowRun:
         to_come = {index for _, walk in item.walks() for index in walk.left}
         indices = {self._timeline.frames[index].id: index for index in item.passed - to_come}
         events: dict[int, list[Payload]] = {}
-        is_open = project.labels.select(
-            states=[ReviewState.PROPOSED], recordings=[self._timeline.recording_id], tracks=[track_id]
-        )
+        is_open = project.labels.along(self._timeline.recording_id, states=[ReviewState.PROPOSED], tracks=[track_id])
         for stored in is_open:
             uid, index = stored.label.uid, indices.get(stored.frame_id)
             if index is None or item.proposed.get(index) == uid or read[index].finalised:
@@ -453,7 +450,7 @@ def follow_from_frame(
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
-    chosen = page.labels if uid is None else [label_of(page, uid)]
+    chosen = [stored for stored in page.labels if stored.is_own] if uid is None else [label_of(page, uid)]
     reviewed = [stored.label for stored in chosen if stored.label.state in REVIEWED]
     if not reviewed:
         which = "this box is not reviewed" if uid is not None else f"frame {frame.key} has no reviewed box to follow"

@@ -1,8 +1,8 @@
 """`annotator track`: links the boxes of a recording into tracks, and smooths unreviewed proposals along them.
 
 This automatic pass sets track ids and changes the boxes of unreviewed proposals. It keeps the boxes of reviewed labels,
-track ids given by operators or files, and everything in finalised frames. Smoothing starts from the boxes as proposed,
-so a second run changes nothing.
+track ids given by operators or files, everything in finalised frames, and what other cameras of the moments have.
+Smoothing starts from the boxes as proposed, so a second run changes nothing.
 """
 
 from __future__ import annotations
@@ -83,8 +83,9 @@ def link_tracks(
                     break
             else:
                 summary.busy += (recording.name,)
-            summary.boxes += sum(len(labels) for labels in linked.labels)
-            summary.tracks += len(linked.tracks)
+            summary.boxes += sum(stored.is_own for labels in linked.labels for stored in labels)
+            first = (linked.labels[index][number] for track in linked.tracks for index, number in track.members[:1])
+            summary.tracks += sum(stored.is_own for stored in first)
             summary.left += linked.left
         if progress is not None:
             progress(number, len(chosen))
@@ -102,13 +103,13 @@ class _Recording:
     def __init__(self, project: Project, recording_id: int, smooth: bool) -> None:
         self.project = project
         by_frame: dict[int, list[StoredLabel]] = defaultdict(list)
-        for stored in project.labels.select(states=LINKED_STATES, recordings=[recording_id]):
+        for stored in project.labels.along(recording_id, states=LINKED_STATES):
             by_frame[stored.frame_id].append(stored)
         timeline = Timeline(project, recording_id)
         self.frames = [frame for frame in timeline.frames if frame.id in by_frame]
         self.labels = [by_frame[frame.id] for frame in self.frames]
         self.left = sum(
-            stored.label.track_id is None
+            stored.is_own and stored.label.track_id is None
             for frame, labels in zip(self.frames, self.labels, strict=True)
             if frame.finalised
             for stored in labels
@@ -138,7 +139,8 @@ class _Recording:
         for index, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
             if frame.finalised:
                 continue
-            entries = [self._change(stored, frame, ids[index, number]) for number, stored in enumerate(labels)]
+            own = [(number, stored) for number, stored in enumerate(labels) if stored.is_own]
+            entries = [self._change(stored, frame, ids[index, number]) for number, stored in own]
             changed = tuple(entry for entry in entries if entry is not None)
             if changed:
                 context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
@@ -210,5 +212,5 @@ class _Recording:
 
 
 def _given(stored: StoredLabel, frame: StoredFrame) -> int | None:
-    """Returns a track id that must stay: given by an operator or a file, or in a finalised frame; else None."""
-    return None if stored.track_linked and not frame.finalised else stored.label.track_id
+    """Returns a track id that must stay: given by an operator or a file, in a finalised frame or another camera's."""
+    return None if stored.track_linked and stored.is_own and not frame.finalised else stored.label.track_id

@@ -152,12 +152,6 @@ def write(
     return tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
 
 
-def next_track_id(project: Project, recording_id: int) -> int:
-    """Returns 1 + the highest track id of a recording, at least 1."""
-    known = [stored.label.track_id for stored in project.labels.select(recordings=[recording_id])]
-    return max([0, *(number for number in known if number is not None)]) + 1
-
-
 def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
     """Returns the label of a frame beside which a box is not proposed, or None.
 
@@ -242,5 +236,5 @@ def boxes_of(project: Project, recording_id: int, track_id: int) -> list[tuple[S
     """Returns the labels of a track with their frames, in the order of the recording, rejected ones included."""
     recording = project.recordings.get(recording_id)
     frames = {frame.id: frame for frame in project.frames.of([recording.id])}
-    stored = project.labels.select(recordings=[recording.id], tracks=[track_id])
+    stored = project.labels.along(recording.id, tracks=[track_id])
     return [(frames[each.frame_id], each.label) for each in stored]

@@ -82,7 +82,7 @@ class Timeline:
     def key_frames(self, track_id: int) -> list[KeyFrame]:
         """Returns the key frames of a track, in order."""
         keys: dict[int, KeyFrame] = {}
-        for stored in self.project.labels.select(states=REVIEWED, recordings=[self.recording_id], tracks=[track_id]):
+        for stored in self.project.labels.along(self.recording_id, states=REVIEWED, tracks=[track_id]):
             if (index := self.index.get(stored.frame_id)) is not None:
                 keys[index] = KeyFrame(index, stored.label)
         return [keys[index] for index in sorted(keys)]

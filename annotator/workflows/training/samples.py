@@ -31,7 +31,7 @@ from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_vie
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.detectors import Picture
-from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for, uncovered
+from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 
@@ -61,7 +61,7 @@ class Material:
         kind: what the view detector's boxes will measure.
         open: unreviewed proposals, by frame, which may or may not be objects.
         whole: the whole boxes of drawn objects, by frame and box on its image.
-        others: reviewed labels of the other cameras of a rig, by frame; objects on its image, too.
+        others: reviewed labels of other cameras of the moment, by frame; objects on its image, too.
     """
 
     images: dict[int, ImageBoxes]
@@ -139,15 +139,18 @@ def _kind(
 
 
 def _of_other_cameras(project: Project, frame_ids: Set[int]) -> dict[int, tuple[Label, ...]]:
-    """Returns the reviewed labels of the other cameras of rigs that no label of the frame itself covers."""
-    rigs = Rigs(project)
-    found: dict[int, tuple[Label, ...]] = {}
-    in_rigs = rigs.recordings()
-    for frame in project.frames.of(in_rigs) if in_rigs else ():
-        if frame.id in frame_ids:
-            others = uncovered(rigs.others(frame), project.labels.of_frame(frame.id))
-            found[frame.id] = tuple(other.label for other in others if other.label.state in REVIEWED)
-    return found
+    """Returns the reviewed labels of each frame's moment that were made in the frames of other cameras."""
+    every = project.frames.of()
+    cameras = Counter(frame.moment_id for frame in every)
+    return {
+        frame.id: tuple(
+            stored.label
+            for stored in project.labels.of_moment(frame.id)
+            if not stored.is_own and stored.label.state in REVIEWED
+        )
+        for frame in every
+        if frame.id in frame_ids and cameras[frame.moment_id] > 1
+    }
 
 
 def _by_frame(stored_labels: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:

@@ -25,7 +25,7 @@ from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
-from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.frame_source import FrameSource
 
 JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.
@@ -187,7 +187,6 @@ class FrameCache:
         self._lock = threading.Lock()
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
-        self._rigs: dict[Project, Rigs] = {}
         self._executor = ThreadPoolExecutor(1, "read-ahead")
         # by operator, the newest request only; a request does not keep its frame in the cache
         self._waiting: dict[str, _ReadAhead] = {}
@@ -236,15 +235,6 @@ class FrameCache:
             with lock:
                 return self._read(project, source, stored)
 
-    def rigs(self, project: Project) -> Rigs:
-        """Returns the rigs of a project, with its present recordings."""
-        _, source = self._source(project)
-        with self._lock:
-            rigs = self._rigs.get(project)
-            if rigs is None or rigs.source is not source:
-                rigs = self._rigs[project] = Rigs(project, source)
-        return rigs
-
     def recorded(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""
         stored = project.frames.get(frame_id)
@@ -266,7 +256,6 @@ class FrameCache:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
             self._sources.pop(project, None)
-            self._rigs.pop(project, None)
             for key in [key for key in self._frames if key[0] is project]:
                 del self._frames[key]
 

@@ -23,9 +23,8 @@ from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types import Box2D, Frame
 from annotator.types.errors import InputError, MissingExtraError
-from annotator.workflows.frame_source import OtherLabel, uncovered
 from annotator.workflows.inspect import bag_topics
-from annotator.workflows.views import ObjectViews, front_and_side, outlines, views_by_object
+from annotator.workflows.views import ObjectViews, front_and_side, views_by_object
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
 from annotator.workflows.workbench.review_queue import doubt
 
@@ -43,14 +42,6 @@ class ShownLabel:
     outline: Float64[np.ndarray, "k 2 2"]
     points: int
     doubt: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class ShownOther:
-    """A label of another camera of the rig, with its outline (k, 2, 2) on this image, pixels."""
-
-    other: OtherLabel
-    outline: Float64[np.ndarray, "k 2 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,20 +90,9 @@ def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
     for stored, outline in zip(new, edges, strict=True):
         points, label = opened.points_in(stored.label.box), stored.label
         shown[stored] = ShownLabel(stored, outline, points, doubt(stored.quality, label.score))
-    return tuple(shown[stored] for stored in page.labels)
-
-
-def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opened: OpenFrame) -> list[ShownOther]:
-    """Returns the labels of other cameras that the image shows, without rejected ones and those of own labels' objects.
-
-    Args:
-        others: their boxes are in this frame's camera.
-    """
-    new = uncovered(others, [each.label for each in own])
-    on_image = outlines(opened.frame.camera, [other.label for other in new])
-    seen = [other for other in new if other.label.uid in on_image]
-    edges = visible_edges(opened.frame.camera, [other.label.box for other in seen])
-    return [ShownOther(other, outline) for other, outline in zip(seen, edges, strict=True)]
+    every = [shown[stored] for stored in page.labels]
+    # of the other cameras of the moment, those that the image shows
+    return tuple(each for each in every if each.stored.is_own or len(each.outline))
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:
@@ -120,7 +100,7 @@ def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:
     if page.image_boxes is None:
         return ()
     views = views_by_object(page.view_boxes)
-    uids = {stored.image_box: stored.label.uid for stored in page.labels if stored.image_box is not None}
+    uids = {stored.image_box: stored.label.uid for stored in page.drawn}
     return tuple(
         ShownObject(box, _views_of(page.frame.id, box, views), uids.get(box))
         for box in dict.fromkeys(page.image_boxes.boxes)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Origin, Project, Receipt, WriteContext
+from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, LabelChange, LabelCreated, LabelEdited, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.progress.reviewed import draft_id
@@ -237,7 +237,7 @@ def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:
 def _label_uid(page: FramePage, drawn: ObjectDrawn) -> str | None:
     if drawn.uid is not None:
         return label_of(page, drawn.uid).label.uid
-    return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)
+    return next((stored.label.uid for stored in page.drawn if stored.image_box == drawn.image_box), None)
 
 
 def _effort_target(
@@ -273,20 +273,35 @@ def apply_changes(
         FrameError: objects must be remeasured, but the frame cannot be read.
         ProjectError: unknown label or class.
     """
-    return project.log.append(frame_id, [*payloads, *_implied(project, frame_id, payloads, open_frame, known)], context)
+    if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
+        return project.log.append(frame_id, payloads, context)
+    # if another change comes between this read and the append, the append refuses the stale revision
+    page = read_page(project, frame_id, known)
+    parts = [FramePart(frame_id, [*payloads, *_implied(project, page, payloads, open_frame)], context)]
+    for other_id, implied in _on_other_images(project, page, payloads):
+        revision = parts[-1].context.revision + len(parts[-1].payloads)
+        parts.append(FramePart(other_id, implied, replace(context, revision=revision, effort=None)))
+    if len(parts) == 1:
+        return project.log.append(frame_id, parts[0].payloads, context)
+    receipts = project.log.append_to_frames(parts)
+    return Receipt(tuple(id for receipt in receipts for id in receipt.event_ids), receipts[-1].revision)
+
+
+def _on_other_images(
+    project: Project, page: FramePage, payloads: Sequence[Payload]
+) -> Iterator[tuple[int, list[Payload]]]:
+    """Yields what changes of labels imply for the images of other cameras from which they were drawn, by frame."""
+    uids = {entry.uid for entry in payloads if isinstance(entry, LabelChange)}
+    drawn = {each.made_in for each in page.labels if each.label.uid in uids and each.image_box is not None}
+    for other_id in sorted(drawn - {page.frame.id}):
+        other = read_page(project, other_id)
+        if (on_image := image_follower(other, payloads)) is not None:
+            yield other_id, [on_image, *view_followers(other, on_image)]
 
 
 def _implied(
-    project: Project,
-    frame_id: int,
-    payloads: Sequence[Payload],
-    open_frame: Callable[[], OpenFrame],
-    known: FramePage | None,
+    project: Project, page: FramePage, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame]
 ) -> list[Payload]:
-    if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
-        return []
-    # if another change comes between this read and the append, the append refuses the stale revision
-    page = read_page(project, frame_id, known)
     on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
     implied: list[Payload] = []
     if on_image is None:
@@ -326,7 +341,8 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if source_id == frame_id:
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
-    boxes = [label for label in project.labels.of_frame(source_id) if label.state in REVIEWED]
+    own = (each.label for each in project.labels.of_moment(source_id) if each.is_own)
+    boxes = [label for label in own if label.state in REVIEWED]
     copies = [NewProposal.like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected
     payloads = proposal_events(project, frame, copies, where_rejected=True)

@@ -260,7 +260,7 @@ def valued(room: Room) -> Room:
 
 def along(room: Room, track_id: int = 3) -> list[dict[str, Any] | None]:
     """The values of a track's label in each frame."""
-    by_frame = {each.frame_id: each.label for each in room.project.labels.select(tracks=[track_id])}
+    by_frame = {each.frame_id: each.label for each in room.project.labels.along(1, tracks=[track_id])}
     return [dict(by_frame[frame.id].attributes) if frame.id in by_frame else None for frame in room.frames]
 
 

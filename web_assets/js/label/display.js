@@ -1,7 +1,6 @@
 /** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
 import { cameraOf, imageHeading } from "../camera.js";
-import { otherOverlays } from "../review/drawing.js";
 import { filledBoxes } from "./draft.js";
 import { plainBox, secondAxes } from "./items.js";
 import { hintFor } from "./views_pane.js";
@@ -122,7 +121,6 @@ export function createDisplay(app, work, parts) {
       color: STATE_COLOR[review],
       strong: uid === draft?.item.uid,
     }));
-    lines.push(...otherOverlays(state.others));
     if (draft?.outline && !isFinished(draft.item))
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
     const offered = whole.offered();

@@ -38,17 +38,3 @@ export function imageOverlay(camera, label, { selected, box, color = STATE_COLOR
   const heading = imageHeading(camera, box ?? label.box);
   return { id: label.uid, segments, heading, color, dash: label.state === "rejected", strong: selected, tag };
 }
-
-// -- objects that another camera of the rig has: they cannot be selected
-
-const COLOR = "#c3a6ff";
-
-/** @returns {Overlay[]} */
-export function otherOverlays(/** @type {Api.OtherLabelJson[]} */ others) {
-  return others.map(({ label, track_id, camera, outline }) => ({
-    segments: outline,
-    color: COLOR,
-    dash: true,
-    tag: `${label}${track_id === null ? "" : ` #${track_id}`} · ${camera}`,
-  }));
-}

@@ -5,7 +5,7 @@ import { cameraOf } from "../camera.js";
 import { classColor, trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
-import { imageOverlay, otherOverlays } from "./drawing.js";
+import { imageOverlay } from "./drawing.js";
 
 /** A shorter drag draws no box, CSS pixels. */
 const LEAST_DRAG = 8;
@@ -103,7 +103,6 @@ export function createImagePanel(
         ...colorOf(label),
       }),
     );
-    overlays.push(...otherOverlays(frame.others));
     if (selected) {
       const values = valuesText(app, selected);
       overlays.push(
