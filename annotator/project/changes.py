@@ -84,12 +84,11 @@ class ProposedObject(BaseModel):
 
 
 class ProposalsReplaced(Payload):
-    """An automatic pass: its proposals replace all unreviewed labels but `kept`, and those of other software.
+    """An automatic pass: its proposals replace all unreviewed labels, except kept ones and those of other software.
 
     Attributes:
         objects: every proposal with its trace, also those covered by a reviewed label.
         lost: frustums without a resulting box.
-        kept: uids of open proposals that stay, because a person has set values of their attributes.
     """
 
     kind = "proposals_replaced"
@@ -97,7 +96,6 @@ class ProposalsReplaced(Payload):
     objects: tuple[ProposedObject, ...]
     lost: tuple[LostObject, ...] = ()
     box_kind: BoxKind = BoxKind.BOX
-    kept: tuple[Uid, ...] = ()
 
 
 class _NewBox(Payload):
@@ -106,7 +104,7 @@ class _NewBox(Payload):
     Attributes:
         attributes: values by name; the store adds those of its track, and defaults.
         origin: how an operator made it, if one did.
-        said: what sources say of the object.
+        said: what other sources say of the object.
     """
 
     uid: Uid

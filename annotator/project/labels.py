@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -23,10 +24,10 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
-from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
-from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_of, values_of
+from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
+from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_in, values_of
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -128,7 +129,7 @@ class Labels:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
             if row is None:
                 raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
-            return stored_label(row, Terms(connection))
+            return stored_labels(connection, [row])[0]
 
     def select(
         self,
@@ -144,8 +145,7 @@ class Labels:
             query = query.where(labels.c.track_id.in_(tracks))
         ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
         with self.writer.store.read() as connection:
-            terms = Terms(connection)
-            return tuple(stored_label(row, terms) for row in connection.execute(ordered))
+            return stored_labels(connection, connection.execute(ordered).all())
 
     def recent_boxes(
         self, most: int, *, label: str | None = None, recording: int | None = None
@@ -255,11 +255,7 @@ class Labels:
             if not rows:
                 return frozenset()
             attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
-            return frozenset(
-                row.uid
-                for row in rows
-                if is_kept(dict(row._mapping), row.label, terms.said(row.said, frame_id), attributes)
-            )
+            return frozenset(row.uid for row in rows if is_kept(row._mapping, terms, attributes))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
@@ -276,23 +272,37 @@ def _created(entry: NewLabel) -> LabelCreated:
     return LabelCreated(uid=uuid.uuid4().hex, **values | changed)
 
 
-# Built once, since building this frequent query takes longer than running it.
+# Built once, since building these frequent queries takes longer than running them.
+_BEHIND = select(ALL_LABELS).where(ALL_LABELS.c.behind.is_not(None)).order_by(ALL_LABELS.c.id)
+_BEHIND_IN_FRAME = _BEHIND.where(ALL_LABELS.c.frame_id == bindparam("frame"))
 _VALUES_SET = select(labels).where(labels.c.frame_id == bindparam("frame"), labels.c.values_set.is_(True))
 
 
 def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     """The labels of one frame, within the caller's transaction."""
-    terms = Terms(connection)
-    return tuple(stored_label(row, terms).label for row in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
+    rows = connection.execute(LABELS_OF_FRAME, {"frame": frame_id}).all()
+    return tuple(stored.label for stored in stored_labels(connection, rows))
 
 
-def stored_label(row: AnyRow, terms: Terms) -> StoredLabel:
-    """The label of a table row; the same object for an equal row, as long as it is remembered."""
-    return _stored_label(row, terms.key, terms.correction(row.frame_id))
+def stored_labels(connection: Connection, rows: Sequence[AnyRow]) -> tuple[StoredLabel, ...]:
+    """The labels of rows; the same object for an equal row, as long as it is remembered."""
+    terms, behind = Terms(connection), defaultdict[str, list[AnyRow]](list)
+    places = {row.frame_id for row in rows}
+    query = connection.execute(_BEHIND_IN_FRAME, {"frame": min(places)}) if len(places) == 1 else None
+    for row in connection.execute(_BEHIND) if query is None else query:
+        behind[row.behind].append(row)
+    return tuple(
+        _stored_label(row, tuple(behind.get(row.uid, ())), terms.key, terms.correction(row.frame_id)) for row in rows
+    )
+
+
+def certainty(said: SaidRecord) -> tuple[float, bool]:
+    """The order of what sources say of an object, the surest first; a box without a score counts as sure."""
+    return -1.0 if said.score is None else -said.score, said.source == OWN
 
 
 @lru_cache(maxsize=2048)
-def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLabel:
+def _stored_label(row: AnyRow, behind: tuple[AnyRow, ...], names: Names, correction: str | None) -> StoredLabel:
     label = Label(
         row.uid,
         row.label,
@@ -316,8 +326,13 @@ def _stored_label(row: AnyRow, names: Names, correction: str | None) -> StoredLa
         None if row.origin is None else Origin(row.origin),
         box_2d_of(row.image_box, names),
         row.track_linked,
-        () if row.said is None else said_of(row.said, names, correction),
+        _said(row, behind, names, correction),
     )
+
+
+def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, correction: str | None) -> tuple[SaidRecord, ...]:
+    own = [row] if row.of_source is not None else []
+    return tuple(sorted((said_in(each._mapping, names, correction) for each in (*own, *behind)), key=certainty))
 
 
 def _quality(row: AnyRow) -> Quality | None:

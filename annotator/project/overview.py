@@ -15,9 +15,9 @@ from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.labels import StoredLabel, stored_label
+from annotator.project.labels import StoredLabel, stored_labels
 from annotator.project.project import Project
-from annotator.project.rows import Terms, values_of
+from annotator.project.rows import values_of
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
@@ -70,8 +70,7 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
-        terms = Terms(connection)
-        stored = tuple(stored_label(each, terms) for each in connection.execute(LABELS_OF_FRAME, {"frame": frame_id}))
+        stored = stored_labels(connection, connection.execute(LABELS_OF_FRAME, {"frame": frame_id}).all())
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
     values = values_of(row.attributes)
     return FramePage(frame, previous, following, name, stored, boxes, views, values)
@@ -126,8 +125,7 @@ def list_frames(
         on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
         boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
         rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
-        terms = Terms(connection)
-        stored = [stored_label(row, terms) for row in rows]
+        stored = stored_labels(connection, rows.all())
     counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
     proposed: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in stored:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+import uuid
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
@@ -33,7 +34,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import ProposalRecord, SaidRecord, suggestion_json
+from annotator.project.records import OWN, ProposalRecord, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
@@ -80,7 +81,8 @@ def make(write: Write, payload: Payload) -> None:
             _set_values(write, payload)
         case LabelDeleted():
             write.label(payload.uid)
-            write.put("labels", payload.uid, None)
+            for uid in [row["uid"] for row in write.labels() if payload.uid in (row["uid"], row["behind"])]:
+                write.put("labels", uid, None)
         case FrameAttributesSet():
             _set_frame_values(write, payload.attributes)
         case FrameFinalised() | FrameReopened():
@@ -119,12 +121,26 @@ def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     return row | write.author | values
 
 
-def said_json(write: Write, said: Sequence[SaidRecord]) -> str | None:
-    """What sources say of an object as it is stored; their classes are those of the project."""
-    for each in said:
-        if write.terms.known_id(each.label) is None:
-            write.class_id(each.label)
-    return write.terms.said_json(said, write.frame_id)
+def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
+    """The row of an open proposal that a source has made."""
+    is_ours = said.source == OWN
+    write.class_id(said.label)  # its words name it by id, too
+    row = new_label(
+        write,
+        uuid.uuid4().hex,
+        said.label,
+        box=write.terms.box_json(said.box, write.frame_id),
+        score=said.score,
+        state=ReviewState.PROPOSED.value,
+        source=(Source.AUTO if is_ours else Source.IMPORTED).value,
+        author=said.source,
+        track_id=said.track_id,
+        box_kind=said.box_kind.value,
+        attributes=values_json(said.attributes),
+        said=None if is_ours else write.terms.said_json(said, write.frame_id),
+        of_source=None if is_ours else said.source,
+    )
+    return row | columns
 
 
 def found_columns(write: Write, proposal: ProposalRecord) -> Row:
@@ -161,7 +177,6 @@ def _create(write: Write, payload: LabelCreated | LabelProposed) -> None:
         track_id=payload.track_id,
         origin=None if payload.origin is None else payload.origin.value,
         box_kind=payload.box_kind.value,
-        said=said_json(write, payload.said),
     )
     given: Values
     if isinstance(payload, LabelCreated):
@@ -179,13 +194,15 @@ def _create(write: Write, payload: LabelCreated | LabelProposed) -> None:
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
     row["attributes"] = values_json(new_values(of_label, of_track, given))
     write.put("labels", payload.uid, row)
+    for each in payload.said:
+        behind = said_row(write, each, behind=payload.uid)
+        write.put("labels", behind["uid"], behind)
 
 
 def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     """Applies an automatic pass: its proposals replace the unreviewed labels of the frame, except imported ones."""
-    for row in write.labels():
-        is_ours = row["state"] == ReviewState.PROPOSED.value and row["source"] != Source.IMPORTED.value
-        if is_ours and row["uid"] not in payload.kept:
+    for row in write.open_proposals():
+        if row["source"] != Source.IMPORTED.value:
             write.put("labels", row["uid"], None)
     new = [entry for entry in payload.objects if entry.covered_by is None]
     tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.config.attributes else {}

@@ -20,6 +20,7 @@ from annotator.project.audit.events import (
     insert_event,
     read_row,
 )
+from annotator.project.classes.values import is_kept
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store
@@ -162,6 +163,16 @@ class Write:
         now = [row for (table, _), row in self._now.items() if table == "labels" and row is not None]
         return sorted((row for row in now if row["frame_id"] == self.frame_id), key=lambda row: int(row["id"]))
 
+    def open_proposals(self) -> list[Row]:
+        """The rows of proposals that passes and imports may replace, with those behind them."""
+        rows = {row["uid"]: row for row in self.labels()}
+
+        def is_open(row: Row) -> bool:
+            is_proposed = row["state"] == ReviewState.PROPOSED.value
+            return is_proposed and not is_kept(row, self.terms, self.config.attributes)
+
+        return [row for row in rows.values() if is_open(rows.get(row["behind"], row))]
+
     def next_label_id(self) -> int:
         """An id that no label has ever had."""
         if self._next_id is None:
@@ -253,7 +264,8 @@ class Write:
         """The track with two boxes in the frame, after an attempt to store both."""
         seen = set[int]()
         for row in self.labels():
-            if row["track_id"] is not None and row["state"] != ReviewState.REJECTED.value:
+            is_its_box = row["behind"] is None and row["state"] != ReviewState.REJECTED.value
+            if row["track_id"] is not None and is_its_box:
                 if row["track_id"] in seen:
                     return int(row["track_id"])
                 seen.add(row["track_id"])

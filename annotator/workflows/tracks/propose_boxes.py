@@ -22,7 +22,7 @@ from annotator.project import (
 )
 from annotator.project.changes import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
-from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
+from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, link, overlap_at_place
@@ -94,7 +94,7 @@ def proposal_events(
             box_kind=each.box_kind,
             attributes=dict(each.attributes),
             origin=each.origin,
-            said=each.said,
+            said=tuple(said for said in each.said if said.source != OWN),
         )
         for each in new
     ]
