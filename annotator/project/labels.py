@@ -255,7 +255,7 @@ class Labels:
             if not rows:
                 return frozenset()
             attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
-            return frozenset(row.uid for row in rows if is_kept(row._mapping, terms, attributes))
+            return frozenset(row.uid for row in rows if is_kept(dict(row._mapping), terms, attributes))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
