@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import uuid
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,10 +14,10 @@ from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
     LabelAccepted,
     LabelAttributesSet,
-    LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelRejected,
+    NewLabel,
     Origin,
 )
 from annotator.project.classes.attributes import AttributeOf
@@ -28,44 +27,11 @@ from annotator.project.database.schema import ALL_LABELS, LABELS_OF_FRAME, AnyRo
 from annotator.project.log import FramePart, Writer
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
 from annotator.project.rows import Names, Terms, box_2d_of, box_of, said_in, values_of
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
-from annotator.types.errors import NotFoundError, ProjectError
-from annotator.types.label import MOST_TRACK, AttributeValue, Said
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
+from annotator.types.errors import NotFoundError
+from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-
-
-@dataclass(frozen=True, eq=False)
-class NewLabel:
-    """A 3D box, camera frame, that no automatic pass proposed.
-
-    Attributes:
-        state: any but PROPOSED, which the next automatic pass would remove.
-        image_box: box on the camera image that it was drawn from, if any.
-        attributes: values by name; those of its track and defaults are added.
-        said: what sources of boxes said of the object before.
-        file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
-
-    Raises ProjectError for a track id beyond `MOST_TRACK`.
-    """
-
-    label: str
-    box: OrientedBox
-    score: float | None = None
-    track_id: int | None = None
-    state: ReviewState = ReviewState.ACCEPTED
-    origin: Origin | None = None
-    suggestion: Suggestion | None = None
-    image_box: Box2D | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    said: tuple[Said, ...] = ()
-    file_track_id: int | None = None
-
-    def __post_init__(self) -> None:
-        # the limit of the database and of exported files
-        if self.track_id is not None and abs(self.track_id) > MOST_TRACK:
-            raise ProjectError(f"a track id must lie in -{MOST_TRACK}..{MOST_TRACK}; renumber the tracks")
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,10 +158,8 @@ class Labels:
         Args:
             action: id of an action over several frames (`new_action`) that they are a part of.
         """
-        with storable("a label"):
-            payloads = [_created(entry) for entry in new]
-        receipt = self.writer.append(frame_id, payloads, context, action)
-        return Created(tuple(payload.uid for payload in payloads), receipt)
+        receipt = self.writer.append(frame_id, new, context, action)
+        return Created(tuple(each.uid for each in new), receipt)
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Accepts a label unchanged."""
@@ -264,12 +228,6 @@ class Labels:
     def delete(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Removes a label; the object may be proposed again."""
         return self.writer.append(frame_id, (LabelDeleted(uid=uid),), context)
-
-
-def _created(entry: NewLabel) -> LabelCreated:
-    values = {name: value for name, value in vars(entry).items() if name in LabelCreated.model_fields}
-    changed = {"box": BoxRecord.of(entry.box), "said": tuple(map(SaidRecord.of, entry.said))}
-    return LabelCreated(uid=uuid.uuid4().hex, **values | changed)
 
 
 # Built once, since building these frequent queries takes longer than running them.

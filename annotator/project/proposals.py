@@ -12,10 +12,10 @@ from sqlalchemy import select
 from annotator.project.adjusting import moved_box
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.changes import ProposalsReplaced, ProposedObject
+from annotator.project.changes import NewLabel, ProposalsReplaced, ProposedObject
 from annotator.project.database.schema import frames, labels, passes
 from annotator.project.jobs import read_run, record_result
-from annotator.project.labels import NewLabel, read_labels
+from annotator.project.labels import read_labels
 from annotator.project.log import Writer, require_writable
 from annotator.project.records import ProposalRecord, parsed, storable
 from annotator.project.rows import Terms

@@ -11,11 +11,12 @@ import numpy as np
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.audit.making import said_row
 from annotator.project.audit.writing import Write, WriteContext
+from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
 from annotator.project.config import read_config
 from annotator.project.database.store import Store
-from annotator.project.labels import NewLabel, certainty
+from annotator.project.labels import certainty
 from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
 from annotator.project.rows import Row, Terms, driver_of, said_in, said_with, values_json

@@ -17,9 +17,9 @@ from sqlalchemy import Connection
 from annotator.project import Effort, Origin, Project, WriteContext, create_project
 from annotator.project.changes import (
     LabelAccepted,
-    LabelCreated,
     LabelEdited,
     LabelRejected,
+    NewLabel,
     Payload,
     ProposalsReplaced,
     ProposedObject,
@@ -181,7 +181,7 @@ def _decision(item: _Object) -> tuple[Payload, int, float]:
     """What is done with an object, in how many actions and seconds."""
     box = BoxRecord.of(item.truth)
     if item.uid is None:
-        created = LabelCreated(uid=uuid.uuid4().hex, label=item.label, box=box, origin=Origin.DRAWN)
+        created = NewLabel(item.label, item.box, origin=Origin.DRAWN)
         return created, 6, 20.0
     if item.is_wrong:
         return LabelRejected(uid=item.uid), 1, 2.0

@@ -13,14 +13,12 @@ from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.project import NewLabel, Origin, Project, ProjectConfig, StoredRecording, WriteContext, new_action
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelProposed
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
 from annotator.project.labels import StoredLabel
-from annotator.project.records import BoxRecord
 from annotator.project.review import By, waiting, waiting_sources
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
@@ -125,7 +123,7 @@ def test_what_is_shown_follows_from_what_each_source_has_said_last(
 
 
 def test_a_copy_that_a_sure_box_has_hidden_is_a_copy_when_it_is_shown_again(project: Project, frame: int) -> None:
-    copy = LabelProposed(uid="copy", label="hand", box=BoxRecord.of(box_at()), origin=Origin.COPIED)
+    copy = NewLabel("hand", box_at(), state=ReviewState.PROPOSED, origin=Origin.COPIED, uid="copy")
     project.log.append(frame, [copy], by_hand())
     bring(project, frame, "one", box(0.01))
     assert shown(project) == [("one", 0.01, ["annotator"])]

@@ -14,9 +14,7 @@ from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, RunShare, WriteContext, create_project
-from annotator.project.changes import LabelProposed
-from annotator.project.records import BoxRecord
-from annotator.types import BoxKind
+from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ProjectError
 
 MONDAY, TUESDAY = datetime(2026, 1, 5, 12), datetime(2026, 1, 6, 12)
@@ -79,7 +77,7 @@ def test_commands_are_no_people(shift: Shift) -> None:
         project.boxes.set_on_image(frame, [], BoxKind.BOX, context)
 
     drawn("simulated operator", None)
-    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    proposed = NewLabel("hand", box_at(), state=ReviewState.PROPOSED, uid="u")
     project.log.append(frame, [proposed], WriteContext(project.frames.get(frame).revision, "annotator follow"))
     assert shift.progress()["days"] == []
     project.labels.reject(frame, "u", WriteContext(project.frames.get(frame).revision, "by script"))
@@ -141,7 +139,7 @@ def test_proposals_are_compared_by_class_and_distance(shift: Shift) -> None:
 
 def test_a_box_that_following_proposed_is_a_proposal(shift: Shift) -> None:
     frame = shift.frames[0]
-    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    proposed = NewLabel("hand", box_at(), state=ReviewState.PROPOSED, uid="u")
     shift.project.log.append(frame, [proposed], shift.by(frame))
     shift.project.labels.accept(frame, "u", shift.by(frame))
     assert shift.project.statistics().effort.by_origin["proposal accepted untouched"].boxes == 1

@@ -11,20 +11,20 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting import moved_box
 from annotator.project.audit.writing import Write
 from annotator.project.changes import (
+    REQUESTED,
     FrameAttributesSet,
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,
     LabelAccepted,
     LabelAttributesSet,
-    LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelMoved,
-    LabelProposed,
     LabelRejected,
     LabelTracked,
     LinkedLabel,
+    NewLabel,
     Payload,
     ProposalsReplaced,
     TracksLinked,
@@ -34,7 +34,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, ProposalRecord, SaidRecord, suggestion_json
+from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
@@ -43,7 +43,7 @@ from annotator.types.label import AttributeValue
 
 def make(write: Write, payload: Payload) -> None:
     """Makes one change."""
-    view = None
+    kind, view = payload.kind, None
     match payload:
         case ImageBoxesSet():
             _set_boxes(write, payload, "image_labels", {"frame_id": write.frame_id})
@@ -58,8 +58,9 @@ def make(write: Write, payload: Payload) -> None:
         case ViewBoxesRemoved():
             view = payload.view
             write.put("view_labels", view_key(view, write.frame_id), None)
-        case LabelCreated() | LabelProposed():
+        case NewLabel():
             _create(write, payload)
+            kind = REQUESTED if payload.is_requested else kind
         case ProposalsReplaced():
             _replace_proposals(write, payload)
         case TracksLinked():
@@ -89,7 +90,7 @@ def make(write: Write, payload: Payload) -> None:
             _set_finalised(write, isinstance(payload, FrameFinalised))
         case _:
             raise TypeError(f"{payload.kind} is no change that the store knows")
-    write.event(payload.kind, view)
+    write.event(kind, view)
 
 
 def view_key(view_id: str, frame_id: int | None) -> str:
@@ -165,37 +166,37 @@ def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[i
     return of_tracks(write.connection, write.terms, write.config.attributes, write.frame_id, tracks)
 
 
-def _create(write: Write, payload: LabelCreated | LabelProposed) -> None:
+def _create(write: Write, payload: NewLabel) -> None:
     if write.row("labels", payload.uid) is not None:
         raise ProjectError(f"{write.where}: label {payload.uid} exists already")
     of_label = _attributes_of(write, payload.label)
+    if payload.image_box is not None:
+        write.class_id(payload.image_box.label)
     row = new_label(
         write,
         payload.uid,
         payload.label,
-        box=write.terms.box_json(payload.box, write.frame_id),
+        box=write.terms.box_json(BoxRecord.of(payload.box), write.frame_id),
+        score=payload.score,
+        state=payload.state.value,
         track_id=payload.track_id,
         origin=None if payload.origin is None else payload.origin.value,
         box_kind=payload.box_kind.value,
+        image_box=write.terms.box_2d_json(payload.image_box),
+        suggestion=suggestion_json(payload.suggestion),
     )
-    given: Values
-    if isinstance(payload, LabelCreated):
-        given = checked(of_label, payload.attributes, payload.label)
-        row |= {"score": payload.score, "state": payload.state.value}
-        if payload.image_box is not None:
-            write.class_id(payload.image_box.label)
-            row["image_box"] = write.terms.box_2d_json(payload.image_box)
-        row |= {"suggestion": suggestion_json(payload.suggestion)}
-    else:
+    if payload.is_requested:
         given = fitting(of_label, payload.attributes)
-        row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
-        row |= {"track_linked": int(payload.track_id is not None)}
-        row |= {} if payload.proposal is None else found_columns(write, payload.proposal)
+        row |= {"source": Source.AUTO.value, "track_linked": int(payload.track_id is not None)}
+        row |= {} if payload.proposal is None else found_columns(write, ProposalRecord.of(payload.proposal))
+    else:
+        given = checked(of_label, payload.attributes, payload.label)
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
     row["attributes"] = values_json(new_values(of_label, of_track, given))
     write.put("labels", payload.uid, row)
     for each in payload.said:
-        behind = said_row(write, each, behind=payload.uid)
+        said = each if isinstance(each, SaidRecord) else SaidRecord.of(each)
+        behind = said_row(write, said, behind=payload.uid)
         write.put("labels", behind["uid"], behind)
 
 
