@@ -238,8 +238,9 @@ _VALUES_SET = select(labels).where(labels.c.frame_id == bindparam("frame"), labe
 
 def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     """The labels of one frame, within the caller's transaction."""
-    rows = connection.execute(LABELS_OF_FRAME, {"frame": frame_id}).all()
-    return tuple(stored.label for stored in stored_labels(connection, rows))
+    terms = Terms(connection)
+    rows = connection.execute(LABELS_OF_FRAME, {"frame": frame_id})
+    return tuple(_stored_label(row, (), terms.key, terms.correction(frame_id)).label for row in rows)
 
 
 def stored_labels(connection: Connection, rows: Sequence[AnyRow]) -> tuple[StoredLabel, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import json
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Float, Select, Text, and_, case, cast, func, literal, null, select
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import ALL_LABELS, frames, labels
+from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, labels
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.records import OWN
@@ -130,19 +131,14 @@ def waiting(
     order = _order(by, doubt)
     # the long columns are read of the first ones only
     first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
-    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.of_source, doubt.label("doubt"))
+    further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
+    further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
+    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.of_source, further_of, doubt.label("doubt"))
     query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
-    further = select(_BEHIND.c.behind, _BEHIND.c.of_source).where(_BEHIND.c.behind.is_not(None))
-    further = further.order_by(_BEHIND.c.score.is_not(None), _BEHIND.c.score.desc(), _BEHIND.c.id)
     with store.read() as connection:
-        rows, behind = connection.execute(query).all(), defaultdict[str, list[str]](list)
-        for uid, name in connection.execute(further.where(_BEHIND.c.frame_id.in_({row.id for row in rows}))):
-            behind[uid].append(name or OWN)
         found = tuple(
-            QueueItem(
-                frame_of(row), row.uid, row.label, row.doubt, row.track_id, (row.of_source or OWN, *behind[row.uid])
-            )
-            for row in rows
+            QueueItem(frame_of(row), row.uid, row.label, row.doubt, row.track_id, _sources(row))
+            for row in connection.execute(query)
         )
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()
     return found, int(total)
@@ -158,6 +154,12 @@ def waiting_sources(store: Store) -> dict[str, int]:
             found = query.join(frames, frames.c.id == labels.c.frame_id).where(_is_open(None, None))
             counts.update(dict(connection.execute(found.group_by(query.selected_columns[0])).all()))
     return {name: counts[name] for name in sorted(counts, key=lambda name: (name != OWN, name))}
+
+
+def _sources(row: AnyRow) -> tuple[str, ...]:
+    further: list[tuple[float | None, str]] = json.loads(row.further)
+    further.sort(key=lambda each: -1.0 if each[0] is None else -each[0])
+    return row.of_source or OWN, *(name for _, name in further)
 
 
 def worst_of_frames(store: Store, recordings: Collection[int] | None) -> dict[int, float]:

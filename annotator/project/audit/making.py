@@ -146,16 +146,8 @@ def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
 
 def found_columns(write: Write, proposal: ProposalRecord) -> Row:
     """The columns of a label that come from the recursion."""
-    quality = proposal.quality
-    return {
-        "score": proposal.score,
-        "proposed_box": write.terms.box_json(proposal.box, write.frame_id),
-        "view_disagreement": number_or_none(quality.view_disagreement),
-        "kept_share": number_or_none(quality.kept_share),
-        "last_change": number_or_none(quality.last_change),
-        "image_agreement": number_or_none(quality.image_agreement),
-        "expected_iou_loss": number_or_none(quality.expected_iou_loss),
-    }
+    signals = {name: number_or_none(value) for name, value in vars(proposal.quality).items()}
+    return {"score": proposal.score, "proposed_box": write.terms.box_json(proposal.box, write.frame_id)} | signals
 
 
 def _attributes_of(write: Write, label: str) -> list[Attribute]:

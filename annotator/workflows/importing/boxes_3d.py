@@ -22,7 +22,7 @@ from annotator.workflows.importing.values import give_values, of_covered
 # Longest name of a source, characters.
 MOST_NAME = 200
 # Frames and boxes that are stored in one transaction: other writers wait for it.
-MOST_FRAMES, MOST_BOXES = 200, 2000
+MOST_FRAMES, MOST_BOXES = 100, 1000
 
 Choose = Callable[[StoredFrame, list[NewLabel]], list[NewLabel]]
 """Returns those of the labels of a frame that are to be imported."""
