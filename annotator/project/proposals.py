@@ -109,7 +109,7 @@ class Proposals:
                 )
                 make(write, payload)
                 if any(row["source"] == Source.IMPORTED.value for row in before.values()):
-                    regroup(write)
+                    regroup(write, write.open_proposals())
                     write.event(KIND)
             receipt = write.finish()
             if run is not None:

@@ -169,19 +169,20 @@ class _Staying(NamedTuple):
 
 
 def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
-    terms, open_uids = write.terms, set[str]()
-    for row in write.open_proposals():
-        open_uids.add(row["uid"])
-        if row["of_source"] == source:
-            write.put("labels", row["uid"], None)
+    terms, waiting = write.terms, write.open_proposals()
+    uids = {row["uid"] for row in waiting}
     staying = [
         _Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in write.labels()
-        if row["uid"] not in open_uids and row["behind"] is None
+        if row["uid"] not in uids and row["behind"] is None
     ]
+    for row in waiting:
+        if row["of_source"] == source:
+            write.put("labels", row["uid"], None)
     covering = covered_by(boxes, staying)
     new = [_said(source, box) for box, uid in zip(boxes, covering, strict=True) if uid is None]
-    groups = regroup(write, [(said_row(write, each), each) for each in new])
+    left = [row for row in waiting if row["of_source"] != source]
+    groups = regroup(write, left, [(said_row(write, each), each) for each in new])
     write.event(KIND)
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
     differing = 0
@@ -192,19 +193,20 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     return Brought(tuple(uid is None for uid in covering), together, differing)
 
 
-def regroup(write: Write, new: Iterable[tuple[Row, SaidRecord]] = ()) -> list[list[SaidRecord]]:
-    """Shows, of the open proposals of a frame that see one object, the surest; the others get behind it.
+def regroup(write: Write, waiting: Sequence[Row], new: Iterable[tuple[Row, SaidRecord]] = ()) -> list[list[SaidRecord]]:
+    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it.
 
     Args:
+        waiting: all open ones (`Write.open_proposals`).
         new: further rows, with what their sources say.
 
     Returns:
         The objects, each source in its own words.
     """
-    found = [*((row, _words(write, row)) for row in write.open_proposals()), *new]
+    found = [*((row, _words(write, row)) for row in waiting), *new]
     groups = [[found[place] for place in group] for group in merged([said for _, said in found])]
-    waiting = {row["uid"] for row, _ in found}
-    stay = [row for row in write.labels() if row["uid"] not in waiting and row["state"] != ReviewState.REJECTED.value]
+    uids = {row["uid"] for row, _ in found}
+    stay = [row for row in write.labels() if row["uid"] not in uids and row["state"] != ReviewState.REJECTED.value]
     # a track has one box in a frame
     taken = {None, *(row["track_id"] for row in stay if row["behind"] is None)}
     taken |= {row["track_id"] for (row, said), *_ in groups if said.source == OWN}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import uuid
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -128,7 +127,7 @@ def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
     write.class_id(said.label)  # its words name it by id, too
     row = new_label(
         write,
-        uuid.uuid4().hex,
+        write.new_uid(),
         said.label,
         box=write.terms.box_json(said.box, write.frame_id),
         score=said.score,

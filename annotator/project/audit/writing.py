@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,6 +173,12 @@ class Write:
             return is_proposed and not is_kept(row, self.terms, self.config.attributes)
 
         return [row for row in rows.values() if is_open(rows.get(row["behind"], row))]
+
+    def new_uid(self) -> str:
+        """The uid of a label that is not there yet."""
+        uid = uuid.uuid4().hex
+        self._now["labels", uid] = None
+        return uid
 
     def next_label_id(self) -> int:
         """An id that no label has ever had."""

@@ -116,7 +116,7 @@ def _show_others(
         for row in write.labels():
             if row["uid"] in uids or (row["behind"] in uids and row["class_id"] in removed):
                 write.put("labels", row["uid"], None)
-        regroup(write)
+        regroup(write, write.open_proposals())
         write.event(IMPORTED)
         write.finish()
     return gone

@@ -59,7 +59,7 @@ def packed(text: str) -> str | bytes:
     if len(text) < PACKED_FROM:
         return text
     # for most texts, zlib takes longer to clear its usual window than to compress them
-    packing = zlib.compressobj(wbits=13 if len(text) < 8000 else zlib.MAX_WBITS, memLevel=6)
+    packing = zlib.compressobj(1, wbits=13 if len(text) < 8000 else zlib.MAX_WBITS, memLevel=6)
     return packing.compress(text.encode()) + packing.flush()
 
 
