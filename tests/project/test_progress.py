@@ -159,16 +159,6 @@ def label(shift: Shift, count: int, seconds: float = 18.0) -> None:
             )
 
 
-def test_a_steady_pace_is_continued(shift: Shift) -> None:
-    label(shift, 20)
-    forecast = shift.progress()["forecast"]
-    assert (forecast["frames_done"], forecast["frames_left"], forecast["boxes_left"]) == (20, 20, 40.0)
-    # the first box has no time before it
-    expected = 20 * 2 * 18 / 3600
-    assert forecast["hours_left"]["expected"] == pytest.approx(expected, rel=0.05)
-    assert forecast["boxes_an_hour"]["expected"] == pytest.approx(3600 / 18, rel=0.05)
-
-
 def test_open_proposals_empty_frames_and_passes_that_found_nothing(shift: Shift) -> None:
     project = shift.project
     label(shift, 20)

@@ -24,14 +24,6 @@ def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target:
     return WriteContext(revision, "ann", effort=effort, effort_target=target)
 
 
-def test_without_boxes_effort_is_undefined(project: Project, frame: int) -> None:
-    numbers = project.statistics()
-    assert (numbers.effort.boxes, numbers.effort.seconds_a_box, numbers.effort.actions_a_box) == (0, None, None)
-    assert numbers.accepted_untouched is None
-    assert numbers.iou_proposal_to_final is None
-    assert all(part.boxes == 0 for part in numbers.effort.by_origin.values())
-
-
 def test_effort_of_accepted_edited_and_rejected_proposals_is_counted(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(5.0 * n) for n in range(4)], by_machine()).uids
     assert None not in uids
