@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
@@ -14,9 +14,10 @@ from annotator.project.classes.attributes import Relabelling
 from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
 from annotator.project.log import Writer
-from annotator.project.records import SaidRecord, parsed
-from annotator.project.rows import Row, Terms, box_2d_of, driver_of, values_json, values_of
-from annotator.project.sources import show_others
+from annotator.project.records import parsed
+from annotator.project.rows import Row, Terms, box_2d_of, driver_of, said_with, values_json, values_of
+from annotator.project.sources import KIND as IMPORTED
+from annotator.project.sources import regroup
 from annotator.types import ReviewState, Source
 
 KIND = "classes_changed"
@@ -33,8 +34,8 @@ def change_classes(
     refused.
     """
     newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-    if change.removed:
-        _show_others(writer, connection, old, change.removed, author)
+    removed = [number for number, name in Terms(connection).names.items() if name in change.removed]
+    gone = _show_others(writer, connection, old, removed, author) if removed else set[str]()
     stale = set[int]()
     of_classes = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
     query = select(func.max(events.c.revision)).where(of_classes)
@@ -46,7 +47,7 @@ def change_classes(
             stale |= _frames_of(connection, number)
     write.event(KIND, CLASSES)
     revision = write.finish().revision
-    for batch in _changed_rows(connection, change) if change.changes_rows else ():
+    for batch in _changed_rows(connection, change, gone) if change.changes_rows else ():
         write = _write(writer, connection, revision, author, old)
         for table, before, after in batch:
             key = before[AUDITED[table]]
@@ -66,10 +67,17 @@ def change_classes(
     return int(key[0])
 
 
-def _write(writer: Writer, connection: Connection, revision: int, author: str, config: ProjectConfig) -> Write:
-    return Write(
-        writer.store, writer.folder, connection, None, "the classes", WriteContext(revision, author), None, config
-    )
+def _write(
+    writer: Writer,
+    connection: Connection,
+    revision: int,
+    author: str,
+    config: ProjectConfig,
+    frame_id: int | None = None,
+) -> Write:
+    where = "the classes" if frame_id is None else f"frame with id {frame_id}"
+    context = WriteContext(revision, author, Source.MANUAL if frame_id is None else Source.IMPORTED)
+    return Write(writer.store, writer.folder, connection, frame_id, where, context, None, config)
 
 
 def _frames_of(connection: Connection, class_id: int) -> set[int]:
@@ -85,27 +93,44 @@ def _frames_of(connection: Connection, class_id: int) -> set[int]:
 
 
 def _show_others(
-    writer: Writer, connection: Connection, config: ProjectConfig, removed: Collection[str], author: str
-) -> None:
-    """Shows other sources' boxes where one of a class that is about to be removed is shown."""
-    staying, shown, terms = set(config.classes) - set(removed), defaultdict[int, set[str]](set), Terms(connection)
-    query = "SELECT frame_id, uid, class_id, said FROM labels WHERE state = ? AND said IS NOT NULL ORDER BY frame_id"
-    for frame_id, uid, class_id, said in driver_of(connection).execute(query, (ReviewState.PROPOSED.value,)).fetchall():
-        if terms.names[class_id] in removed and any(each.label in staying for each in terms.said(said, frame_id)):
-            shown[frame_id].add(uid)
+    writer: Writer, connection: Connection, config: ProjectConfig, removed: Collection[int], author: str
+) -> set[str]:
+    """Shows other sources' boxes where one of a class that is about to be removed is shown.
+
+    Returns:
+        uids of what is behind labels that go otherwise.
+    """
+    query = (
+        "SELECT own.uid, own.frame_id, shown.uid, shown.state FROM labels AS own JOIN labels AS shown "
+        f"ON shown.uid = own.behind WHERE shown.class_id IN ({', '.join(map(str, removed))}) ORDER BY own.frame_id"
+    )
+    shown, gone = defaultdict[int, set[str]](set), set[str]()
+    for uid, frame_id, shown_uid, state in driver_of(connection).execute(query).fetchall():
+        if state == ReviewState.PROPOSED.value:
+            shown[frame_id].add(shown_uid)
+        else:
+            gone.add(uid)
     for frame_id, uids in shown.items():
         # the frame may be finalised, or of a removed recording
         (revision,) = driver_of(connection).execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
-        context = WriteContext(revision, author, Source.IMPORTED)
-        write = Write(
-            writer.store, writer.folder, connection, frame_id, f"frame with id {frame_id}", context, None, config
-        )
-        show_others(write, removed, uids)
+        write = _write(writer, connection, revision, author, config, frame_id)
+        for row in write.labels():
+            if row["uid"] in uids or (row["behind"] in uids and row["class_id"] in removed):
+                write.put("labels", row["uid"], None)
+        regroup(write, write.open_proposals())
+        write.event(IMPORTED)
         write.finish()
+    return gone
 
 
-def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[tuple[str, Row, Row | None]]]:
-    """Yields the rows that a change of attributes, or a removed class, changes: table, before, after."""
+def _changed_rows(
+    connection: Connection, change: Relabelling, gone: Collection[str]
+) -> Iterator[list[tuple[str, Row, Row | None]]]:
+    """Yields the rows that a change of attributes, or a removed class, changes: table, before, after.
+
+    Args:
+        gone: uids of labels that are removed, too.
+    """
     terms = Terms(connection)
     for table in ("labels", "frames", "image_labels", "view_labels"):
         if table in ("image_labels", "view_labels") and not change.removed:
@@ -113,7 +138,7 @@ def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[
         for rows in _batches(connection, table):
             batch = list[tuple[str, Row, Row | None]]()
             for row in rows:
-                after = _changed(terms, change, table, row)
+                after = None if row.get("uid") in gone else _changed(terms, change, table, row)
                 if after != row:
                     batch.append((table, row, after))
             if batch:
@@ -186,20 +211,9 @@ def values_after(terms: Terms, changes: Sequence[Relabelling], label: str, row: 
         after["attributes"] = values_json(values)
     if row.get("said") is not None:
         said = terms.said(row["said"], None)
+        own, given = dict(said.attributes), dict(said.given)
         for change in changes:
-            said = _said(change, said)
-        after["said"] = terms.said_json(said, None)
+            own, given = change.values_of(said.label, own), change.values_of(said.label, given)
+        is_gone = any(said.label in change.removed for change in changes)
+        after |= {"said": None, "of_source": None} if is_gone else {"said": said_with(row["said"], own, given)}
     return after
-
-
-def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
-    """What sources say of an object; nothing of removed classes."""
-    new = list[SaidRecord]()
-    for each in said:
-        if each.label in change.removed:
-            continue
-        values = change.values_of(each.label, each.attributes)
-        # values that are filled in are not lent
-        lent = change.values({of: each.attributes[of] for of in each.lent}).keys() & values.keys()
-        new.append(each.model_copy(update={"attributes": values, "lent": tuple(sorted(lent))}))
-    return tuple(new)
