@@ -11,7 +11,6 @@ import codecs
 import io
 import warnings
 from collections.abc import Callable
-from math import prod
 from pathlib import Path
 from typing import IO
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from annotator.files import ARCHIVE_ERRORS, open_archive
-from annotator.frame_limits import memory_problem, read_frame_file
+from annotator.frame_limits import read_frame_file, require_memory
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
@@ -49,8 +48,9 @@ def parse_npz(data: bytes) -> RawCloud:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             # other arrays may be of any kind, and large
             points, colors = (next((n for n in names if n in infos), "") for names in (POINT_NAMES, COLOR_NAMES))
-            # sizes are read before the values are unpacked
-            arrays = [read_array(archive.open(infos[name])) for name in (points, colors) if points and name]
+            used = [infos[name] for name in (points, colors) if points and name]
+            require_memory(more_bytes=sum(info.file_size for info in used))
+            arrays = [read_array(archive.open(info)) for info in used]
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"its archive cannot be read ({error})") from error
     if not arrays:
@@ -75,17 +75,11 @@ def read_array(file: IO[bytes], *, is_image: bool = False) -> np.ndarray:
         # numpy warns about headers written by Python 2
         warnings.simplefilter("ignore")
         try:
-            is_old = npy.read_magic(file) == (1, 0)
-            shape, _, dtype = npy.read_array_header_1_0(file) if is_old else npy.read_array_header_2_0(file)
-            values = prod(shape)
-            problem = memory_problem(points=values if is_image else prod(shape[:1]), more_bytes=values * dtype.itemsize)
-            file.seek(0)
-            array = np.empty(0) if problem else npy.read_array(file, allow_pickle=False)
-        # the header is a Python expression: a damaged one can raise any exception
+            array = npy.read_array(file, allow_pickle=False)
+        # the header is a Python expression: a damaged one can raise any exception, and declare any size
         except Exception as error:
             raise ValueError(f"its array is damaged ({str(error)[:80]})") from error
-    if problem:
-        raise ValueError(problem)
+    require_memory(points=array.size if is_image else len(array) if array.ndim else 1, more_bytes=array.nbytes)
     if array.dtype.kind not in "fiu" and array.dtype.names is None:
         raise ValueError(f"its array holds {array.dtype}, not numbers")
     return array

@@ -70,13 +70,8 @@ def decode(data: bytes) -> dict[str, np.ndarray]:
             io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False, decompression_selection=selection
         ) as reader:
             header = reader.header
-            count, size, start = header.point_count, header.point_format.size, header.offset_to_point_data
-            if header.are_points_compressed:
-                require_memory(points=count)
-            elif count * size > len(data) - start:
-                raise ValueError(
-                    f"declares {count} points of {size} bytes, but only {len(data) - start} bytes of points follow"
-                )
+            count = header.point_count
+            require_memory(points=count)
             points = reader.read_points(count)
     except (ValueError, MemoryError):
         raise
