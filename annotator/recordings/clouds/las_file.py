@@ -73,10 +73,10 @@ def decode(data: bytes) -> dict[str, np.ndarray]:
             count = header.point_count
             require_memory(points=count)
             points = reader.read_points(count)
-    except (ValueError, MemoryError):
+    except MemoryError:
         raise
     except Exception as error:  # of a damaged file, laspy raises any
-        raise ValueError(f"cannot be read as LAS or LAZ ({str(error)[:100]})") from error
+        raise ValueError(f"cannot be read as LAS or LAZ ({str(error)[:300]})") from error
     if len(points) != count:
         raise ValueError(f"declares {count} points but ends after {len(points)}")
     names = {"X", "Y", "Z", "x", "y", "z", "intensity", "withheld", *COLORS}

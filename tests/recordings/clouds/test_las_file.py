@@ -124,8 +124,9 @@ HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 FALSE_HEADERS = [
     (b"LASF" + bytes(300), "position of the points, byte 0"),
-    (written("1.2", 3, 0, False)[:-1], "declares 300 points of 34 bytes"),
-    (patched(written("1.2", 3, 0, False), 107, "I", HUGE), f"declares {HUGE} points"),
+    (written("1.2", 3, 0, False)[:-1], "cannot be read as LAS or LAZ"),
+    (written("1.2", 3, 0, False)[:-34], "declares 300 points but ends after 299"),
+    (patched(written("1.2", 3, 0, False), 107, "I", HUGE), f"{HUGE} points take about"),
     (patched(OLD, 107, "I", 2**25), "33554432 points take about 4096 MiB"),
     (OLD[: len(OLD) // 2], "cannot be read as LAS or LAZ"),
 ]
