@@ -6,11 +6,9 @@ A new format needs one module, and a line in `READERS`.
 from __future__ import annotations
 
 import shlex
-import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,15 +36,13 @@ PARTS: dict[str, tuple[str, ...]] = {
 # Exports in most formats have this file, so it alone shows none.
 COMMON = {"frames.csv"}
 MOST_NAMED = 2
-# How far, and for how long, recordings below a folder are searched.
-MOST_LEVELS, MOST_FOLDERS, MOST_SECONDS, MOST_HINTS = 3, 400, 2.0, 5
+# How far recordings below a folder are searched, how many folders of a level, and how many are named.
+MOST_LEVELS, MOST_FOLDERS, MOST_HINTS = 3, 200, 5
 # How far above a file or folder the recording that it belongs to may be.
 MOST_ABOVE = 3
 ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".bz2", ".xz")
 BOXES = "boxes.json"
 VIDEOS = (".mp4", ".avi", ".mov", ".webm")
-
-Detect = Callable[[Path], str | None]
 
 
 def nearest_formats(path: Path) -> list[str]:
@@ -69,82 +65,6 @@ def _has(root: Path, part: str) -> bool:
     if "*" in part:
         return next(root.glob(part), None) is not None
     return (root / part).is_dir() if part.endswith("/") else (root / part).is_file()
-
-
-@dataclass
-class Below:
-    """What a search below a folder has found.
-
-    Attributes:
-        recordings: the first recordings, as relative paths.
-        problems: the errors of some that cannot be opened.
-        is_partial: the search ended before all folders were seen.
-    """
-
-    recordings: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    is_partial: bool = False
-
-
-def recordings_below(path: Path, detect: Detect, file_suffixes: tuple[str, ...]) -> Below:
-    """Searches a folder for recordings, some levels down.
-
-    Args:
-        detect: returns the format of a path, or None.
-        file_suffixes: of single files that are recordings.
-    """
-    below = Below()
-    waiting, seen, end = deque([(path, 1)]), 0, time.monotonic() + MOST_SECONDS
-    while waiting:
-        folder, level = waiting.popleft()
-        for child in _children(folder, file_suffixes):
-            if len(below.recordings) == MOST_HINTS:
-                return below
-            seen += 1
-            if seen > MOST_FOLDERS or time.monotonic() > end:
-                below.is_partial = True
-                return below
-            try:
-                is_recording = detect(child) is not None
-            except RecordingError as error:
-                below.problems.append(str(error))
-                continue
-            if is_recording:
-                below.recordings.append(child.relative_to(path).as_posix())
-            elif level < MOST_LEVELS and child.is_dir():
-                waiting.append((child, level + 1))
-    return below
-
-
-def _children(folder: Path, file_suffixes: tuple[str, ...]) -> Iterator[Path]:
-    try:
-        children = sorted(folder.iterdir())
-    except OSError:
-        return
-    for child in children:
-        if not child.name.startswith(".") and (child.suffix.lower() in file_suffixes or child.is_dir()):
-            yield child
-
-
-def recording_above(path: Path, detect: Detect) -> Path | None:
-    """Returns the recording that a file or folder is a part of; None if there is none near.
-
-    A folder of clouds may be a part of another recording, and only its files are its parts.
-    """
-    clouds = None
-    for level, folder in enumerate(list(path.absolute().parents)[:MOST_ABOVE]):
-        try:
-            name = detect(folder)
-        except RecordingError:
-            continue
-        # any folder with a scene of SUN RGB-D in it is a recording of scenes
-        if name == "sunrgbd_scenes" and not (folder / "intrinsics.txt").is_file():
-            continue
-        if name == "cloud_folder":
-            clouds = clouds or (folder if level == 0 and path.is_file() else None)
-        elif name is not None:
-            return folder
-    return clouds
 
 
 def missing_part(path: Path) -> str:
@@ -303,17 +223,56 @@ def _explain(path: Path) -> str:
     kind = "folder" if is_folder else "file"
     near = nearest_formats(path) if is_folder else kind_of_file(path)
     parts = [f"{path}: no known recording format in this {kind}", *near]
-    below = recordings_below(path, detect_format, FILE_SUFFIXES) if is_folder else Below()
-    if below.is_partial:
-        parts.append("it has many folders, and not all were searched for recordings")
-    if below.recordings:
-        parts.append("it contains recordings; give the path of one of them: " + ", ".join(below.recordings))
-    elif below.problems:
-        parts.append("it contains recordings that cannot be opened: " + "; ".join(below.problems[:MOST_PROBLEMS]))
-    elif (above := recording_above(path, detect_format)) is not None:
+    below = _recordings_below(path) if is_folder else []
+    if below:
+        parts += below
+    elif (above := _recording_above(path)) is not None:
         parts.append(f"it is a part of the recording {above}; give that path")
     elif is_folder and not near and next(path.glob("*.txt"), None) is not None:
         parts.append("it holds text files; if they are labels, give the folder that also has their images and clouds")
     elif not near:
         parts.append(f"`annotator inspect {shlex.quote(str(path))}` lists what each format needs")
     return "; ".join(parts)
+
+
+def _recordings_below(path: Path) -> list[str]:
+    """Says which recordings are in a folder, some levels down."""
+    found, problems, folders = list[str](), list[str](), [path]
+    for _ in range(MOST_LEVELS):
+        deeper = []
+        for child in islice((child for folder in folders for child in _children(folder)), MOST_FOLDERS):
+            try:
+                if detect_format(child) is not None:
+                    found.append(child.relative_to(path).as_posix())
+                elif child.is_dir():
+                    deeper.append(child)
+            except RecordingError as error:
+                problems.append(str(error))
+        folders = deeper
+    if found:
+        return ["it contains recordings; give the path of one of them: " + ", ".join(found[:MOST_HINTS])]
+    return ["it contains recordings that cannot be opened: " + "; ".join(problems[:MOST_PROBLEMS])] if problems else []
+
+
+def _children(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        shown = (child for child in sorted(folder.iterdir()) if not child.name.startswith("."))
+        return [child for child in shown if child.suffix.lower() in FILE_SUFFIXES or child.is_dir()]
+    return []
+
+
+def _recording_above(path: Path) -> Path | None:
+    """Returns the recording that a file or folder is a part of; None if there is none near.
+
+    A folder of clouds may be a part of another recording, and only its files are its parts.
+    """
+    clouds = None
+    for folder in list(path.absolute().parents)[:MOST_ABOVE]:
+        with suppress(RecordingError):
+            name = detect_format(folder)
+            if name == "cloud_folder":
+                clouds = clouds or (folder if folder == path.absolute().parent and path.is_file() else None)
+            # any folder with a scene of SUN RGB-D in it is a recording of scenes
+            elif name is not None and (name != "sunrgbd_scenes" or (folder / "intrinsics.txt").is_file()):
+                return folder
+    return clouds
