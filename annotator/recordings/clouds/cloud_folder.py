@@ -19,14 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, ClassVar, Never
+from typing import ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.transforms import level_pose
 from annotator.image_bytes import UPRIGHT, Size
@@ -36,10 +34,10 @@ from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, wi
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
-from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
+from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, PointCloud
@@ -54,14 +52,6 @@ VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
 # In labelCloud's projects, z of the clouds points up.
 LEVEL_MARK = "labels/_classes.json"
-
-
-class CloudPoseFile(BaseModel):
-    """The optional pose of the clouds' frame in `camera_intrinsic.json`."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    cloud_to_camera: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,11 +263,7 @@ def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
 
 
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
-    camera = read_camera(path).camera
+    read = read_camera(path)
     if rgb is not None:
-        require_size(path, rgb, (camera.width_px, camera.height_px), "the camera is for", "write the intrinsics for it")
-    with file_errors(path, "correct the camera file"):
-        rows = CloudPoseFile.model_validate_json(read_text_file(path)).cloud_to_camera
-    return CloudCamera(
-        path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))
-    )
+        require_size(path, rgb, read.size, "the camera is for", "write the intrinsics for it")
+    return CloudCamera(path, read.T_camera_cloud, read.camera, read_up(path.with_name("gravity.json")))
