@@ -126,22 +126,22 @@ class IntrinsicsRecord(_Record):
         return pinhole(K, self.width_px, self.height_px, distortion)
 
 
-class PlaceRecord(_Record):
-    """A pose; quaternion x y z w."""
+class PoseRecord(_Record):
+    """A pose; the quaternion is w x y z in rcv, x y z w in OpenLABEL."""
 
     translation: Vector
     quaternion: Four
+
+    def transform(self, *, w_first: bool) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=w_first)
+        return RigidTransform.from_components(self.translation, rotation)
 
 
 class TransformRecord(_Record):
     """The pose of a document's base in the world."""
 
-    transform_src_to_dst: PlaceRecord
-
-    def T_world_camera(self) -> RigidTransform:
-        """Raises ValueError for a quaternion of length zero."""
-        data = self.transform_src_to_dst
-        return RigidTransform.from_components(data.translation, Rotation.from_quat(data.quaternion)) * T_BASE_CAMERA
+    transform_src_to_dst: PoseRecord
 
 
 class DocumentFrame(NamedTuple):
@@ -181,7 +181,10 @@ class OpenLabelFolder(KeyedFrames):
         listed = self._listed(key)
         with file_errors(listed.document, REMEDY, f"frame {key}: "):
             camera = IntrinsicsRecord.model_validate(listed.intrinsics).camera()
-            world = None if listed.place is None else TransformRecord.model_validate(listed.place).T_world_camera()
+            world = None
+            if listed.place is not None:
+                place = TransformRecord.model_validate(listed.place).transform_src_to_dst
+                world = place.transform(w_first=False) * T_BASE_CAMERA
         return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
@@ -279,18 +282,6 @@ class CameraRecord(_Record):
     distortion: tuple[Number, ...] = ()
 
 
-class PoseRecord(_Record):
-    """The camera's pose in map coordinates; quaternion w x y z."""
-
-    translation: Vector
-    quaternion: Four
-
-    def transform(self) -> RigidTransform:
-        """Raises ValueError for a quaternion of length zero."""
-        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
-        return RigidTransform.from_components(np.array(self.translation), rotation)
-
-
 class FrameFile(_Record):
     """What a frame needs of `labels/ID.json`."""
 
@@ -319,7 +310,7 @@ class RcvFolder(KeyedFrames):
         path, record = self._record(key)
         with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
-            world = None if record.world is None else record.world.transform()
+            world = None if record.world is None else record.world.transform(w_first=True)
         up = None if record.up is None else np.array(record.up)
         if up is not None:
             length = np.linalg.norm(up)

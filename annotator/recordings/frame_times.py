@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Int64
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.recordings.kitti import KittiFolder
 from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import Recording
 from annotator.text import normal
@@ -113,11 +112,8 @@ class Timed(Protocol):
 
 def recorded_times(recording: Recording) -> dict[str, int | None] | None:
     """The time of each frame by its key, nanoseconds on an arbitrary clock; None if the recording has no times."""
-    if isinstance(recording, KittiFolder) and all(key.isascii() and key.isdigit() for key in recording.keys):
-        return {key: recording.time_ns(int(key)) for key in recording.keys}
-    if isinstance(recording, Timed) and recording.times_ns is not None:
-        return dict(zip(recording.keys, recording.times_ns, strict=True))
-    return None
+    times_ns = recording.times_ns if isinstance(recording, Timed) else None
+    return None if times_ns is None else dict(zip(recording.keys, times_ns, strict=True))
 
 
 def has_times(recording: Recording) -> bool:

@@ -243,6 +243,13 @@ class KittiFolder(KeyedFrames, ABC):
     def _scan_file(self, key: str) -> Path:
         return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")
 
+    @property
+    def times_ns(self) -> tuple[int | None, ...] | None:
+        """The frames' times; None if the keys are no numbers."""
+        if not all(key.isascii() and key.isdigit() for key in self.keys):
+            return None
+        return tuple(self.time_ns(int(key)) for key in self.keys)
+
     def _time_of(self, i: int) -> int | None:
         """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
         key = self.keys[i]

@@ -389,11 +389,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
     return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
 
 
-def is_nuscenes(path: Path) -> bool:
-    """Returns True if the path has nuScenes' tables."""
-    return bool(table_folders(path))
-
-
 def read_scan(path: Path) -> RawCloud:
     """Returns the valid points of a scan: x y z intensity (0..255) ring."""
     rows = valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)

@@ -132,7 +132,7 @@ READERS: dict[str, Reader] = {
         ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin"),
         "ros.bag:is_bag",
     ),
-    "nuscenes": Reader("nuscenes:open_nuscenes", ("scene", "camera", "tolerance_s"), "nuscenes:is_nuscenes"),
+    "nuscenes": Reader("nuscenes:open_nuscenes", ("scene", "camera", "tolerance_s"), "nuscenes:table_folders"),
     "argoverse2": Reader("argoverse:open_argoverse2", ("camera", "tolerance_s"), "argoverse:is_argoverse2"),
     "sunrgbd_extracted": Reader("sunrgbd:open_sunrgbd_extracted"),
     "sunrgbd_scenes": Reader("sunrgbd:open_sunrgbd_scenes"),

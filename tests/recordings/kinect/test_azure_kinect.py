@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
-from annotator.recordings.kinect import matroska
-from annotator.recordings.kinect.matroska import read_index
 from annotator.recordings.kinect.mkv_recording import AzureKinect, is_azure_kinect
 from annotator.types.errors import FrameError, RecordingError
 
@@ -202,11 +200,3 @@ def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
     distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::100]])
     assert np.mean(distance < 1e-5) > 0.9
-
-
-def test_too_many_blocks_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
-    head, block = b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff", b"\xa3\x84\x81\x00\x00\x80"
-    (tmp_path / "x.mkv").write_bytes(head + block * 11)
-    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
-        read_index(tmp_path / "x.mkv")
