@@ -9,14 +9,16 @@ from geometry_strategies import cameras
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.geometry.distortion import distort, radius_limit_squared, undistort
-from annotator.geometry.occlusion import Sight
+from annotator.geometry.outline import Sight
 from annotator.geometry.projection import (
+    distort,
     in_frustum,
     in_metres,
     pixel_rays,
     project,
+    radius_limit_squared,
     straightened,
+    undistort,
     unproject_depth,
 )
 from annotator.types import Box2D, Camera, OrientedBox

@@ -29,12 +29,11 @@ from annotator.frame_limits import read_frame_file
 from annotator.geometry.projection import in_metres
 from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
-from annotator.recordings.image_file import read_confidence, read_depth
+from annotator.recordings.image_file import VideoFile, open_video, read_confidence, read_depth
 from annotator.recordings.listing import file_errors, frame_file, require_size
-from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
+from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.video_file import VideoFile, open_video
 from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError

@@ -28,10 +28,16 @@ from jaxtyping import Float32, UInt8, UInt16
 from annotator.frame_limits import most_pixels, require_pixels
 from annotator.geometry.projection import in_metres
 from annotator.image_bytes import decode_image
-from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
+from annotator.recordings.image_file import (
+    STRICT,
+    STRICTEST,
+    Levels,
+    contrast_levels,
+    depth_levels,
+    pixels_as_eight_bits,
+)
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import FIELD_ERRORS, byte_array, message
-from annotator.recordings.video_file import STRICT, STRICTEST
 
 # columns and rows, which `compressed_depth_image_transport` writes before the words
 RVL_HEAD_BYTES = 8

@@ -11,8 +11,7 @@ import laspy
 import numpy as np
 import pytest
 
-from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.clouds.las_file import parse_las
+from annotator.recordings.clouds.cloud_file import parse_las, read_cloud
 
 COUNT = 300
 RANDOM = np.random.default_rng(0)

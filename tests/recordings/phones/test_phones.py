@@ -16,8 +16,8 @@ import pytest
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
+from annotator.recordings.image_file import open_video
 from annotator.recordings.recording import ReaderOptions
-from annotator.recordings.video_file import open_video
 from annotator.types import Frame
 from annotator.types.errors import FrameError, RecordingError
 
