@@ -82,11 +82,6 @@ def test_missing_depth_has_no_normal_and_does_not_disturb_others(bad: float) -> 
     np.testing.assert_allclose(full, np.broadcast_to([0.0, 0.0, -1.0], full.shape), atol=1e-5)
 
 
-def test_depth_of_another_size_is_refused() -> None:
-    with pytest.raises(GeometryError, match="px"):
-        normals_from_depth(PINHOLE, np.ones((120, 161), np.float32))
-
-
 def sphere(count: int, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     outward = np.random.default_rng(0).normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)

@@ -74,24 +74,6 @@ def test_depth_scale_and_distortion_are_those_of_the_camera_file(folder: Path, d
     np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-3)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_files_of_other_systems_are_read(folder: Path, color: np.ndarray, encoding: str):
-    """Byte order marks and line ends of Windows; the same name in both Unicode forms, as from macOS."""
-    for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
-        (folder / name / "000000.png").rename(folder / name / f"{key}.png")
-    for name, content in (
-        ("camera_intrinsic.json", json.dumps(INTRINSICS, indent=1)),
-        ("gravity.json", '{"up": [0, -2, 0]}\n'),
-        ("timestamps.csv", "key,timestamp_ns\ncafe\u0301,7000000\n000001,8000000\n"),
-    ):
-        (folder / name).write_bytes(content.replace("\n", "\r\n").encode(encoding))
-    recording = open_recording(folder)
-    assert recording.keys == ("000001", "caf\u00e9")
-    frame = recording.frame(1)
-    np.testing.assert_array_equal(frame.rgb, color)
-    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 7_000_000, [0, -1, 0])
-
-
 def test_gravity_becomes_a_unit_vector(folder: Path):
     (folder / "gravity.json").write_text('{"up": [0, -3, 4]}')
     np.testing.assert_allclose(open_recording(folder).frame(0).up, [0, -0.6, 0.8])

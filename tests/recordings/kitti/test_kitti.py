@@ -107,15 +107,6 @@ def test_invalid_points_are_left_out(folder: Path):
     assert len(open_recording(folder).frame(0).cloud) == inside.sum()
 
 
-def test_a_missing_scan_affects_only_its_frame(folder: Path):
-    scan_path(folder).unlink()
-    recording = open_recording(folder)
-    assert recording.keys == ("000003", "000005")
-    with pytest.raises(FrameError, match=r"velodyne/000003\.bin: missing; put 000003\.bin beside the image 000003"):
-        recording.frame(0)
-    assert recording.frame(1).key == "000005"
-
-
 def test_a_missing_calibration_is_an_error_of_its_frame_or_of_the_recording(folder: Path):
     path = calib_path(folder)
     path.unlink()
@@ -207,15 +198,6 @@ def test_errors_name_the_damaged_file(
     with pytest.raises(FrameError, match=complaint) as caught:
         open_recording(drive).frame(0)
     assert caught.value.path == path
-
-
-def test_the_error_of_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
-    with pytest.raises(RecordingError, match=f"one of them: {drive.name}$"):
-        open_recording(drive.parent)
-    for path in (*drive.glob("*/data/*.png"), *drive.glob("*/data/*.bin")):
-        path.unlink()
-    with pytest.raises(RecordingError, match="no frames; expected image_02/data/KEY"):
-        open_recording(drive)
 
 
 TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
