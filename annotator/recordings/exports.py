@@ -33,7 +33,7 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
 from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_folder import Four, Number, Positive, Side
+from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS, in_time, too_late
@@ -259,7 +259,6 @@ def _nanoseconds(seconds: str) -> int:
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
 RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
-LEAST_LENGTH = 1e-6
 
 
 class ManifestFile(_Record):
@@ -311,12 +310,7 @@ class RcvFolder(KeyedFrames):
         with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
             world = None if record.world is None else record.world.transform(w_first=True)
-        up = None if record.up is None else np.array(record.up)
-        if up is not None:
-            length = np.linalg.norm(up)
-            if length < LEAST_LENGTH:
-                raise FrameError(path, "up has length 0", REMEDY)
-            up = up / length
+        up = None if record.up is None else unit_up(path, record.up, REMEDY)
         files = exported_files(self.path, (record.image, record.cloud))
         return exported_frame(key, i, files, camera, up, record.timestamp_ns, world)
 

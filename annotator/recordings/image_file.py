@@ -97,11 +97,6 @@ class ColorImage:
     exif_orientation: int = UPRIGHT
 
 
-def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Reads the image of a camera whose calibration does not say its size; as `read_color_image`."""
-    return read_color_image(path).rgb
-
-
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
     """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 

@@ -206,11 +206,16 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     if not path.exists():
         return None
     with file_errors(path, 'write {"up": [x, y, z]}', "not a gravity file: "):
-        up = np.array(GravityFile.model_validate_json(read_text_file(path)).up)
+        up = GravityFile.model_validate_json(read_text_file(path)).up
+    return unit_up(path, up, "write the direction against gravity in the camera frame")
+
+
+def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarray, "3"]:
+    """Returns a direction in a file as a unit vector."""
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
-        raise FrameError(path, "up has length 0", "write the direction against gravity in the camera frame")
-    return up / length
+        raise FrameError(path, "up has length 0", remedy)
+    return np.array(up) / length
 
 
 LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"

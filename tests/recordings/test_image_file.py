@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.ros.pictures import color_image
 from annotator.types.errors import FrameError
 
@@ -70,7 +70,7 @@ ODD = [
 def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
-        read_rgb(tmp_path / "a.png")
+        read_color_image(tmp_path / "a.png")
 
 
 def test_a_jpeg_of_too_many_pixels_is_refused():

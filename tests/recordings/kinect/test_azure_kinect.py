@@ -11,6 +11,7 @@ import kinect_recording as made
 import numpy as np
 import pytest
 
+from annotator.geometry.projection import undistort_px
 from annotator.recordings import open_recording
 from annotator.recordings.kinect.mkv_recording import AzureKinect, is_azure_kinect
 from annotator.types.errors import FrameError, RecordingError
@@ -190,7 +191,7 @@ def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     px = np.stack([rows["u_depth_px"], rows["v_depth_px"]], axis=1)
     depth_mm = recording.depth_image(0)[px[:, 1].astype(int), px[:, 0].astype(int)]
     np.testing.assert_array_equal(depth_mm, rows["depth_mm"])
-    in_depth = calibration.depth_to_3d(px, depth_mm / 1000)
+    in_depth = np.c_[undistort_px(calibration.depth, px), np.ones(len(px))] * depth_mm[:, None] / 1000
     in_color = calibration.T_color_depth.apply(in_depth)
     np.testing.assert_allclose(in_depth * 1000, np.c_[rows["x_d"], rows["y_d"], rows["z_d"]], atol=0.005)
     np.testing.assert_allclose(in_color * 1000, np.c_[rows["x_c"], rows["y_c"], rows["z_c"]], atol=0.005)
