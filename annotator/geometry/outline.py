@@ -57,7 +57,8 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
         the box, pixels; None if nothing is visible, or if it is smaller than `min_side_px`.
     """
     polygons = _visible_faces(camera, box_corners(box))
-    px, last_px = project(camera, _at_one_metre(np.concatenate(polygons))), _last_px(camera)
+    xy, last_px = np.concatenate(polygons), _last_px(camera)
+    px = project(camera, np.column_stack([xy, np.ones(len(xy))]))
     if not ((px >= -0.5) & (px <= last_px)).all():
         ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
         px = np.concatenate([_in_image(polygon, last_px) for polygon in np.split(px, ends)])
@@ -110,10 +111,6 @@ def _normalised(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Fl
     """Polygons in front of the camera as (x/z, y/z); for a distorted camera, with subdivided edges."""
     xy = polygons_m[..., :2] / polygons_m[..., 2:]
     return xy if camera.is_ideal else _subdivided(xy)
-
-
-def _at_one_metre(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
-    return np.column_stack([xy, np.ones(len(xy))])
 
 
 def _in_image(polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "m 2"]:

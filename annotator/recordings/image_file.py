@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -64,25 +65,15 @@ def pixels_as_eight_bits(pixels: np.ndarray, levels: Levels) -> UInt8[np.ndarray
     return np.clip((pixels - np.float64(levels.low)) * share, 0, 255).astype(np.uint8)
 
 
-def common_levels(path: Path, pixels: np.ndarray, read: Callable[[Path], np.ndarray]) -> Levels:
-    """Returns the levels of an image file: those of the first images of its folder, and its own.
-
-    Args:
-        read: returns the pixels of a file; FrameError = it is damaged, which its own frame tells.
-    """
-    return depth_levels(pixels).with_all(_of_folder(path.parent, path.suffix, path.parent.stat().st_mtime_ns, read))
-
-
 @lru_cache(maxsize=64)
-def _of_folder(folder: Path, suffix: str, changed_ns: int, read: Callable[[Path], np.ndarray]) -> list[Levels]:
+def _of_folder(folder: Path, suffix: str, changed_ns: int) -> list[Levels]:
+    """Returns the levels of the first images of a folder that have more than 8 bits."""
     found = []
     for path in files_like(folder / f"any{suffix}")[:FIRST]:
-        try:
-            pixels = read(path)
-        except FrameError:
-            continue
-        # 8-bit images among them say nothing
-        found += [depth_levels(pixels)] if pixels.dtype != np.uint8 else []
+        # a damaged one is told by its own frame
+        with suppress(FrameError):
+            pixels = _colors(path)[1]
+            found += [depth_levels(pixels)] if pixels.dtype != np.uint8 else []
     return found
 
 
@@ -100,7 +91,7 @@ class ColorImage:
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
     """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 
-    More than 8 bits are reduced to 8, by one depth for the images of a folder (`common_levels`).
+    More than 8 bits are reduced to 8, by one depth for the images of a folder.
 
     Args:
         size: width and height of the calibration; None if it does not say it.
@@ -108,11 +99,11 @@ def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = 
     """
     import cv2
 
-    data, pixels = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    bgr = (
-        pixels if pixels.dtype == np.uint8 else pixels_as_eight_bits(pixels, common_levels(path, pixels, _deep_pixels))
-    )
-    rgb: np.ndarray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    data, pixels = _colors(path)
+    if pixels.dtype != np.uint8:
+        levels = _of_folder(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
+        pixels = pixels_as_eight_bits(pixels, depth_levels(pixels).with_all(levels))
+    rgb: np.ndarray = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
     orientation = orientation_of(data)
     turn = is_turned(orientation, (rgb.shape[1], rgb.shape[0]), size)
     if turn is None and not has_depth:
@@ -124,10 +115,10 @@ def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = 
     return ColorImage(turned(rgb, orientation)) if turn else ColorImage(rgb, orientation)
 
 
-def _deep_pixels(path: Path) -> np.ndarray:
+def _colors(path: Path) -> tuple[bytes, np.ndarray]:
     import cv2
 
-    return _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)[1]
+    return _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:

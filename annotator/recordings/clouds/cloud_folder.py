@@ -205,7 +205,9 @@ class CloudFolder(KeyedFrames):
         if path.name == FILE_NAME:
             return _in_world(_json_camera(path, rgb))
         camera = _kitti_camera(path, rgb)
-        return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
+        if (self.path / LEVEL_MARK).is_file():
+            camera = replace(camera, up=camera.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
+        return _in_world(camera)
 
     def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
@@ -255,11 +257,6 @@ def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             raise FrameError(path, f"P2 implies an image of {width} x {height} pixels", "correct the calibration")
         camera = calibration.camera(width, height)
     return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
-
-
-def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
-    """Returns the direction of the clouds' z axis in the camera frame."""
-    return np.asarray(source.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
 
 
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -384,7 +385,10 @@ class CommonScale:
         if not any(raw.scales):
             return raw
         if place not in self._found:
-            scales = [found for scan in islice(scans(), FIRST) if any(found := _scales_of(read, scan))]
+            scales = list[Scales]()
+            for scan in islice(scans(), FIRST):
+                with suppress(FrameError, ValueError):
+                    scales += filter(any, [read(scan).scales])
             if not scales:
                 return raw
             self._found[place] = (max(each for each, _ in scales), max(each for _, each in scales))
@@ -394,10 +398,3 @@ class CommonScale:
 def files_like(path: Path) -> list[Path]:
     """Returns the files of a folder with the suffix of this one, by name."""
     return sorted(file for file in path.parent.iterdir() if file.suffix.lower() == path.suffix.lower())
-
-
-def _scales_of(read: Callable[[Source], RawCloud], scan: Source) -> Scales:
-    try:
-        return read(scan).scales
-    except (FrameError, ValueError):
-        return 0.0, 0.0

@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8, UInt16
+from jaxtyping import Float64, UInt8
 
 from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.calibration import (
@@ -264,7 +264,12 @@ class KinectDevice:
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
         self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
-        xyz_m, pixel = self.calibration.seen_points(_depth_mm(self.name, capture.depth, self._mode.size))
+        depth, (width, height) = capture.depth, self._mode.size
+        if depth.shape != (height, width) or depth.dtype != np.uint16:
+            raise DeviceError(
+                f"{self.name}: its depth images are {depth.shape} {depth.dtype}, not {width} x {height} uint16"
+            )
+        xyz_m, pixel = self.calibration.seen_points(depth)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))
         key, self._frames = f"{self._frames:06d}", self._frames + 1
         frame = Frame(
@@ -313,9 +318,3 @@ def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     if bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
         raise DeviceError(f"{name}: its colour images are {bgra.shape} {bgra.dtype}, not {height} x {width} BGRA")
     return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGB))
-
-
-def _depth_mm(name: str, depth: np.ndarray, size: Size) -> UInt16[np.ndarray, "h w"]:
-    if depth.shape != size[::-1] or depth.dtype != np.uint16:
-        raise DeviceError(f"{name}: its depth images are {depth.shape} {depth.dtype}, not {size[1]} x {size[0]} uint16")
-    return depth

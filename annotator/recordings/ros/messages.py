@@ -107,7 +107,7 @@ def _stamp_of_head(channel: Channel, data: bytes) -> int:
 @lru_cache(maxsize=256)
 def _decoder(encoding: str, kind: str, schema_encoding: str, schema: bytes) -> Callable[[bytes], Any]:
     if encoding == "json":
-        return _from_json
+        return lambda data: json.loads(data, object_hook=lambda values: SimpleNamespace(**values))
     if encoding == "protobuf":
         return _protobuf_decoder(kind, schema)
     if encoding not in ("ros1", "cdr"):
@@ -155,10 +155,6 @@ def _protobuf_decoder(kind: str, schema: bytes) -> Callable[[bytes], Any]:
         pool.Add(file)
     parse: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(kind)).FromString
     return parse
-
-
-def _from_json(data: bytes) -> Any:
-    return json.loads(data, object_hook=lambda values: SimpleNamespace(**values))
 
 
 def byte_array(data: Any) -> np.ndarray:
