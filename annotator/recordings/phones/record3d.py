@@ -32,7 +32,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fence import fenced
-from annotator.files import ARCHIVE_ERRORS, open_file
+from annotator.files import ARCHIVE_ERRORS, check_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
@@ -145,7 +145,8 @@ def unpack(data: bytes, expected_bytes: int) -> bytes:
 @lru_cache(maxsize=4)
 def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
     """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
-    return zipfile.ZipFile(open_file(path))
+    check_file(path)
+    return zipfile.ZipFile(path)
 
 
 def _opened(path: Path) -> zipfile.ZipFile:
