@@ -32,7 +32,7 @@ from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
@@ -95,7 +95,6 @@ def exported_frame(
 
 
 Vector = tuple[Number, Number, Number]
-OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
 CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
 # Axes of the base: x forward, y left, z up.
@@ -207,16 +206,16 @@ class OpenLabelFolder(KeyedFrames):
         return frames
 
 
-def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
-    """Opens the exported documents in the folder `path`; `NotFound` if there are none."""
+def open_openlabel(path: Path) -> OpenLabelFolder | None:
+    """Opens the exported documents in the folder `path`; None if there are none."""
     images = path / "images"
     if not (images.is_dir() and (path / "clouds").is_dir()):
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     if not any((folder / ORIGINS).is_file() for folder in (path, path.parent)):
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     documents = tuple(file for file in sorted(path.glob("*.json")) if _is_ours(file))
     if not documents:
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     return OpenLabelFolder(path, sorted_keys(path, stems(images, IMAGE_SUFFIXES), "images/KEY.png"), documents)
 
 
@@ -258,7 +257,6 @@ def _nanoseconds(seconds: str) -> int:
 
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
-RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
 
 
 class ManifestFile(_Record):
@@ -321,14 +319,14 @@ class RcvFolder(KeyedFrames):
             return path, FrameFile.model_validate_json(read_text_file(path))
 
 
-def open_rcv(path: Path) -> RcvFolder | NotFound:
-    """Opens the `rcv` dataset at `path`; `NotFound` if it is not one."""
+def open_rcv(path: Path) -> RcvFolder | None:
+    """Opens the `rcv` dataset at `path`; None if it is not one."""
     manifest = path / MANIFEST
     if not manifest.is_file():
-        return NotFound(RCV_LOOKED_FOR)
+        return None
     content = read_document(manifest)
     if not isinstance(content, dict) or content.get("format") != FORMAT_NAME:
-        return NotFound(RCV_LOOKED_FOR)
+        return None
     with file_errors(manifest, REMEDY, kind=RecordingError):
         keys = ManifestFile.model_validate(content).frames
     if len(set(keys)) < len(keys):

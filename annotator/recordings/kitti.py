@@ -41,7 +41,7 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
@@ -289,7 +289,6 @@ def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> N
 
 
 IMAGES, SCANS = "image_02", "velodyne"
-OBJECT_LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,17 +305,16 @@ class KittiObject(KittiFolder):
         """Unrelated frames have no time."""
 
 
-def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
-    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none."""
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
+    """Opens the KITTI object folder at `path` or `path`/training; None if there is none."""
     for root in (path, path / "training"):
         keys = keys_in(root, "image_2", SCANS)
         if keys is not None:
             require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
             return KittiObject(path, keys, root, "image_2", SCANS, reader=Scans(options.columns))
-    return NotFound(OBJECT_LOOKED_FOR)
+    return None
 
 
-RAW_LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
 CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
@@ -374,18 +372,11 @@ def _nanoseconds(line: str) -> int | None:
     return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
 
 
-def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
-    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`."""
+def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
+    """Opens the KITTI raw drive at `path`; None if it is not one. Takes the option `columns`."""
     places = "image_02/data", "velodyne_points/data"
     keys = keys_in(path, *places)
-    return (
-        NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, path, *places, reader=Scans(options.columns))
-    )
-
-
-TRACKING_LOOKED_FOR = (
-    "folders image_02/ and velodyne/ (and calib.txt), or image_02/0000/, velodyne/0000/ (and calib/0000.txt)"
-)
+    return None if keys is None else KittiRaw(path, keys, path, *places, reader=Scans(options.columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,8 +421,8 @@ class KittiSequence(KittiTracking):
         return read_calibration(self.root / "calib" / f"{self.scene}.txt")
 
 
-def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
-    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; `NotFound` if it is neither.
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | None:
+    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; None if it is neither.
 
     Takes the options `columns` and, of a data set, `scene`; without it, the first drive is read.
     """
@@ -441,7 +432,7 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
             return _sequence(path, root, drives, options)
     keys = keys_in(path, IMAGES, SCANS)
     if keys is None:
-        return NotFound(TRACKING_LOOKED_FOR)
+        return None
     if options.scene is not None:
         raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
     require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")

@@ -39,7 +39,7 @@ from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
@@ -206,7 +206,6 @@ def _table(model: type[Record]) -> str:
     )
 
 
-LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
 FRONT = "CAM_FRONT"
 # The origins of an export's frames; nuScenes itself has no such file.
 EXPORT_MARK = "frames.csv"
@@ -353,15 +352,15 @@ class NuScenes(KeyedFrames):
             return image.T_global_sensor().inv(), scan.T_global_sensor()
 
 
-def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
-    """Opens a scene of the dataset at `path`; `NotFound` if there are no tables.
+def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
+    """Opens a scene of the dataset at `path`; None if there are no tables.
 
     Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one. If there are no
     images, the frames are the scans.
     """
     folders = table_folders(path)
     if not folders:
-        return NotFound(LOOKED_FOR)
+        return None
     if len(folders) > 1:
         names = ", ".join(folder.name for folder in folders)
         raise RecordingError(f"{path}: has several folders of tables ({names}); give the path of one")

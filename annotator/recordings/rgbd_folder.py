@@ -35,7 +35,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError
@@ -218,8 +218,6 @@ def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarra
     return np.array(up) / length
 
 
-LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"
-
 # A PNG file's signature and first chunk.
 PNG_HEAD_BYTES = 33
 
@@ -284,8 +282,8 @@ class RgbdFolder(KeyedFrames):
         )
 
 
-def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
-    """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
+def open_rgbd_folder(path: Path) -> RgbdFolder | None:
+    """Opens the RGB-D folder at `path`; None if it is not one.
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
     a different encoding of depth.
@@ -295,7 +293,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     if not color.is_dir() and any(path.glob("camera_*.json")):
         color = path / "image"
     if not (color.is_dir() and depth.is_dir()):
-        return NotFound(LOOKED_FOR)
+        return None
     keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
     return RgbdFolder(path, ordered, color, *read_times(path, ordered))

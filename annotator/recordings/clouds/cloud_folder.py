@@ -36,14 +36,13 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan
-from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError
 
-LOOKED_FOR = f"files of points ({' '.join(CLOUD_SUFFIXES)}), here or in points/"
 CLOUD_FOLDERS = ("points", "clouds", "cloud", "pointcloud", "pointclouds", "velodyne", "lidar", "pcd", "ply")
 IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 # For clouds without a camera; horizontal field of view 90 degrees.
@@ -218,17 +217,17 @@ class CloudFolder(KeyedFrames):
         )
 
 
-def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one."""
+def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | None:
+    """Opens the folder of point clouds at `path`; None if it is not one."""
     if not path.is_dir():
-        return NotFound(LOOKED_FOR)
+        return None
     for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):
         keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
         if keys:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
             if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
-            ordered = sorted_keys(path, keys, LOOKED_FOR)
+            ordered = sorted_keys(path, keys, "files of points")
             times = read_times(path, ordered)
             folder = CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
             calibration = folder.calibration(ordered[0])
@@ -238,7 +237,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
                     "leave out one of them"
                 )
             return folder
-    return NotFound(LOOKED_FOR)
+    return None
 
 
 def _in_world(camera: CloudCamera) -> CloudCamera:

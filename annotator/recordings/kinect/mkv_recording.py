@@ -35,7 +35,7 @@ from annotator.recordings.kinect.calibration import (
 )
 from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index
 from annotator.recordings.listing import file_errors
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 
@@ -125,7 +125,6 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
 
 
 TRACKS = frozenset({"COLOR", "DEPTH"})
-LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +240,10 @@ def is_azure_kinect(path: Path) -> bool:
         return False
 
 
-def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
-    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one."""
+def open_azure_kinect(path: Path) -> AzureKinect | None:
+    """Opens the Azure Kinect recording at `path`, reading headers only; None if it is not one."""
     if not _is_mkv(path):
-        return NotFound(LOOKED_FOR)
+        return None
     stat = path.stat()
     index = _index(path, stat.st_mtime_ns, stat.st_size)
     if index is None:

@@ -39,7 +39,7 @@ from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import file_errors, sorted_keys
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
@@ -180,7 +180,6 @@ def read_entry(path: Path, name: str) -> bytes:
         raise ValueError(f"the archive is damaged here ({error})") from error
 
 
-LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
 REMEDY = "export the recording again"
 # Depth sizes of the back and the front camera (long side, short side), for files that do not name them.
@@ -358,10 +357,10 @@ def is_record3d(path: Path) -> bool:
     return is_file or ((path / METADATA).is_file() and (path / FOLDER).is_dir())
 
 
-def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
-    """Opens the Record3D recording at `path`; `NotFound` if it is not one."""
+def open_record3d(path: Path, options: ReaderOptions) -> Record3D | None:
+    """Opens the Record3D recording at `path`; None if it is not one."""
     if not is_record3d(path):
-        return NotFound(LOOKED_FOR)
+        return None
     with file_errors(path, REMEDY, kind=RecordingError):
         entries = list_entries(path)
     keys = {

@@ -29,7 +29,6 @@ from annotator.types.messages import amount
 METADATA = "metadata.yaml"
 MAGICS = {".bag": ROS1_MAGIC, ".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC}
 SUFFIXES = tuple(MAGICS)
-LOOKED_FOR = "a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files"
 LARGEST_METADATA = 1 << 24
 
 

@@ -28,8 +28,8 @@ from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, wi
 from annotator.recordings.image_file import Levels
 from annotator.recordings.kitti import UP, visible_cloud
 from annotator.recordings.look_around import Scan, level_turn
-from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import (
     FIELD_ERRORS,
     RECTIFIED,
@@ -323,11 +323,11 @@ class ScanBag(RosBag):
             )  # fmt: skip
 
 
-def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
-    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one."""
+def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
+    """Opens the bag at `path`, without reading images or clouds; None if it is not one."""
     bag = open_bag(path)
     if bag is None:
-        return NotFound(LOOKED_FOR)
+        return None
     chosen = choose(bag, options)
     realsense = realsense_of(bag, chosen)
     notes: tuple[str, ...] = ()
