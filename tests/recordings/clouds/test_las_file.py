@@ -52,16 +52,6 @@ def test_files_written_by_laspy_are_read(tmp_path: Path, version: str, point_for
         assert read.rgb is None
 
 
-@pytest.mark.parametrize("bits", [10, 16])
-def test_colours_use_their_own_range(bits: int):
-    cloud = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
-    cloud.x, cloud.y, cloud.z = XYZ.T
-    cloud.red, cloud.green, cloud.blue = np.floor(RGB.T * ((2**bits - 1) / 255) + 0.5).astype(np.uint16)
-    out = io.BytesIO()
-    cloud.write(out)
-    np.testing.assert_array_equal(parse_las(out.getvalue()).rgb, RGB)
-
-
 def test_withheld_points_8_bit_colours_and_empty_columns_are_handled():
     header = laspy.LasHeader(point_format=2, version="1.2")
     header.scales = [0.001] * 3

@@ -14,7 +14,6 @@ from small_recordings import kitti_object, kitti_raw, kitti_tracking
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.kitti import read_calibration
 from annotator.types.errors import FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
@@ -41,22 +40,6 @@ def test_the_cloud_contains_the_points_on_the_image_with_their_colours(folder: P
     assert frame.cloud.pixel_index is None
     assert frame.depth_m is None
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["kitti/training/calib/000000.txt", "kitti_drive_0005/calib.txt"])
-def test_real_calibrations_project_as_with_p2(shared: Path, name: str):
-    path = shared / "data" / name
-    calibration = read_calibration(path)
-    given = {line.split(":")[0]: line.split()[1:] for line in path.read_text().splitlines() if ":" in line}
-    matrix = {key: np.array(values, float) for key, values in given.items()}
-    lidar = np.random.default_rng(0).uniform([3, -20, -2], [60, 20, 2], (500, 3))
-    Tr = np.vstack([matrix["Tr_velo_to_cam"].reshape(3, 4), [0, 0, 0, 1]])
-    R = np.eye(4)
-    R[:3, :3] = matrix["R0_rect"].reshape(3, 3)
-    uvw = np.c_[lidar, np.ones(500)] @ (matrix["P2"].reshape(3, 4) @ R @ Tr).T
-    px = project(calibration.camera(1242, 375), calibration.to_camera(lidar))
-    np.testing.assert_allclose(px, uvw[:, :2] / uvw[:, 2:], atol=1e-6)
 
 
 def test_tracking_frames_have_timestamps(folder: Path):

@@ -340,17 +340,6 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path):
     assert frame.depth_m is not None and frame.depth_m.shape == IMAGE.shape[:2]
 
 
-def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
-    with BagWriter(tmp_path, "ros1") as bag:
-        for i in range(2):
-            write_scan(bag, START_NS + i * 100 * MS)
-    recording = open_recording(bag.path)
-    assert "a virtual camera" in recording.notes[0]
-    frame = recording.frame(1)
-    expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
-    np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
-
-
 def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):
     deep = np.floor(IMAGE * (4095 / 255) + 0.5).astype(np.uint16)
     with BagWriter(tmp_path, "mcap") as bag:
