@@ -81,41 +81,29 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
             f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux, also install the SDK's "
             "udev rules (99-k4a.rules)"
         )
-    if which is not None and not INDEX.fullmatch(which):
-        return _open_serial(k4a, config, which, count)
-    index = int(which or 0)
+    is_index = which is None or INDEX.fullmatch(which) is not None
+    index = int(which or 0) if is_index else 0
     if index >= count:
         raise DeviceError(f"there is no {NAME} number {index}: {count} connected, numbered from 0")
-    device = k4a.PyK4A(config, index, thread_safe=False)
-    try:
-        device.open()
-        return device, str(device.serial)
-    except k4a.K4AException as error:
-        _close_quietly(device)
+    others = []
+    for number in [index] if is_index else range(count):
+        device = k4a.PyK4A(config, number, thread_safe=False)
+        with suppress(k4a.K4AException):  # in use by another program, or not permitted
+            device.open()
+            serial = str(device.serial)
+            if is_index or serial == which:
+                return device, serial
+            others.append(serial)
+        if device.opened:
+            device.close()
+    if is_index:
         raise DeviceError(
             f"{NAME} number {index} cannot be opened: another program uses it, or this user lacks the permission (on "
             "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
-        ) from error
-
-
-def _open_serial(k4a: ModuleType, config: Any, serial: str, count: int) -> tuple[Any, str]:
-    others = []
-    for index in range(count):
-        device = k4a.PyK4A(config, index, thread_safe=False)
-        with suppress(k4a.K4AException):  # in use by another program; counted in the message below
-            device.open()
-            if str(device.serial) == serial:
-                return device, serial
-            others.append(str(device.serial))
-        _close_quietly(device)
+        )
     if len(others) < count:
         others.append(f"{count - len(others)} that cannot be opened")
-    raise DeviceError(f"no {NAME} with the serial number {serial} can be opened; connected: {', '.join(others)}")
-
-
-def _close_quietly(device: Any) -> None:
-    if device.opened:
-        device.close()
+    raise DeviceError(f"no {NAME} with the serial number {which} can be opened; connected: {', '.join(others)}")
 
 
 @dataclass(frozen=True)
