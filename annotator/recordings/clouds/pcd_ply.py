@@ -27,9 +27,6 @@ from annotator.recordings.clouds.columns import (
     typed,
 )
 
-# The longest reference, 264 bytes, is encoded in three bytes.
-MOST_EXPANSION = 88
-
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
     """Returns the `size` decompressed bytes.
@@ -77,7 +74,6 @@ def _repeat(out: bytearray, distance: int, length: int) -> None:
         out += (pattern * (length // distance + 1))[:length]
 
 
-LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
 PER_FIELD, LARGEST_POINT = ("SIZE", "TYPE", "COUNT"), 1 << 19
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
@@ -107,7 +103,7 @@ def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
     words: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in words:
-        end = data.find(b"\n", at, LONGEST_HEADER)
+        end = data.find(b"\n", at)
         if end < 0:
             raise ValueError("is not a PCD file, or its header is truncated")
         keyword, *rest = data[at:end].decode("latin-1").split() or ["#"]
@@ -165,8 +161,7 @@ def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[s
     content = data[offset + 8 : offset + 8 + packed]
     if len(content) < packed:
         raise ValueError(f"declares {packed} compressed bytes but has {len(content)}")
-    # checked before memory is allocated: LZF expands data by at most MOST_EXPANSION
-    if unpacked < count * dtype.itemsize or unpacked > max(packed * MOST_EXPANSION, 0):
+    if unpacked < count * dtype.itemsize:
         raise ValueError(f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed")
     require_memory(points=count, more_bytes=unpacked)
     try:
@@ -274,7 +269,7 @@ def _vertices_from_text(data: bytes, offset: int, before: list[_Element], vertex
 
 def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     """Returns the byte order, the elements, and the offset of the header's end."""
-    end = data.find(b"end_header", 0, LONGEST_HEADER)
+    end = data.find(b"end_header")
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise ValueError("is not a PLY file, or its header is truncated")

@@ -38,8 +38,6 @@ LOG = logging.getLogger("annotator.kinect")
 FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
 # Timeout of one call, milliseconds; `stop` is checked between calls.
 WAIT_MS = 200
-# Limit of samples read at once; the accelerometer measures at 1.6 kHz.
-MOST_SAMPLES_AT_ONCE = 4096
 COLOR_SIZE: Size = (1280, 720)
 NS_PER_US = 1000
 NAME = "Azure Kinect"
@@ -267,7 +265,7 @@ class KinectDevice:
 
     def _read_accelerations(self, time_ns: int) -> None:
         """Reads the accelerometer's new samples and drops those older than `WITHIN_NS`."""
-        for _ in range(MOST_SAMPLES_AT_ONCE):
+        while True:
             try:
                 sample = self._device.get_imu_sample(timeout=0)
             except self._k4a.K4ATimeoutException:

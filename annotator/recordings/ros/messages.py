@@ -172,7 +172,6 @@ def byte_array(data: Any) -> np.ndarray:
 # sensor_msgs/PointField.msg and foxglove.PackedElementField.NumericType
 ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
-LARGEST_POINT = 1 << 16
 
 
 def cloud_of(content: Any) -> RawCloud:
@@ -216,7 +215,7 @@ def _foxglove_cloud(content: Any) -> RawCloud:
 
 def _point_type(size: int, fields: list[tuple[str, int, str, int]]) -> np.dtype:
     """Returns the type of a point; fields of an unknown type or of several values are left out."""
-    if not 0 < size <= LARGEST_POINT:
+    if size <= 0:
         raise ValueError(f"declares {len(fields)} fields in points of {size} bytes")
     used = {}
     for name, offset, kind, count in fields:

@@ -124,7 +124,7 @@ FALSE_HEADERS = [
     (
         "a.pcd",
         pcd(PLAIN, "binary_compressed", np.array([124, HUGE % 2**32], "<u4").tobytes() + bytes(124)),
-        "do not fit",
+        "its compressed points are damaged",
     ),
     ("a.pcd", pcd(PLAIN, "binary_compressed", lzf(bytes(120))[:50], 10), "compressed bytes but has"),
     ("a.pcd", pcd(PLAIN, "binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10), "before the beg"),
