@@ -18,7 +18,7 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import Recording
 from annotator.text import normal
-from annotator.types.checks import LATEST_NS, too_dense, too_late
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import RecordingError
 from annotator.types.messages import amount
 
@@ -94,7 +94,9 @@ def _unit_problem(times_ns: Times) -> str | None:
         return None
     step = float(np.median(np.diff(times)))
     are_us = SINCE_1970_US[0] <= times[0] and times[-1] <= SINCE_1970_US[1]
-    return too_dense(step) if step <= (MOST_DENSE_US if are_us else MOST_DENSE_NS) else None
+    if step > (MOST_DENSE_US if are_us else MOST_DENSE_NS):
+        return None
+    return f"the times are {step:g} ns apart (their median), so their unit is probably another one"
 
 
 @runtime_checkable

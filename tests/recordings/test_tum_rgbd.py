@@ -114,14 +114,12 @@ def test_folders_may_be_linked_into_the_recording_but_not_lead_further(tmp_path:
 @pytest.mark.parametrize(
     "changed",
     [
-        lambda text: "\ufeff" + text.replace("\n", "\r\n"),
         lambda text: text.replace(" ", ", "),
         lambda text: text.replace(" ", ","),
-        lambda text: text.replace("/", "\\"),
         lambda text: text.replace("rgb/", "./rgb/"),
         lambda text: text.replace(".png", ".png 1 2"),
     ],
-    ids=["windows", "commas-blanks", "commas", "backslashes", "point", "columns"],
+    ids=["commas-blanks", "commas", "point", "columns"],
 )
 def test_lists_of_other_tools_are_read(tmp_path: Path, changed: Callable[[str], str]):
     path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34], small)

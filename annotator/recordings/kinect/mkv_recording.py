@@ -24,7 +24,7 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
-from annotator.image_bytes import declared_size, decode_image, image_problem
+from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
@@ -110,12 +110,10 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
 
     halves = FORMATS[fourcc]
     if halves is None:
-        # checked before decoding: damaged bytes could declare an image of gigabytes
-        if declared_size(data) != (width_px, height_px):
-            raise ValueError(image_problem(data) or f"it is not a JPEG image of {width_px} x {height_px} pixels")
-        return np.asarray(
-            cv2.cvtColor(decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), cv2.COLOR_BGR2RGB)
-        )
+        bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if bgr.shape[:2] != (height_px, width_px):
+            raise ValueError(f"it is not an image of {width_px} x {height_px} pixels")
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
     expected = width_px * height_px * halves // 2
     if len(data) != expected:
         raise ValueError(f"it has {len(data)} bytes, but {width_px} x {height_px} pixels of {fourcc} have {expected}")

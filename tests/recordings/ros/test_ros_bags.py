@@ -169,7 +169,7 @@ def test_partners_are_counted(tmp_path: Path):
 
 MISSING = [
     ({}, "the transform from lidar to camera is missing: the bag has no tf"),
-    ({"camera": "rig"}, r"tf does not know 'lidar' \(it has camera, rig\)"),
+    ({"camera": "rig"}, r"lidar hangs from lidar, camera from rig, .* \(tf has camera, rig\)"),
     ({"camera": "rig", "lidar": "roof"}, "lidar hangs from roof, camera from rig, and no link joins these two"),
 ]
 
@@ -190,7 +190,7 @@ def test_the_camera_frame_can_be_named(tmp_path: Path):
         write_scan(bag, START_NS)
         write_camera(bag, "cam", START_NS, frame="nonsense")
         write_mount(bag)
-    with pytest.raises(FrameError, match="'nonsense'"):
+    with pytest.raises(FrameError, match="nonsense from nonsense, and no link"):
         open_recording(bag.path).frame(0)
     frame = open_recording(bag.path, ReaderOptions(tf_frame="camera")).frame(0)
     np.testing.assert_allclose(frame.cloud.xyz_m, seen_points(), atol=1e-6)
