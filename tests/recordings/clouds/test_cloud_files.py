@@ -273,7 +273,7 @@ def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count:
             np.testing.assert_allclose(parse_las(content).xyz_m, LAS_XYZ[count:], atol=1e-9)
             continue
         with pytest.raises(
-            ValueError, match=rf"saturated: {axes} is at the limit of int32 in {count} of {COUNT} points"
+            ValueError, match=rf"saturated: {axes} is at the limit of int32 in {count} of {LAS_COUNT} points"
         ):
             parse_las(content)
 
@@ -291,13 +291,13 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
     return data[:at] + struct.pack(f"<{code}", value) + data[at + struct.calcsize(f"<{code}") :]
 
 
-MOST_POINTS = 2**32 - 1
+LAS_HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 FALSE_LAS = [
     (b"LASF" + bytes(300), "position of the points, byte 0"),
     (written("1.2", 3, 0, False)[:-1], "cannot be read as LAS or LAZ"),
     (written("1.2", 3, 0, False)[:-34], "declares 300 points but ends after 299"),
-    (patched(written("1.2", 3, 0, False), 107, "I", MOST_POINTS), f"{HUGE} points take about"),
+    (patched(written("1.2", 3, 0, False), 107, "I", LAS_HUGE), f"{LAS_HUGE} points take about"),
     (patched(OLD, 107, "I", 2**25), "33554432 points take about 4096 MiB"),
     (OLD[: len(OLD) // 2], "cannot be read as LAS or LAZ"),
 ]
