@@ -1,4 +1,4 @@
-"""Small recordings of all formats: the files of a frame, which `add` looks at; and known damage is an error; times of frames."""
+"""Small recordings of all formats: the files of a frame, which `add` looks at; known damage is an error; times."""
 
 from __future__ import annotations
 
