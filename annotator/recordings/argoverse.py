@@ -122,7 +122,7 @@ class ArgoverseLog(KeyedFrames):
         up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(raw.xyz_m, None, raw.reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+        return Scan(raw, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def intrinsics(self, i: int) -> Camera:
         """Returns the camera of frame `i`, with the size that the calibration names."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int64
@@ -99,22 +98,9 @@ def _unit_problem(times_ns: Times) -> str | None:
     return f"the times are {step:g} ns apart (their median), so their unit is probably another one"
 
 
-@runtime_checkable
-class Timed(Protocol):
-    """A recording with a time for each frame."""
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The frames' names."""
-
-    @property
-    def times_ns(self) -> tuple[int | None, ...] | None:
-        """The time of each frame, nanoseconds on an arbitrary clock; None if not recorded."""
-
-
 def recorded_times(recording: Recording) -> dict[str, int | None] | None:
     """The time of each frame by its key, nanoseconds on an arbitrary clock; None if the recording has no times."""
-    times_ns = recording.times_ns if isinstance(recording, Timed) else None
+    times_ns: Times | None = getattr(recording, "times_ns", None)
     return None if times_ns is None else dict(zip(recording.keys, times_ns, strict=True))
 
 

@@ -234,12 +234,9 @@ class KittiFolder(KeyedFrames, ABC):
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`."""
         key = self.key(i)
-        points = self.reader.read(self._scan_file(key))
         calibration = self.calibration(key)
         return Scan(
-            points.xyz_m.astype(np.float64),
-            None,
-            points.reflectance,
+            self.reader.read(self._scan_file(key)),
             level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
             np.zeros(3),
             calibration.T_camera_lidar.inv() * calibration.T_camera_label,

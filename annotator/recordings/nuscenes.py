@@ -313,9 +313,7 @@ class NuScenes(KeyedFrames):
         else:
             ahead = pose(scan.mount.translation, scan.mount.rotation).rotation.inv().apply(AHEAD)
         return Scan(
-            points.xyz_m,
-            None,
-            points.reflectance,
+            points,
             level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
             np.zeros(3),
             T_global_lidar.inv(),

@@ -149,9 +149,7 @@ class CloudFolder(KeyedFrames):
         key = self.key(i)
         source, raw = self._seen(key)
         return Scan(
-            raw.xyz_m,
-            raw.rgb,
-            raw.reflectance,
+            raw,
             level_pose(source.up).rotation * source.T_camera_cloud.rotation,
             source.T_camera_cloud.inv().translation if source.in_world else np.zeros(3),
             RigidTransform.identity(),

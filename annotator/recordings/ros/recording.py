@@ -318,7 +318,7 @@ class ScanBag(RosBag):
                 T_world_camera = world_pose(T_camera_scan)
                 place_m = np.zeros(3) if T_world_camera is None else T_world_camera.translation
             return Scan(
-                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, place_m, RigidTransform.identity(), knows_up,
+                raw, R_level_scan, place_m, RigidTransform.identity(), knows_up,
                 int(self.pairs.cloud_time_ns[i]), RigidTransform.identity() if place_m.any() else None,
             )  # fmt: skip
 
