@@ -21,8 +21,8 @@ from annotator.frame_limits import require_memory
 from annotator.recordings.clouds.columns import (
     RawCloud,
     binary_columns,
+    field_columns,
     from_columns,
-    split_colors,
     text_columns,
     typed,
 )
@@ -52,7 +52,12 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
                 at += 1
             distance = ((control & 31) << 8 | data[at]) + 1
             at += 1
-            _repeat(out, distance, length + 2)
+            start, length = len(out) - distance, length + 2
+            if start < 0:
+                raise ValueError("a reference points before the beginning")
+            piece = out[start : start + length]
+            # source and destination may overlap
+            out += piece if distance >= length else (piece * (length // distance + 1))[:length]
             if len(out) > size:
                 break
     except IndexError:
@@ -60,18 +65,6 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     if len(out) != size:
         raise ValueError(f"they decompress to at least {len(out)} bytes instead of {size}")
     return bytes(out)
-
-
-def _repeat(out: bytearray, distance: int, length: int) -> None:
-    """Appends `length` bytes from `distance` before the end; source and destination may overlap."""
-    start = len(out) - distance
-    if start < 0:
-        raise ValueError("a reference points before the beginning")
-    if distance >= length:
-        out += out[start : start + length]
-    else:
-        pattern = bytes(out[start:])
-        out += (pattern * (length // distance + 1))[:length]
 
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -168,16 +161,11 @@ def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[s
         plain = lzf_decompress(content, unpacked)
     except ValueError as error:
         raise ValueError(f"its compressed points are damaged ({error})") from error
-    columns, at = dict[str, np.ndarray](), 0
+    rows, at = np.empty(count, dtype), 0
     for name in dtype.names or ():
-        field = dtype[name]
-        values = int(np.prod(field.shape))
-        if values == 1:
-            columns[name] = np.frombuffer(plain, field.base, count, at)
-        else:
-            columns |= split_colors(name, np.frombuffer(plain, field.base, count * values, at).reshape(count, values))
-        at += count * field.itemsize
-    return columns
+        rows[name] = np.frombuffer(plain, dtype[name], count, at)
+        at += rows[name].nbytes
+    return field_columns(rows)
 
 
 # Begins the name of the field with a list's length.
