@@ -6,7 +6,6 @@ of any single clock.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -126,8 +125,8 @@ class Clock:
 
     def __init__(self, recording: Recording) -> None:
         times = recorded_times(recording) if recording.is_sequence else None
-        self._times = None if times is None else tuple(times.values())
-        self._ordered = sorted((time, i) for i, time in enumerate(self._times or ()) if time is not None)
+        self._times: Times = () if times is None else tuple(times.values())
+        self._known = [i for i, time in enumerate(self._times) if time is not None]
 
     def image_at(self, index: int, offset_s: float) -> int:
         """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
@@ -137,11 +136,9 @@ class Clock:
         Args:
             offset_s: how far the clouds' clock is ahead.
         """
-        time_ns = None if self._times is None else self._times[index]
+        time_ns = self._times[index] if self._times else None
         if time_ns is None:
             return index
-        wanted = time_ns - round(offset_s * 1e9)
-        place = bisect_left(self._ordered, (wanted, 0))
-        near = self._ordered[max(place - 1, 0) : place + 1]
-        apart, nearest = min((abs(time - wanted), i) for time, i in near)
-        return index if abs(time_ns - wanted) <= apart else nearest
+        wanted_ns, known_ns = time_ns - round(offset_s * 1e9), np.array([self._times[i] for i in self._known])
+        near = int(nearest(np.array([wanted_ns]), known_ns)[0])
+        return index if abs(time_ns - wanted_ns) <= abs(int(known_ns[near]) - wanted_ns) else self._known[near]
