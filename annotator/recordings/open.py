@@ -109,17 +109,7 @@ class Reader(NamedTuple):
         return bool(_load(self.recognises)(path)) if self.recognises else self.open(path, NO_OPTIONS) is not None
 
 
-BAG_OPTIONS = (
-    "image",
-    "points",
-    "depth",
-    "camera_info",
-    "depth_info",
-    "tf_frame",
-    "no_motion",
-    "tolerance_s",
-    "origin",
-)
+OF_BAGS = ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin")
 # Tried in this order; the first reader that recognises a path opens it.
 READERS: dict[str, Reader] = {
     "stray_scanner": Reader("phones.stray_scanner:open_stray_scanner", "a Stray Scanner recording",
@@ -141,7 +131,7 @@ READERS: dict[str, Reader] = {
                            ("an .mkv file with tracks COLOR and DEPTH and an attached calibration",), (),
                            "kinect.mkv_recording:is_azure_kinect"),
     "ros_bag": Reader("ros.recording:open_ros_bag", "a bag",
-                      ("a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files",), BAG_OPTIONS,
+                      ("a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files",), OF_BAGS,
                       "ros.bag:is_bag"),
     "nuscenes": Reader("nuscenes:open_nuscenes", "nuScenes", ("v1.0-*", "samples/", "sweeps/"),
                        ("scene", "camera", "tolerance_s"), "nuscenes:table_folders"),

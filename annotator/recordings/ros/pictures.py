@@ -20,6 +20,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,7 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
 NAL_UNIT, KEY_SLICE = re.compile(rb"\x00\x00\x01(.)", re.DOTALL), 5
 # What the decoder of H.264 logs where pictures are missing.
 LOST = ("Frame num gap", "reference picture missing", "Missing reference picture")
+LOGGING = Lock()
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 # Encoders put a key frame every few seconds.
 MOST_BACK = 600
@@ -297,13 +299,15 @@ def _logged() -> Iterator[list[tuple[int, str, str]]]:
     """Yields a list, into which goes what the decoders of this thread log within the block."""
     import av.logging
 
-    before = av.logging.get_level()
-    av.logging.set_level(av.logging.DEBUG)
-    try:
-        with av.logging.Capture() as logged:
-            yield logged
-    finally:
-        av.logging.set_level(before)
+    # the level is that of all threads
+    with LOGGING:
+        before = av.logging.get_level()
+        av.logging.set_level(av.logging.DEBUG)
+        try:
+            with av.logging.Capture() as logged:
+                yield logged
+        finally:
+            av.logging.set_level(before)
 
 
 def is_key_frame(form: str, data: bytes) -> bool:
