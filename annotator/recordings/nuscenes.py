@@ -10,6 +10,7 @@ before. The vehicle's poses at both times move the scan to the image's time. Lab
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -201,9 +202,7 @@ def _row(tables: Path, table: str, token: str, rows: dict[str, Row], model: type
 
 
 def _table(model: type[Record]) -> str:
-    return {"SampleData": "sample_data", "CalibratedSensor": "calibrated_sensor", "EgoPose": "ego_pose"}.get(
-        model.__name__, model.__name__.lower()
-    )
+    return re.sub(r"(?<!^)([A-Z])", r"_\1", model.__name__).lower()
 
 
 FRONT = "CAM_FRONT"
