@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from annotator.geometry.projection import project
+from annotator.geometry.projection import project, undistort_px
 from annotator.recordings import open_recording
 from annotator.recordings.kinect.calibration import MM_PER_M
 from annotator.recordings.kinect.mkv_recording import AzureKinect
@@ -67,7 +67,9 @@ def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float,
         return np.stack([rows[name] for name in names], axis=1)
 
     calibration = recording.calibration
-    in_depth = calibration.depth_to_3d(columns(PIXEL), rows["depth_mm"] / MM_PER_M)
+    in_image = columns(PIXEL)
+    rays = np.column_stack([undistort_px(calibration.depth, in_image), np.ones(len(in_image))])
+    in_depth = rays * (rows["depth_mm"] / MM_PER_M)[:, None]
     in_color = calibration.T_color_depth.apply(in_depth)
     px = project(calibration.color, in_color)
     distances_mm = [

@@ -32,7 +32,7 @@ from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_id
 from annotator.formats.losses import Lost
 from annotator.formats.reading import MOST, read_text, text_files, text_rows
 from annotator.formats.units import Angles
-from annotator.geometry.occlusion import Sight
+from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, Label, PointCloud, Truth

@@ -14,7 +14,7 @@ one is called the labels' frame here.
 
 The 2D box encloses the projected corners and is clipped to the pixel centres 0..width-1 and 0..height-1, as in the
 devkit's drawings (`computeBox3D.m`). Edges that reach behind the camera are cut at `NEAR_M`. The occlusion follows from
-the points measured along the lines of sight to the box (`geometry/occlusion.py`). Its thresholds are those that agree
+the points measured along the lines of sight to the box (`geometry/outline.py`). Its thresholds are those that agree
 best with KITTI's labels (docs/formats.md).
 """
 
@@ -31,9 +31,8 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
 from annotator.formats.reading import finite_number, text_rows
 from annotator.formats.units import Angles
-from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
-from annotator.geometry.outline import cut_segments
+from annotator.geometry.outline import Sight, cut_segments
 from annotator.geometry.projection import project
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth

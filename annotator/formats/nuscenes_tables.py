@@ -30,8 +30,8 @@ from annotator.formats import nuscenes
 from annotator.formats.attributes import VISIBILITY as VISIBLE
 from annotator.formats.attributes import dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
-from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor

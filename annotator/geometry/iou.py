@@ -42,34 +42,18 @@ def iou_3d_matrix(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]
 
     Pairs whose circumscribed spheres do not intersect are skipped.
     """
-    matrix = np.zeros((len(boxes_a), len(boxes_b)))
-    rows, columns = near_pairs(boxes_a, boxes_b)
-    matrix[rows, columns] = iou_3d_chosen(boxes_a, boxes_b, rows, columns)
-    return matrix
-
-
-def near_pairs(
-    boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]
-) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-    """Indices into both lists of the pairs whose circumscribed spheres intersect; all others have IoU 0."""
-    (centers_a, _, sizes_a), (centers_b, _, sizes_b) = _stacked(boxes_a), _stacked(boxes_b)
+    (centers_a, rotations_a, sizes_a), (centers_b, rotations_b, sizes_b) = _stacked(boxes_a), _stacked(boxes_b)
     apart = np.linalg.norm(centers_a[:, None] - centers_b[None], axis=2)
     reach = 0.5 * (np.linalg.norm(sizes_a, axis=1)[:, None] + np.linalg.norm(sizes_b, axis=1)[None])
     rows, columns = np.nonzero(apart <= reach)
-    return rows, columns
-
-
-def iou_3d_chosen(
-    boxes_a: Sequence[OrientedBox],
-    boxes_b: Sequence[OrientedBox],
-    rows: Int[np.ndarray, "k"],
-    columns: Int[np.ndarray, "k"],
-) -> Float64[np.ndarray, "k"]:
-    """Exact IoU of pairs, given as indices into both lists."""
-    a = [values[rows] for values in _stacked(boxes_a)]
-    b = [values[columns] for values in _stacked(boxes_b)]
+    a, b = (
+        (centers_a[rows], rotations_a[rows], sizes_a[rows]),
+        (centers_b[columns], rotations_b[columns], sizes_b[columns]),
+    )
     volume = intersection_volume_pairs(*a, *b)
-    return np.minimum(volume / (a[2].prod(axis=1) + b[2].prod(axis=1) - volume), 1.0)
+    matrix = np.zeros((len(boxes_a), len(boxes_b)))
+    matrix[rows, columns] = np.minimum(volume / (a[2].prod(axis=1) + b[2].prod(axis=1) - volume), 1.0)
+    return matrix
 
 
 def intersection_volume_pairs(
@@ -153,24 +137,10 @@ def nms_3d(
     if not np.isfinite(scores).all():
         raise GeometryError("scores must be finite")
     order = np.argsort(-np.asarray(scores, np.float64), kind="stable")
-    overlapping = _overlapping(boxes, labels, order, iou_threshold)
+    classes = np.asarray(labels, dtype=np.str_)
+    suppresses = (iou_3d_matrix(boxes, boxes) > iou_threshold) & (classes[:, None] == classes)
     kept: list[int] = []
     for index in order.tolist():
-        if not any((better, index) in overlapping for better in kept):
+        if not suppresses[kept, index].any():
             kept.append(index)
     return np.array(kept, np.int64)
-
-
-def _overlapping(
-    boxes: Sequence[OrientedBox], labels: Sequence[str], order: np.ndarray, iou_threshold: float
-) -> set[tuple[int, int]]:
-    """Pairs (better, worse) of boxes of one class with an IoU above the threshold."""
-    if len(boxes) < 2:
-        return set()
-    rank = np.argsort(order)
-    classes = np.unique(np.asarray(labels, dtype=np.str_), return_inverse=True)[1].reshape(-1)
-    better, worse = near_pairs(boxes, boxes)
-    compare = (rank[better] < rank[worse]) & (classes[better] == classes[worse])
-    better, worse = better[compare], worse[compare]
-    above = iou_3d_chosen(boxes, boxes, better, worse) > iou_threshold
-    return set(zip(better[above].tolist(), worse[above].tolist(), strict=True))

@@ -168,7 +168,8 @@ def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, 
     rise = R.T @ up
     vertical = int(np.argmax(np.abs(rise)))
     if vertical == 2 or abs(rise[vertical]) - abs(rise[2]) < 1e-9:
-        return [(R if rise[2] >= 0 else _turned_over(R), size)]
+        # upside down: half a turn about the length axis keeps the heading
+        return [(R if rise[2] >= 0 else R * np.array([1.0, -1.0, -1.0]), size)]
     candidates = []
     for order in permutations(range(3)):
         if order[2] != vertical:
@@ -178,11 +179,6 @@ def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, 
         candidates.append((axes, size[list(order)]))
     # the length axis is kept if it is still horizontal
     return [pair for pair in candidates if vertical == 0 or np.allclose(np.abs(pair[0][:, 0]), np.abs(R[:, 0]))]
-
-
-def _turned_over(R: np.ndarray) -> np.ndarray:
-    """The rotation after half a turn about the length axis: the same heading, upside down."""
-    return R * np.array([1.0, -1.0, -1.0])
 
 
 def _made_upright(

@@ -5,6 +5,8 @@ field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped 
 behind the camera or beyond the image border gets the 2D box of its visible part. The hole that clipping leaves in the
 near plane does not matter: a ray that enters the box through this hole leaves it through a face.
 
+A box is hidden as far as the lines of sight towards it end in front of it.
+
 An edge of a wire frame is clipped likewise (Liang and Barsky, 1984). On a distorted image it is divided into several
 pieces, because straight edges are curved there.
 """
@@ -12,16 +14,16 @@ pieces, because straight edges are curved there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.distortion import radius_limit_squared
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import EDGES, box_corners, corners, heading_arrow
-from annotator.geometry.projection import CameraKey, camera_key, project, undistort_px
+from annotator.geometry.projection import CameraKey, camera_key, project, radius_limit_squared, undistort_px
 from annotator.types import Box2D, Camera, OrientedBox
 
 # Minimum distance in front of the camera, metres; closer parts are ignored.
@@ -55,7 +57,8 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
         the box, pixels; None if nothing is visible, or if it is smaller than `min_side_px`.
     """
     polygons = _visible_faces(camera, box_corners(box))
-    px, last_px = project(camera, _at_one_metre(np.concatenate(polygons))), _last_px(camera)
+    xy, last_px = np.concatenate(polygons), _last_px(camera)
+    px = project(camera, np.column_stack([xy, np.ones(len(xy))]))
     if not ((px >= -0.5) & (px <= last_px)).all():
         ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
         px = np.concatenate([_in_image(polygon, last_px) for polygon in np.split(px, ends)])
@@ -108,10 +111,6 @@ def _normalised(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Fl
     """Polygons in front of the camera as (x/z, y/z); for a distorted camera, with subdivided edges."""
     xy = polygons_m[..., :2] / polygons_m[..., 2:]
     return xy if camera.is_ideal else _subdivided(xy)
-
-
-def _at_one_metre(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
-    return np.column_stack([xy, np.ones(len(xy))])
 
 
 def _in_image(polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "m 2"]:
@@ -319,3 +318,66 @@ def rectangle_intersection_pairs(
         rotations = Rotation.from_rotvec(yaws[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         parts += [np.pad(centers, ((0, 0), (0, 1))), rotations, np.pad(sizes, ((0, 0), (0, 1)), constant_values=1.0)]
     return intersection_volume_pairs(*parts)
+
+
+# Boxes with a corner closer to the image plane than this, metres, are tested against all rays.
+NEAREST_M = 0.05
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """The measured lines of sight towards a box.
+
+    Attributes:
+        rays: number of measured points whose ray meets the box; they lie in front of it, inside it or behind it.
+        nearer: number of these points that lie in front of the box.
+    """
+
+    rays: int
+    nearer: int
+
+    @property
+    def share(self) -> float:
+        """The hidden share, 0..1; NaN without rays."""
+        return self.nearer / self.rays if self.rays else float("nan")
+
+
+class Sight:
+    """The lines of sight from a camera to its measured points, computed once for all boxes of a frame."""
+
+    def __init__(self, xyz_m: Float[np.ndarray, "n 3"]) -> None:
+        """
+        Args:
+            xyz_m: points in the camera frame, metres; those behind the camera are ignored.
+        """
+        self._xyz_m = xyz_m[xyz_m[:, 2] > NEAREST_M].astype(np.float32)
+        self._plane = self._xyz_m[:, :2] / self._xyz_m[:, 2:]
+
+    def hidden(self, box: OrientedBox, margin_m: float = 0.0) -> Hidden:
+        """Counts the rays towards a box, and those that end in front of it (slab test of Kay and Kajiya, 1986).
+
+        Args:
+            box: camera frame.
+            margin_m: points within this distance of the box's front, along their ray, count as part of it, metres.
+        """
+        xyz = self._xyz_m[self._near(box)]
+        R = box.rotation.astype(np.float32)
+        # camera and rays in the box's axes; along each ray, the measured point has the parameter 1
+        eye = (-box.center_m.astype(np.float32)) @ R
+        along = xyz @ R
+        half = (0.5 * box.size_m).astype(np.float32)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = (-half - eye) / along, (half - eye) / along
+        enters, leaves = np.fmin(a, b).max(axis=1), np.fmax(a, b).min(axis=1)
+        meets = (enters <= leaves) & (leaves > 0)
+        length_m = np.linalg.norm(xyz, axis=1)
+        before = meets & ((enters - 1.0) * length_m > margin_m)
+        return Hidden(int(meets.sum()), int(before.sum()))
+
+    def _near(self, box: OrientedBox) -> np.ndarray:
+        """The rays within the box's bounds on the image plane; all rays if it extends behind the camera."""
+        corners = box_corners(box)
+        if (corners[:, 2] <= NEAREST_M).any():
+            return np.ones(len(self._xyz_m), np.bool_)
+        projected = corners[:, :2] / corners[:, 2:]
+        return np.asarray(((self._plane >= projected.min(axis=0)) & (self._plane <= projected.max(axis=0))).all(axis=1))

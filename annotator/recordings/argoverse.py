@@ -32,13 +32,12 @@ from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.types.messages import amount
 
-LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"
 POSES, MOUNTS, INTRINSICS = (
     "city_SE3_egovehicle.feather",
@@ -123,7 +122,7 @@ class ArgoverseLog(KeyedFrames):
         up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(raw.xyz_m, None, raw.reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
+        return Scan(raw, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def moment(self, i: int) -> str:
         """Returns the time of the sweep."""
@@ -181,10 +180,10 @@ class ArgoverseLog(KeyedFrames):
         return pinhole(K, width_px, height_px)
 
 
-def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFound:
-    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read."""
+def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
+    """Opens the log at `path`; None if it is not one. Without the option `camera`, the front one is read."""
     if not is_argoverse2(path):
-        return NotFound(LOOKED_FOR)
+        return None
     keys = sorted_keys(path, _times(path / SWEEPS, (".feather",)), f"{SWEEPS}/TIME_NS.feather")
     _poses(path / POSES)
     folders = sorted(folder.name for folder in (path / CAMERAS).glob("*/")) if (path / CAMERAS).is_dir() else []

@@ -32,8 +32,8 @@ from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_folder import Four, Number, Positive, Side
+from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS, in_time, too_late
@@ -95,7 +95,6 @@ def exported_frame(
 
 
 Vector = tuple[Number, Number, Number]
-OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
 CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
 # Axes of the base: x forward, y left, z up.
@@ -126,22 +125,22 @@ class IntrinsicsRecord(_Record):
         return pinhole(K, self.width_px, self.height_px, distortion)
 
 
-class PlaceRecord(_Record):
-    """A pose; quaternion x y z w."""
+class PoseRecord(_Record):
+    """A pose; the quaternion is w x y z in rcv, x y z w in OpenLABEL."""
 
     translation: Vector
     quaternion: Four
+
+    def transform(self, *, w_first: bool) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=w_first)
+        return RigidTransform.from_components(self.translation, rotation)
 
 
 class TransformRecord(_Record):
     """The pose of a document's base in the world."""
 
-    transform_src_to_dst: PlaceRecord
-
-    def T_world_camera(self) -> RigidTransform:
-        """Raises ValueError for a quaternion of length zero."""
-        data = self.transform_src_to_dst
-        return RigidTransform.from_components(data.translation, Rotation.from_quat(data.quaternion)) * T_BASE_CAMERA
+    transform_src_to_dst: PoseRecord
 
 
 class DocumentFrame(NamedTuple):
@@ -181,7 +180,10 @@ class OpenLabelFolder(KeyedFrames):
         listed = self._listed(key)
         with file_errors(listed.document, REMEDY, f"frame {key}: "):
             camera = IntrinsicsRecord.model_validate(listed.intrinsics).camera()
-            world = None if listed.place is None else TransformRecord.model_validate(listed.place).T_world_camera()
+            world = None
+            if listed.place is not None:
+                place = TransformRecord.model_validate(listed.place).transform_src_to_dst
+                world = place.transform(w_first=False) * T_BASE_CAMERA
         return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
@@ -204,16 +206,16 @@ class OpenLabelFolder(KeyedFrames):
         return frames
 
 
-def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
-    """Opens the exported documents in the folder `path`; `NotFound` if there are none."""
+def open_openlabel(path: Path) -> OpenLabelFolder | None:
+    """Opens the exported documents in the folder `path`; None if there are none."""
     images = path / "images"
     if not (images.is_dir() and (path / "clouds").is_dir()):
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     if not any((folder / ORIGINS).is_file() for folder in (path, path.parent)):
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     documents = tuple(file for file in sorted(path.glob("*.json")) if _is_ours(file))
     if not documents:
-        return NotFound(OPENLABEL_LOOKED_FOR)
+        return None
     return OpenLabelFolder(path, sorted_keys(path, stems(images, IMAGE_SUFFIXES), "images/KEY.png"), documents)
 
 
@@ -255,8 +257,6 @@ def _nanoseconds(seconds: str) -> int:
 
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
-RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
-LEAST_LENGTH = 1e-6
 
 
 class ManifestFile(_Record):
@@ -277,18 +277,6 @@ class CameraRecord(_Record):
     cx: Number
     cy: Number
     distortion: tuple[Number, ...] = ()
-
-
-class PoseRecord(_Record):
-    """The camera's pose in map coordinates; quaternion w x y z."""
-
-    translation: Vector
-    quaternion: Four
-
-    def transform(self) -> RigidTransform:
-        """Raises ValueError for a quaternion of length zero."""
-        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
-        return RigidTransform.from_components(np.array(self.translation), rotation)
 
 
 class FrameFile(_Record):
@@ -319,13 +307,8 @@ class RcvFolder(KeyedFrames):
         path, record = self._record(key)
         with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
-            world = None if record.world is None else record.world.transform()
-        up = None if record.up is None else np.array(record.up)
-        if up is not None:
-            length = np.linalg.norm(up)
-            if length < LEAST_LENGTH:
-                raise FrameError(path, "up has length 0", REMEDY)
-            up = up / length
+            world = None if record.world is None else record.world.transform(w_first=True)
+        up = None if record.up is None else unit_up(path, record.up, REMEDY)
         files = exported_files(self.path, (record.image, record.cloud))
         return exported_frame(key, i, files, camera, up, record.timestamp_ns, world)
 
@@ -336,14 +319,14 @@ class RcvFolder(KeyedFrames):
             return path, FrameFile.model_validate_json(read_text_file(path))
 
 
-def open_rcv(path: Path) -> RcvFolder | NotFound:
-    """Opens the `rcv` dataset at `path`; `NotFound` if it is not one."""
+def open_rcv(path: Path) -> RcvFolder | None:
+    """Opens the `rcv` dataset at `path`; None if it is not one."""
     manifest = path / MANIFEST
     if not manifest.is_file():
-        return NotFound(RCV_LOOKED_FOR)
+        return None
     content = read_document(manifest)
     if not isinstance(content, dict) or content.get("format") != FORMAT_NAME:
-        return NotFound(RCV_LOOKED_FOR)
+        return None
     with file_errors(manifest, REMEDY, kind=RecordingError):
         keys = ManifestFile.model_validate(content).frames
     if len(set(keys)) < len(keys):

@@ -6,20 +6,17 @@ of any single clock.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int64
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.recordings.kitti import KittiFolder
 from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import Recording
 from annotator.text import normal
-from annotator.types.checks import LATEST_NS, too_dense, too_late
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import RecordingError
 from annotator.types.messages import amount
 
@@ -95,29 +92,15 @@ def _unit_problem(times_ns: Times) -> str | None:
         return None
     step = float(np.median(np.diff(times)))
     are_us = SINCE_1970_US[0] <= times[0] and times[-1] <= SINCE_1970_US[1]
-    return too_dense(step) if step <= (MOST_DENSE_US if are_us else MOST_DENSE_NS) else None
-
-
-@runtime_checkable
-class Timed(Protocol):
-    """A recording with a time for each frame."""
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The frames' names."""
-
-    @property
-    def times_ns(self) -> tuple[int | None, ...] | None:
-        """The time of each frame, nanoseconds on an arbitrary clock; None if not recorded."""
+    if step > (MOST_DENSE_US if are_us else MOST_DENSE_NS):
+        return None
+    return f"the times are {step:g} ns apart (their median), so their unit is probably another one"
 
 
 def recorded_times(recording: Recording) -> dict[str, int | None] | None:
     """The time of each frame by its key, nanoseconds on an arbitrary clock; None if the recording has no times."""
-    if isinstance(recording, KittiFolder) and all(key.isascii() and key.isdigit() for key in recording.keys):
-        return {key: recording.time_ns(int(key)) for key in recording.keys}
-    if isinstance(recording, Timed) and recording.times_ns is not None:
-        return dict(zip(recording.keys, recording.times_ns, strict=True))
-    return None
+    times_ns: Times | None = getattr(recording, "times_ns", None)
+    return None if times_ns is None else dict(zip(recording.keys, times_ns, strict=True))
 
 
 def has_times(recording: Recording) -> bool:
@@ -142,8 +125,8 @@ class Clock:
 
     def __init__(self, recording: Recording) -> None:
         times = recorded_times(recording) if recording.is_sequence else None
-        self._times = None if times is None else tuple(times.values())
-        self._ordered = sorted((time, i) for i, time in enumerate(self._times or ()) if time is not None)
+        self._times: Times = () if times is None else tuple(times.values())
+        self._known = [i for i, time in enumerate(self._times) if time is not None]
 
     def image_at(self, index: int, offset_s: float) -> int:
         """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
@@ -153,11 +136,9 @@ class Clock:
         Args:
             offset_s: how far the clouds' clock is ahead.
         """
-        time_ns = None if self._times is None else self._times[index]
+        time_ns = self._times[index] if self._times else None
         if time_ns is None:
             return index
-        wanted = time_ns - round(offset_s * 1e9)
-        place = bisect_left(self._ordered, (wanted, 0))
-        near = self._ordered[max(place - 1, 0) : place + 1]
-        apart, nearest = min((abs(time - wanted), i) for time, i in near)
-        return index if abs(time_ns - wanted) <= apart else nearest
+        wanted_ns, known_ns = time_ns - round(offset_s * 1e9), np.array([self._times[i] for i in self._known])
+        near = int(nearest(np.array([wanted_ns]), known_ns)[0])
+        return index if abs(time_ns - wanted_ns) <= abs(int(known_ns[near]) - wanted_ns) else self._known[near]

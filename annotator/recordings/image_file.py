@@ -1,24 +1,33 @@
-"""Reads the colour and depth images of recordings.
+"""Reads the colour and depth images of recordings, and single images of videos (through PyAV).
 
 Of colours and grey with more than 8 bits, black stays at 0, and the lowest usual depth that holds the brightest
 number is white: the numbers of 10 or 12 bits stand in 16 as they are, and would look black. Grey of ROS messages is
 infrared or thermal light as a rule: from the darkest to the brightest hundredth. The first images of a recording
 decide for all of them, so that it does not flicker.
 
+An image of a video is decoded from the last complete one (keyframe) before it. The decoder stays open, so that the next
+image costs one step.
+
 SUN RGB-D's depth images are millimetres whose 16 bits are rotated left by three (SUNRGBDtoolbox, `read3dPoints.m`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
-from annotator.frame_limits import read_frame_file
+from annotator.files import check_file
+from annotator.frame_limits import most_pixels, read_frame_file, require_memory
 from annotator.geometry.projection import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
@@ -56,25 +65,15 @@ def pixels_as_eight_bits(pixels: np.ndarray, levels: Levels) -> UInt8[np.ndarray
     return np.clip((pixels - np.float64(levels.low)) * share, 0, 255).astype(np.uint8)
 
 
-def common_levels(path: Path, pixels: np.ndarray, read: Callable[[Path], np.ndarray]) -> Levels:
-    """Returns the levels of an image file: those of the first images of its folder, and its own.
-
-    Args:
-        read: returns the pixels of a file; FrameError = it is damaged, which its own frame tells.
-    """
-    return depth_levels(pixels).with_all(_of_folder(path.parent, path.suffix, path.parent.stat().st_mtime_ns, read))
-
-
 @lru_cache(maxsize=64)
-def _of_folder(folder: Path, suffix: str, changed_ns: int, read: Callable[[Path], np.ndarray]) -> list[Levels]:
+def _of_folder(folder: Path, suffix: str, changed_ns: int) -> list[Levels]:
+    """Returns the levels of the first images of a folder that have more than 8 bits."""
     found = []
     for path in files_like(folder / f"any{suffix}")[:FIRST]:
-        try:
-            pixels = read(path)
-        except FrameError:
-            continue
-        # 8-bit images among them say nothing
-        found += [depth_levels(pixels)] if pixels.dtype != np.uint8 else []
+        # a damaged one is told by its own frame
+        with suppress(FrameError):
+            pixels = _colors(path)[1]
+            found += [depth_levels(pixels)] if pixels.dtype != np.uint8 else []
     return found
 
 
@@ -89,15 +88,10 @@ class ColorImage:
     exif_orientation: int = UPRIGHT
 
 
-def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Reads the image of a camera whose calibration does not say its size; as `read_color_image`."""
-    return read_color_image(path).rgb
-
-
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
     """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 
-    More than 8 bits are reduced to 8, by one depth for the images of a folder (`common_levels`).
+    More than 8 bits are reduced to 8, by one depth for the images of a folder.
 
     Args:
         size: width and height of the calibration; None if it does not say it.
@@ -105,11 +99,11 @@ def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = 
     """
     import cv2
 
-    data, pixels = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    bgr = (
-        pixels if pixels.dtype == np.uint8 else pixels_as_eight_bits(pixels, common_levels(path, pixels, _deep_pixels))
-    )
-    rgb: np.ndarray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    data, pixels = _colors(path)
+    if pixels.dtype != np.uint8:
+        levels = _of_folder(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
+        pixels = pixels_as_eight_bits(pixels, depth_levels(pixels).with_all(levels))
+    rgb: np.ndarray = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
     orientation = orientation_of(data)
     turn = is_turned(orientation, (rgb.shape[1], rgb.shape[0]), size)
     if turn is None and not has_depth:
@@ -121,10 +115,10 @@ def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = 
     return ColorImage(turned(rgb, orientation)) if turn else ColorImage(rgb, orientation)
 
 
-def _deep_pixels(path: Path) -> np.ndarray:
+def _colors(path: Path) -> tuple[bytes, np.ndarray]:
     import cv2
 
-    return _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)[1]
+    return _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
@@ -177,3 +171,121 @@ def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
     if count == 0 or 1 - np.count_nonzero((raw & np.uint16(7)).astype(bool) & known) / count < LEAST_MULTIPLES:
         return False
     return bool(np.quantile(raw[known], FAR_SHARE) / depth_scale > FAR_M)
+
+
+# An edit list of the container would leave images out that have depth.
+CONTAINER_OPTIONS = {"ignore_editlist": "1"}
+# Damage is an error, instead of an image that is partly made up. H.264 decoders would refuse sound files in the
+# strictest mode, too.
+STRICT, STRICTEST = "crccheck+bitstream+buffer", "explode"
+THREADS = 4
+
+
+class VideoFile:
+    """A video file's images, by number in the order of display. It can be used by several threads.
+
+    Attributes:
+        path: the file.
+        size: width and height, pixels.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Lists the images, without decoding them."""
+        import av
+
+        self.path = path
+        self._lock = Lock()
+        self._decoder: Iterator[tuple[int, Any]] | None = None
+        self._next = 0
+        try:
+            check_file(path)
+            with av.open(str(path), format="mp4", options=CONTAINER_OPTIONS) as container:
+                if not container.streams.video:
+                    raise ValueError("it has no video")
+                stream = container.streams.video[0]
+                if stream.codec_context is None:
+                    raise ValueError("its compression is unknown")
+                self.size = stream.codec_context.width, stream.codec_context.height
+                found = [
+                    (packet.pts, packet.dts, packet.is_keyframe)
+                    for packet in container.demux(stream)
+                    if packet.size and packet.pts is not None
+                ]
+        except (av.error.FFmpegError, OverflowError) as error:
+            raise ValueError(f"not a readable video ({_brief(error)})") from error
+        require_memory(pixels=self.size[0] * self.size[1])
+        shown = sorted({pts for pts, _, _ in found})
+        self._number = {pts: number for number, pts in enumerate(shown)}
+        self._keyframes = sorted(
+            (self._number[pts], dts if dts is not None else pts) for pts, dts, is_key in found if is_key
+        )
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def image(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Decodes an image, RGB order; a rotation that the file asks players for is not applied."""
+        import av
+
+        if not 0 <= number < len(self):
+            raise ValueError(f"there is no image {number}; it has {len(self)}")
+        with self._lock:
+            try:
+                return self._decoded(number)
+            except (av.error.FFmpegError, OverflowError) as error:
+                self._decoder = None
+                raise ValueError(f"image {number} cannot be decoded ({_brief(error)})") from error
+
+    def _decoded(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        first = bisect_right(self._keyframes, number, key=lambda keyframe: keyframe[0]) - 1
+        keyframe, dts = self._keyframes[first] if first >= 0 else (0, None)
+        if self._decoder is None or not keyframe <= self._next <= number:
+            self._decoder = self._images_from(keyframe, dts)
+        for found, image in self._decoder:
+            self._next = found + 1
+            if found == number and not image.is_corrupt:
+                rgb: np.ndarray = image.to_ndarray(format="rgb24")
+                if rgb.shape[1::-1] != self.size:
+                    raise ValueError(f"image {number} has {rgb.shape[1]} x {rgb.shape[0]} pixels, unlike the others")
+                return rgb
+            if found >= number:
+                break
+        self._decoder = None
+        raise ValueError(f"image {number} is damaged")
+
+    def _images_from(self, keyframe: int, dts: int | None) -> Iterator[tuple[int, Any]]:
+        """Decodes images with their numbers, from a keyframe on, or from the file's beginning."""
+        import av
+
+        check_file(self.path)
+        with av.open(str(self.path), format="mp4", options=CONTAINER_OPTIONS) as container:
+            stream = container.streams.video[0]
+            strictness = STRICTEST if stream.codec_context.name == "hevc" else STRICT
+            stream.codec_context.options = {"err_detect": strictness, "max_pixels": str(most_pixels())}
+            stream.codec_context.thread_count = THREADS
+            stream.thread_type = "AUTO"
+            if dts is not None:
+                container.seek(dts, stream=stream)
+            for packet in container.demux(stream):
+                # images that are shown before the keyframe but stored after it also need the ones before it
+                if packet.pts is not None and self._number.get(packet.pts, -1) < keyframe:
+                    continue
+                for image in packet.decode():
+                    if image.pts in self._number:
+                        yield self._number[image.pts], image
+
+
+def open_video(path: Path) -> VideoFile:
+    """Returns the video at `path`; the last few of a process stay open."""
+    stat = path.stat()
+    # by process, since decoders cannot be shared with a fork
+    return _opened(path, stat.st_mtime_ns, stat.st_size, os.getpid())
+
+
+@lru_cache(maxsize=4)
+def _opened(path: Path, changed_ns: int, size: int, process: int) -> VideoFile:
+    return VideoFile(path)
+
+
+def _brief(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error)

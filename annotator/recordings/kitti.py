@@ -37,11 +37,11 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
@@ -202,14 +202,20 @@ class KittiFolder(KeyedFrames, ABC):
     """A `Recording` of image and scan pairs.
 
     Attributes:
-        images, scans: their folders, relative to `root`.
+        folder: of the frames and labels: `path`, or its `training` subfolder.
+        images, scans: their folders, relative to `folder`.
         reader: reads the scans.
     """
 
+    folder: Path
+    images: str
+    scans: str
     reader: Scans = field(default_factory=Scans, kw_only=True)
-    images: ClassVar[str]
-    scans: ClassVar[str]
     is_parallel: ClassVar[bool] = True
+
+    @property
+    def root(self) -> Path:
+        return self.folder
 
     def files(self, i: int) -> tuple[Path, Path]:
         key = self.key(i)
@@ -219,7 +225,7 @@ class KittiFolder(KeyedFrames, ABC):
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
         key, (image, scan) = self.key(i), self.files(i)
-        rgb, calibration, raw = read_rgb(image), self.calibration(key), self.reader.read(scan)
+        rgb, calibration, raw = read_color_image(image).rgb, self.calibration(key), self.reader.read(scan)
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
         remedy = f"check that {calibration.path} belongs to this scan"
         cloud = visible_cloud(scan, camera, calibration.to_camera(raw.xyz_m), raw, rgb, remedy)
@@ -228,12 +234,9 @@ class KittiFolder(KeyedFrames, ABC):
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`."""
         key = self.key(i)
-        points = self.reader.read(self._scan_file(key))
         calibration = self.calibration(key)
         return Scan(
-            points.xyz_m.astype(np.float64),
-            None,
-            points.reflectance,
+            self.reader.read(self._scan_file(key)),
             level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
             np.zeros(3),
             calibration.T_camera_lidar.inv() * calibration.T_camera_label,
@@ -242,6 +245,13 @@ class KittiFolder(KeyedFrames, ABC):
 
     def _scan_file(self, key: str) -> Path:
         return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")
+
+    @property
+    def times_ns(self) -> tuple[int | None, ...] | None:
+        """The frames' times; None if the keys are no numbers."""
+        if not all(key.isascii() and key.isdigit() for key in self.keys):
+            return None
+        return tuple(self.time_ns(int(key)) for key in self.keys)
 
     def _time_of(self, i: int) -> int | None:
         """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
@@ -275,26 +285,15 @@ def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> N
         )
 
 
-OBJECT_LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
+IMAGES, SCANS = "image_02", "velodyne"
 
 
 @dataclass(frozen=True, eq=False)
 class KittiObject(KittiFolder):
-    """A `Recording` of a KITTI object folder.
+    """A `Recording` of a KITTI object folder."""
 
-    Attributes:
-        folder: the folder of images and scans, `path` or `path`/training.
-    """
-
-    folder: Path
     format: ClassVar[str] = "kitti_object"
     is_sequence: ClassVar[bool] = False
-    images: ClassVar[str] = "image_2"
-    scans: ClassVar[str] = "velodyne"
-
-    @property
-    def root(self) -> Path:
-        return self.folder
 
     def calibration(self, key: str) -> KittiCalibration:
         return read_calibration(spelled(self.root / "calib", f"{key}.txt"))
@@ -303,17 +302,16 @@ class KittiObject(KittiFolder):
         """Unrelated frames have no time."""
 
 
-def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
-    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none."""
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
+    """Opens the KITTI object folder at `path` or `path`/training; None if there is none."""
     for root in (path, path / "training"):
-        keys = keys_in(root, KittiObject.images, KittiObject.scans)
+        keys = keys_in(root, "image_2", SCANS)
         if keys is not None:
             require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
-            return KittiObject(path, keys, root, reader=Scans(options.columns))
-    return NotFound(OBJECT_LOOKED_FOR)
+            return KittiObject(path, keys, root, "image_2", SCANS, reader=Scans(options.columns))
+    return None
 
 
-RAW_LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
 CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
@@ -328,8 +326,6 @@ class KittiRaw(KittiFolder):
 
     format: ClassVar[str] = "kitti_raw"
     is_sequence: ClassVar[bool] = True
-    images: ClassVar[str] = "image_02/data"
-    scans: ClassVar[str] = "velodyne_points/data"
 
     def calibration(self, key: str) -> KittiCalibration:
         for folder in (self.path, self.path.resolve().parent):
@@ -373,16 +369,11 @@ def _nanoseconds(line: str) -> int | None:
     return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
 
 
-def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
-    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`."""
-    keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
-    return NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))
-
-
-TRACKING_LOOKED_FOR = (
-    "folders image_02/ and velodyne/ (and calib.txt), or image_02/0000/, velodyne/0000/ (and calib/0000.txt)"
-)
-IMAGES, SCANS = "image_02", "velodyne"
+def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
+    """Opens the KITTI raw drive at `path`; None if it is not one. Takes the option `columns`."""
+    places = "image_02/data", "velodyne_points/data"
+    keys = keys_in(path, *places)
+    return None if keys is None else KittiRaw(path, keys, path, *places, reader=Scans(options.columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,8 +382,6 @@ class KittiTracking(KittiFolder):
 
     format: ClassVar[str] = "kitti_tracking"
     is_sequence: ClassVar[bool] = True
-    images: ClassVar[str] = IMAGES
-    scans: ClassVar[str] = SCANS
 
     @property
     def label_file(self) -> Path:
@@ -408,32 +397,18 @@ class KittiSequence(KittiTracking):
     """One drive of a KITTI tracking data set.
 
     Attributes:
-        folder: of the data set, `path` or `path`/training.
         scene: name of the drive.
         scenes: names of all drives.
         notes: what was left out.
     """
 
-    folder: Path
     scene: str
     scenes: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     @property
-    def root(self) -> Path:
-        return self.folder
-
-    @property
     def name(self) -> str:
         return self.scene
-
-    @property
-    def images(self) -> str:  # type: ignore[override]
-        return f"{IMAGES}/{self.scene}"
-
-    @property
-    def scans(self) -> str:  # type: ignore[override]
-        return f"{SCANS}/{self.scene}"
 
     @property
     def label_file(self) -> Path:
@@ -443,8 +418,8 @@ class KittiSequence(KittiTracking):
         return read_calibration(self.root / "calib" / f"{self.scene}.txt")
 
 
-def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
-    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; `NotFound` if it is neither.
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | None:
+    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; None if it is neither.
 
     Takes the options `columns` and, of a data set, `scene`; without it, the first drive is read.
     """
@@ -454,11 +429,11 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
             return _sequence(path, root, drives, options)
     keys = keys_in(path, IMAGES, SCANS)
     if keys is None:
-        return NotFound(TRACKING_LOOKED_FOR)
+        return None
     if options.scene is not None:
         raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
     require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
-    return KittiTracking(path, keys, reader=Scans(options.columns))
+    return KittiTracking(path, keys, path, IMAGES, SCANS, reader=Scans(options.columns))
 
 
 def _drives(root: Path) -> list[str]:
@@ -477,4 +452,4 @@ def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions)
     notes: tuple[str, ...] = ()
     if len(drives) > 1 and options.scene is None:
         notes = (f"{len(drives)} drives: {', '.join(drives)}; this is the first (--scene names another, or all)",)
-    return KittiSequence(path, keys, root, scene, tuple(drives), notes, reader=Scans(options.columns))
+    return KittiSequence(path, keys, root, images, scans, scene, tuple(drives), notes, reader=Scans(options.columns))

@@ -18,7 +18,7 @@ from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import first_few, first_problem
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-NUMBER = re.compile("[0-9]+")
+NUMBER = re.compile("(?:0(?=[0-9]))*([0-9]+)")
 # Files about a data set, which no reader needs.
 DOCUMENTS = ("README*", "LICENSE*", "LICENCE*")
 MOST_NAMED = 8
@@ -106,17 +106,8 @@ def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
     """Returns the keys in natural order ("2" before "10")."""
     if not keys:
         raise RecordingError(f"{path}: no frames; expected {expected}")
-    return tuple(sorted(sorted(keys), key=_natural))
-
-
-def _natural(key: str) -> str:
-    """Returns a sort key: each number is replaced by NUL, its length and its digits, without leading zeros."""
-    return NUMBER.sub(_with_length, key)
-
-
-def _with_length(number: re.Match[str]) -> str:
-    digits = number[0].lstrip("0")
-    return f"\0{chr(len(digits))}{digits}"
+    # each number is replaced by NUL, its length and its digits, without leading zeros
+    return tuple(sorted(sorted(keys), key=lambda key: NUMBER.sub(lambda it: f"\0{chr(len(it[1]))}{it[1]}", key)))
 
 
 def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) -> Path:

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.transforms import right_handed_axes
+from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, Recording, files_of, origin_of
 from annotator.types import Camera, Frame, PointCloud
@@ -61,9 +62,7 @@ class Scan:
     """A whole scan of a LiDAR, also where no camera looks.
 
     Attributes:
-        xyz_m: the valid points in the scan's own frame.
-        rgb: colours, or None.
-        reflectance: 0..1, or None.
+        raw: the points in the scan's own frame.
         R_level_scan: turns the scan's frame to x ahead, y left, z against gravity.
         place_m: the place in the scan's frame from which virtual cameras look.
         T_scan_label: from the frame of the recording's label files, as `Frame.T_camera_label`.
@@ -72,9 +71,7 @@ class Scan:
         T_world_scan: pose of the scan's frame, as `Frame.T_world_camera`.
     """
 
-    xyz_m: Float64[np.ndarray, "n 3"]
-    rgb: UInt8[np.ndarray, "n 3"] | None
-    reflectance: Float32[np.ndarray, "n"] | None
+    raw: RawCloud
     R_level_scan: Rotation
     place_m: Float64[np.ndarray, "3"]
     T_scan_label: RigidTransform
@@ -204,7 +201,8 @@ def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_lev
     """Returns a scan as seen by a virtual camera at its place; the cloud is the whole scan."""
     R_camera_scan = R_camera_level * scan.R_level_scan
     T_camera_scan = RigidTransform.from_rotation(R_camera_scan) * RigidTransform.from_translation(-scan.place_m)
-    cloud = PointCloud(T_camera_scan.apply(scan.xyz_m).astype(np.float32), rgb=scan.rgb, reflectance=scan.reflectance)
+    raw = scan.raw
+    cloud = PointCloud(T_camera_scan.apply(raw.xyz_m).astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
     return Frame(
         key,
         index,

@@ -178,29 +178,19 @@ class _Store:
                 f"{self.url}: no room in the local copy for {', '.join(paths[:3])} ({needed / 1e6:.1f} MB; limit "
                 f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
             )
-        copied: list[str] = []
         try:
             for path in paths:
-                self._download(path)
-                copied.append(path)
+                with _storage_errors(f"{self.url}/{path}"):
+                    self.system.get_file(self.files[path][0], str(self.folder / path))
         except BaseException:  # files that belong to no entry of `filled` would never be emptied
-            for path in copied:
-                self.used_bytes -= self.files[path][1]
+            for path in paths:
                 self.empty(path)
             raise
-
-    def _download(self, path: str) -> None:
-        remote, _ = self.files[path]
-        part = self.folder / f"{path}.part"
-        try:
-            with _storage_errors(f"{self.url}/{path}"):
-                self.system.get_file(remote, str(part))
-                size = part.stat().st_size  # some web servers do not report it in listings
-                part.replace(self.folder / path)
-        finally:
-            part.unlink(missing_ok=True)
-        self.files[path] = (remote, size)
-        self.used_bytes += size
+        for path in paths:
+            # some web servers do not report it in listings
+            size = (self.folder / path).stat().st_size
+            self.files[path] = (self.files[path][0], size)
+            self.used_bytes += size
 
 
 @contextmanager

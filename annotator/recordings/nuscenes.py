@@ -10,6 +10,7 @@ before. The vehicle's poses at both times move the scan to the image's time. Lab
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -39,7 +40,7 @@ from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
@@ -201,12 +202,9 @@ def _row(tables: Path, table: str, token: str, rows: dict[str, Row], model: type
 
 
 def _table(model: type[Record]) -> str:
-    return {"SampleData": "sample_data", "CalibratedSensor": "calibrated_sensor", "EgoPose": "ego_pose"}.get(
-        model.__name__, model.__name__.lower()
-    )
+    return re.sub(r"(?<!^)([A-Z])", r"_\1", model.__name__).lower()
 
 
-LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
 FRONT = "CAM_FRONT"
 # The origins of an export's frames; nuScenes itself has no such file.
 EXPORT_MARK = "frames.csv"
@@ -314,9 +312,7 @@ class NuScenes(KeyedFrames):
         else:
             ahead = pose(scan.mount.translation, scan.mount.rotation).rotation.inv().apply(AHEAD)
         return Scan(
-            points.xyz_m,
-            None,
-            points.reflectance,
+            points,
             level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
             np.zeros(3),
             T_global_lidar.inv(),
@@ -345,15 +341,15 @@ class NuScenes(KeyedFrames):
             return image.T_global_sensor().inv(), scan.T_global_sensor()
 
 
-def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
-    """Opens a scene of the dataset at `path`; `NotFound` if there are no tables.
+def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
+    """Opens a scene of the dataset at `path`; None if there are no tables.
 
     Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one. If there are no
     images, the frames are the scans.
     """
     folders = table_folders(path)
     if not folders:
-        return NotFound(LOOKED_FOR)
+        return None
     if len(folders) > 1:
         names = ", ".join(folder.name for folder in folders)
         raise RecordingError(f"{path}: has several folders of tables ({names}); give the path of one")
@@ -379,11 +375,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
         raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
     notes = _notes(data, camera, moments, scenes, options)
     return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
-
-
-def is_nuscenes(path: Path) -> bool:
-    """Returns True if the path has nuScenes' tables."""
-    return bool(table_folders(path))
 
 
 def read_scan(path: Path) -> RawCloud:

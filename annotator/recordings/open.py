@@ -6,145 +6,56 @@ A new format needs one module, and a line in `READERS`.
 from __future__ import annotations
 
 import shlex
-import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned, look_around
-from annotator.recordings.recording import NotFound, ReaderOptions, Recording, option_flag
+from annotator.recordings.recording import ReaderOptions, Recording, option_flag
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 from annotator.types.messages import nearest
 
-# What each format's folder must have; `|` separates alternatives. Optional files are left out.
-PARTS: dict[str, tuple[str, ...]] = {
-    "an RGB-D folder": ("color/|rgb/", "depth/", "camera_*.json"),
-    "a TUM RGB-D recording": ("rgb.txt", "depth.txt", "rgb/", "depth/"),
-    "a Stray Scanner recording": ("rgb.mp4", "odometry.csv", "camera_matrix.csv", "depth/"),
-    "a KITTI object folder": ("image_2/", "velodyne/", "calib/"),
-    "a KITTI tracking folder of one sequence": ("image_02/", "velodyne/", "calib.txt"),
-    "a KITTI raw drive": ("image_02/data/", "velodyne_points/data/"),
-    "nuScenes": ("v1.0-*", "samples/", "sweeps/"),
-    "a log of Argoverse 2": ("sensors/lidar/", "calibration/", "city_SE3_egovehicle.feather"),
-    "SUN RGB-D as VoteNet extracts it": ("image/", "calib/", "depth/*.mat|points/*.npz"),
-    "a scene of SUN RGB-D": ("image/", "depth/", "extrinsics/", "intrinsics.txt"),
-    "an export in the format rcv": ("dataset.json", "labels/", "images/", "clouds/"),
-    "an export in the format openlabel": ("images/", "clouds/", "frames.csv"),
-}
 # Exports in most formats have this file, so it alone shows none.
 COMMON = {"frames.csv"}
 MOST_NAMED = 2
-# How far, and for how long, recordings below a folder are searched.
-MOST_LEVELS, MOST_FOLDERS, MOST_SECONDS, MOST_HINTS = 3, 400, 2.0, 5
+# How far recordings below a folder are searched, how many folders of a level, and how many are named.
+MOST_LEVELS, MOST_FOLDERS, MOST_HINTS = 3, 200, 5
 # How far above a file or folder the recording that it belongs to may be.
 MOST_ABOVE = 3
 ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".bz2", ".xz")
 BOXES = "boxes.json"
 VIDEOS = (".mp4", ".avi", ".mov", ".webm")
 
-Detect = Callable[[Path], str | None]
-
 
 def nearest_formats(path: Path) -> list[str]:
     """Returns sentences such as "it looks like a KITTI object folder: calib/ is missing", the nearest format first."""
     near: list[tuple[float, str]] = []
     for root in (path, path / "training"):
-        for name, parts in PARTS.items():
+        for _, title, parts, *_ in READERS.values():
             missing = [part for part in parts if not any(_has(root, each) for each in part.split("|"))]
             if set(parts) - set(missing) - COMMON:
-                words = " and ".join(part.replace("|", " or ") for part in missing)
+                words = " and ".join(map(_words, missing))
                 problem = f": {words} {'is' if len(missing) == 1 else 'are'} missing"
                 place = "it" if root == path else "training/"
-                text = f"{place} looks like {name}{problem if missing else ', but its files are not as in that format'}"
+                text = (
+                    f"{place} looks like {title}{problem if missing else ', but its files are not as in that format'}"
+                )
                 near.append((len(missing) / len(parts), text))
     least = min((share for share, _ in near), default=1.0)
     return [text for share, text in near if share == least][:MOST_NAMED]
+
+
+def _words(part: str) -> str:
+    return part.replace("|", " or ")
 
 
 def _has(root: Path, part: str) -> bool:
     if "*" in part:
         return next(root.glob(part), None) is not None
     return (root / part).is_dir() if part.endswith("/") else (root / part).is_file()
-
-
-@dataclass
-class Below:
-    """What a search below a folder has found.
-
-    Attributes:
-        recordings: the first recordings, as relative paths.
-        problems: the errors of some that cannot be opened.
-        is_partial: the search ended before all folders were seen.
-    """
-
-    recordings: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    is_partial: bool = False
-
-
-def recordings_below(path: Path, detect: Detect, file_suffixes: tuple[str, ...]) -> Below:
-    """Searches a folder for recordings, some levels down.
-
-    Args:
-        detect: returns the format of a path, or None.
-        file_suffixes: of single files that are recordings.
-    """
-    below = Below()
-    waiting, seen, end = deque([(path, 1)]), 0, time.monotonic() + MOST_SECONDS
-    while waiting:
-        folder, level = waiting.popleft()
-        for child in _children(folder, file_suffixes):
-            if len(below.recordings) == MOST_HINTS:
-                return below
-            seen += 1
-            if seen > MOST_FOLDERS or time.monotonic() > end:
-                below.is_partial = True
-                return below
-            try:
-                is_recording = detect(child) is not None
-            except RecordingError as error:
-                below.problems.append(str(error))
-                continue
-            if is_recording:
-                below.recordings.append(child.relative_to(path).as_posix())
-            elif level < MOST_LEVELS and child.is_dir():
-                waiting.append((child, level + 1))
-    return below
-
-
-def _children(folder: Path, file_suffixes: tuple[str, ...]) -> Iterator[Path]:
-    try:
-        children = sorted(folder.iterdir())
-    except OSError:
-        return
-    for child in children:
-        if not child.name.startswith(".") and (child.suffix.lower() in file_suffixes or child.is_dir()):
-            yield child
-
-
-def recording_above(path: Path, detect: Detect) -> Path | None:
-    """Returns the recording that a file or folder is a part of; None if there is none near.
-
-    A folder of clouds may be a part of another recording, and only its files are its parts.
-    """
-    clouds = None
-    for level, folder in enumerate(list(path.absolute().parents)[:MOST_ABOVE]):
-        try:
-            name = detect(folder)
-        except RecordingError:
-            continue
-        # any folder with a scene of SUN RGB-D in it is a recording of scenes
-        if name == "sunrgbd_scenes" and not (folder / "intrinsics.txt").is_file():
-            continue
-        if name == "cloud_folder":
-            clouds = clouds or (folder if level == 0 and path.is_file() else None)
-        elif name is not None:
-            return folder
-    return clouds
 
 
 def missing_part(path: Path) -> str:
@@ -177,50 +88,69 @@ class Reader(NamedTuple):
     """How a format is opened; functions as module:name below `annotator.recordings`.
 
     Attributes:
-        opens: takes the path [and the options], returns a Recording, or NotFound with what it looked for.
+        opens: takes the path [and the options], returns a Recording; None if the path is not of this format.
+        title: its name in a sentence.
+        parts: what a recording must have, for messages; `|` separates alternatives, and optional files are left out.
         options: those of `ReaderOptions` that it takes; with any, it is called with the options.
         recognises: a faster check of a path, for formats that are slow to open.
     """
 
     opens: str
+    title: str
+    parts: tuple[str, ...]
     options: tuple[str, ...] = ()
     recognises: str | None = None
 
-    def open(self, path: Path, options: ReaderOptions) -> Recording | NotFound:
-        opened: Recording | NotFound = _load(self.opens)(path, *([options] if self.options else []))
+    def open(self, path: Path, options: ReaderOptions) -> Recording | None:
+        opened: Recording | None = _load(self.opens)(path, *([options] if self.options else []))
         return opened
 
     def is_at(self, path: Path) -> bool:
-        if self.recognises is not None:
-            return bool(_load(self.recognises)(path))
-        return not isinstance(self.open(path, NO_OPTIONS), NotFound)
+        return bool(_load(self.recognises)(path)) if self.recognises else self.open(path, NO_OPTIONS) is not None
 
 
+OF_BAGS = ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin")
 # Tried in this order; the first reader that recognises a path opens it.
 READERS: dict[str, Reader] = {
-    "stray_scanner": Reader("phones.stray_scanner:open_stray_scanner", ("min_confidence",)),
-    "record3d": Reader("phones.record3d:open_record3d", ("min_confidence",), "phones.record3d:is_record3d"),
+    "stray_scanner": Reader("phones.stray_scanner:open_stray_scanner", "a Stray Scanner recording",
+                            ("rgb.mp4", "odometry.csv", "camera_matrix.csv", "depth/"), ("min_confidence",)),
+    "record3d": Reader("phones.record3d:open_record3d", "a Record3D recording", ("a .r3d file|metadata", "rgbd/"),
+                       ("min_confidence",), "phones.record3d:is_record3d"),
     # before rgbd_folder, whose names differ only by the lists of images
-    "tum_rgbd": Reader("tum_rgbd:open_tum_rgbd", ("tolerance_s",)),
-    "rgbd_folder": Reader("rgbd_folder:open_rgbd_folder"),
-    "kitti_object": Reader("kitti:open_kitti_object", ("columns",)),
-    "kitti_tracking": Reader("kitti:open_kitti_tracking", ("columns", "scene")),
-    "kitti_raw": Reader("kitti:open_kitti_raw", ("columns",)),
-    "azure_kinect": Reader("kinect.mkv_recording:open_azure_kinect", (), "kinect.mkv_recording:is_azure_kinect"),
-    "ros_bag": Reader(
-        "ros.recording:open_ros_bag",
-        ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin"),
-        "ros.bag:is_bag",
-    ),
-    "nuscenes": Reader("nuscenes:open_nuscenes", ("scene", "camera", "tolerance_s"), "nuscenes:is_nuscenes"),
-    "argoverse2": Reader("argoverse:open_argoverse2", ("camera", "tolerance_s"), "argoverse:is_argoverse2"),
-    "sunrgbd_extracted": Reader("sunrgbd:open_sunrgbd_extracted"),
-    "sunrgbd_scenes": Reader("sunrgbd:open_sunrgbd_scenes"),
-    "rcv": Reader("exports:open_rcv"),
-    "openlabel": Reader("exports:open_openlabel"),
+    "tum_rgbd": Reader("tum_rgbd:open_tum_rgbd", "a TUM RGB-D recording", ("rgb.txt", "depth.txt", "rgb/", "depth/"),
+                       ("tolerance_s",)),
+    "rgbd_folder": Reader("rgbd_folder:open_rgbd_folder", "an RGB-D folder",
+                          ("color/|rgb/", "depth/", "camera_*.json")),
+    "kitti_object": Reader("kitti:open_kitti_object", "a KITTI object folder", ("image_2/", "velodyne/", "calib/"),
+                           ("columns",)),
+    "kitti_tracking": Reader("kitti:open_kitti_tracking", "a KITTI tracking folder of one sequence",
+                             ("image_02/", "velodyne/", "calib.txt"), ("columns", "scene")),
+    "kitti_raw": Reader("kitti:open_kitti_raw", "a KITTI raw drive", ("image_02/data/", "velodyne_points/data/"),
+                        ("columns",)),
+    "azure_kinect": Reader("kinect.mkv_recording:open_azure_kinect", "an Azure Kinect recording",
+                           ("an .mkv file with tracks COLOR and DEPTH and an attached calibration",), (),
+                           "kinect.mkv_recording:is_azure_kinect"),
+    "ros_bag": Reader("ros.recording:open_ros_bag", "a bag",
+                      ("a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files",), OF_BAGS,
+                      "ros.bag:is_bag"),
+    "nuscenes": Reader("nuscenes:open_nuscenes", "nuScenes", ("v1.0-*", "samples/", "sweeps/"),
+                       ("scene", "camera", "tolerance_s"), "nuscenes:table_folders"),
+    "argoverse2": Reader("argoverse:open_argoverse2", "a log of Argoverse 2",
+                         ("sensors/lidar/", "calibration/", "city_SE3_egovehicle.feather"), ("camera", "tolerance_s"),
+                         "argoverse:is_argoverse2"),
+    "sunrgbd_extracted": Reader("sunrgbd:open_sunrgbd_extracted", "SUN RGB-D as VoteNet extracts it",
+                                ("image/", "calib/", "depth/*.mat|points/*.npz")),
+    "sunrgbd_scenes": Reader("sunrgbd:open_sunrgbd_scenes", "a scene of SUN RGB-D",
+                             ("image/", "depth/", "extrinsics/", "intrinsics.txt")),
+    "rcv": Reader("exports:open_rcv", "an export in the format rcv",
+                  ("dataset.json", "labels/", "images/", "clouds/")),
+    "openlabel": Reader("exports:open_openlabel", "an export in the format openlabel",
+                        ("images/", "clouds/", "frames.csv")),
     # last, because other formats contain cloud files, too
-    "cloud_folder": Reader("clouds.cloud_folder:open_cloud_folder", ("columns", "origin")),
-}
+    "cloud_folder": Reader("clouds.cloud_folder:open_cloud_folder", "a folder of point clouds",
+                           ("files .ply, .pcd, .npy, .npz, .las, .laz or .bin, here or in points/",),
+                           ("columns", "origin")),
+}  # fmt: skip
 
 
 # Suffixes of single files that are recordings.
@@ -260,17 +190,15 @@ def detect_format(path: Path) -> str | None:
 
 def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
     """Opens `path` with the first reader that recognises it; else returns what each reader looked for."""
-    looked_for = []
     # the virtual cameras are those of the LiDAR, and no camera of the recording itself
     own = options.model_copy(update={"look_around": None, "camera": None}) if options.look_around else options
     for name, reader in READERS.items():
         with path_errors(path):
             result = reader.open(path, own)
-        if not isinstance(result, NotFound):
+        if result is not None:
             _require_taken(path, name, own)
             return look_around(_scanned(path, name, result), options) if options.look_around else result
-        looked_for.append(f"{name}: {result.looked_for}")
-    return looked_for
+    return [f"{name}: {reader.title}: {', '.join(map(_words, reader.parts))}" for name, reader in READERS.items()]
 
 
 def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
@@ -303,17 +231,56 @@ def _explain(path: Path) -> str:
     kind = "folder" if is_folder else "file"
     near = nearest_formats(path) if is_folder else kind_of_file(path)
     parts = [f"{path}: no known recording format in this {kind}", *near]
-    below = recordings_below(path, detect_format, FILE_SUFFIXES) if is_folder else Below()
-    if below.is_partial:
-        parts.append("it has many folders, and not all were searched for recordings")
-    if below.recordings:
-        parts.append("it contains recordings; give the path of one of them: " + ", ".join(below.recordings))
-    elif below.problems:
-        parts.append("it contains recordings that cannot be opened: " + "; ".join(below.problems[:MOST_PROBLEMS]))
-    elif (above := recording_above(path, detect_format)) is not None:
+    below = _recordings_below(path) if is_folder else []
+    if below:
+        parts += below
+    elif (above := _recording_above(path)) is not None:
         parts.append(f"it is a part of the recording {above}; give that path")
     elif is_folder and not near and next(path.glob("*.txt"), None) is not None:
         parts.append("it holds text files; if they are labels, give the folder that also has their images and clouds")
     elif not near:
         parts.append(f"`annotator inspect {shlex.quote(str(path))}` lists what each format needs")
     return "; ".join(parts)
+
+
+def _recordings_below(path: Path) -> list[str]:
+    """Says which recordings are in a folder, some levels down."""
+    found, problems, folders = list[str](), list[str](), [path]
+    for _ in range(MOST_LEVELS):
+        deeper = []
+        for child in islice((child for folder in folders for child in _children(folder)), MOST_FOLDERS):
+            try:
+                if detect_format(child) is not None:
+                    found.append(child.relative_to(path).as_posix())
+                elif child.is_dir():
+                    deeper.append(child)
+            except RecordingError as error:
+                problems.append(str(error))
+        folders = deeper
+    if found:
+        return ["it contains recordings; give the path of one of them: " + ", ".join(found[:MOST_HINTS])]
+    return ["it contains recordings that cannot be opened: " + "; ".join(problems[:MOST_PROBLEMS])] if problems else []
+
+
+def _children(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        shown = (child for child in sorted(folder.iterdir()) if not child.name.startswith("."))
+        return [child for child in shown if child.suffix.lower() in FILE_SUFFIXES or child.is_dir()]
+    return []
+
+
+def _recording_above(path: Path) -> Path | None:
+    """Returns the recording that a file or folder is a part of; None if there is none near.
+
+    A folder of clouds may be a part of another recording, and only its files are its parts.
+    """
+    clouds = None
+    for folder in list(path.absolute().parents)[:MOST_ABOVE]:
+        with suppress(RecordingError):
+            name = detect_format(folder)
+            if name == "cloud_folder":
+                clouds = clouds or (folder if folder == path.absolute().parent and path.is_file() else None)
+            # any folder with a scene of SUN RGB-D in it is a recording of scenes
+            elif name is not None and (name != "sunrgbd_scenes" or (folder / "intrinsics.txt").is_file()):
+                return folder
+    return clouds

@@ -139,17 +139,6 @@ class Recording(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class NotFound:
-    """A reader's result for a path that it does not recognise.
-
-    Attributes:
-        looked_for: what the reader recognises, for the error message.
-    """
-
-    looked_for: str
-
-
 @dataclass(frozen=True, eq=False)
 class KeyedFrames:
     """The common base of the readers' recordings; each adds its `format`, `is_sequence` and `frame`.

@@ -35,7 +35,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError
@@ -43,14 +43,16 @@ from annotator.types.errors import FrameError, UnclearError
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
 MOST_OFF_ROTATION = 1e-3
+IDENTITY = RigidTransform.identity()
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
 Four = tuple[Number, Number, Number, Number]
+Rows = Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)]
 Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
 class IntrinsicFile(BaseModel):
-    """`camera_intrinsic.json`: Open3D's PinholeCameraIntrinsic, with two optional keys of annotator.
+    """`camera_intrinsic.json`, `depth_intrinsic.json`: Open3D's PinholeCameraIntrinsic, with optional keys.
 
     Attributes:
         width, height: image size, pixels.
@@ -58,6 +60,8 @@ class IntrinsicFile(BaseModel):
         depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
         depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
         distortion: OpenCV's coefficients, see `Camera`; default none.
+        depth_to_color, cloud_to_camera: transforms from the frame of the depth camera, or of the clouds, to that of the
+            colour camera, metres, row by row; default none: the frames are the same.
     """
 
     # Other keys of Open3D (class_name, version_major, ...) are ignored.
@@ -69,19 +73,8 @@ class IntrinsicFile(BaseModel):
     depth_scale: Positive | None = None
     depth_encoding: Literal["plain", "sunrgbd"] | None = None
     distortion: tuple[Number, ...] = ()
-
-
-class DepthFile(BaseModel):
-    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`; its default `depth_scale` is the colour camera's.
-
-    Attributes:
-        depth_to_color: the transform from the depth camera's frame to the colour camera's, metres, row by row; default
-            none: both look from the same place in the same direction.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    depth_to_color: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
+    depth_to_color: Rows | None = None
+    cloud_to_camera: Rows | None = None
 
 
 class GravityFile(BaseModel):
@@ -101,14 +94,15 @@ class RgbdCamera:
         camera: the camera.
         depth_scale: depth units per metre.
         depth_encoding: as in the file.
-        T_color_depth: for a depth camera, the transform from its frame to the colour camera's; else None.
+        T_color_depth, T_camera_cloud: from the frame of the depth camera, or of the clouds, to the colour camera's.
     """
 
     path: Path
     camera: Camera
     depth_scale: float
     depth_encoding: Literal["plain", "sunrgbd"] | None = None
-    T_color_depth: RigidTransform | None = None
+    T_color_depth: RigidTransform = IDENTITY
+    T_camera_cloud: RigidTransform = IDENTITY
 
     @property
     def size(self) -> tuple[int, int]:
@@ -157,7 +151,8 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
     with file_errors(path, "correct the camera file"):
         camera = pinhole(K, content.width, content.height, content.distortion)
     scale = depth_scale if content.depth_scale is None else content.depth_scale
-    return RgbdCamera(path, camera, scale, content.depth_encoding)
+    poses = (_rigid(path, name, getattr(content, name)) for name in ("depth_to_color", "cloud_to_camera"))
+    return RgbdCamera(path, camera, scale, content.depth_encoding, *poses)
 
 
 def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
@@ -192,18 +187,14 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
                 f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
                 "intrinsic_matrix, depth_to_color)",
             )
-        return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
-    read = read_camera(path, color.depth_scale)
-    with file_errors(path, "write four rows of four numbers"):
-        more = DepthFile.model_validate_json(read_text_file(path))
-    T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
-    return replace(read, T_color_depth=T_color_depth)
+        return replace(color, camera=resized(color.camera, *size))
+    return read_camera(path, color.depth_scale)
 
 
-def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
+def _rigid(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
     """Returns the transform with these rows, the identity for None; `name` is the key in the file."""
     if rows is None:
-        return RigidTransform.identity()
+        return IDENTITY
     matrix = np.array(rows)
     if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
         raise FrameError(path, f"{name} is not a rigid transform (last row 0 0 0 1)", "write it row by row")
@@ -215,14 +206,17 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     if not path.exists():
         return None
     with file_errors(path, 'write {"up": [x, y, z]}', "not a gravity file: "):
-        up = np.array(GravityFile.model_validate_json(read_text_file(path)).up)
+        up = GravityFile.model_validate_json(read_text_file(path)).up
+    return unit_up(path, up, "write the direction against gravity in the camera frame")
+
+
+def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarray, "3"]:
+    """Returns a direction in a file as a unit vector."""
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
-        raise FrameError(path, "up has length 0", "write the direction against gravity in the camera frame")
-    return up / length
+        raise FrameError(path, "up has length 0", remedy)
+    return np.array(up) / length
 
-
-LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"
 
 # A PNG file's signature and first chunk.
 PNG_HEAD_BYTES = 33
@@ -288,8 +282,8 @@ class RgbdFolder(KeyedFrames):
         )
 
 
-def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
-    """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
+def open_rgbd_folder(path: Path) -> RgbdFolder | None:
+    """Opens the RGB-D folder at `path`; None if it is not one.
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
     a different encoding of depth.
@@ -299,7 +293,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     if not color.is_dir() and any(path.glob("camera_*.json")):
         color = path / "image"
     if not (color.is_dir() and depth.is_dir()):
-        return NotFound(LOOKED_FOR)
+        return None
     keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
     return RgbdFolder(path, ordered, color, *read_times(path, ordered))
@@ -319,7 +313,7 @@ def read_images(
     require_size(color_path, rgb, color.size, f"the camera in {color.path.name} has", "make them the same size")
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
-    if depth is None or depth.T_color_depth is None:
+    if depth is None:
         depth_m = depth_metres(depth_path, raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)

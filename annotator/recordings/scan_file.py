@@ -20,6 +20,7 @@ doubt is refused (16 of 1,000 made-up sets; none was read wrong).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Never
@@ -300,7 +301,11 @@ class Scans:
             others[i] for i in np.unique(np.linspace(0, len(others) - 1, min(SCANS - 1, len(others))).astype(int))
         ]
         # in a mirror of remote storage, the files of other frames may be empty
-        scans = [data, *filter(None, map(_content, chosen))]
+        scans = [data]
+        for file in chosen:
+            # one that cannot be read is reported when its own frame is read
+            with suppress(OSError):
+                scans += filter(None, [read_frame_file(file)])
         evidence = weigh_columns(scans)
         alone = sorted({columns for scan in scans if (columns := weigh_columns([scan]).columns) is not None})
         if len(alone) > 1:
@@ -362,14 +367,6 @@ def _is_reflectance(values: Float32[np.ndarray, "n"]) -> bool:
     """False if a row's fourth values are something else: velocities, times, bit patterns."""
     known = values[np.isfinite(values)]
     return len(known) * 2 > len(values) and bool((known >= 0).all() and (known <= REFLECTANCE_SCALES[-1]).all())
-
-
-def _content(path: Path) -> bytes:
-    """Returns a file's content; empty if it cannot be read, which is reported when its own frame is read."""
-    try:
-        return read_frame_file(path)
-    except OSError:
-        return b""
 
 
 def _refuse(path: Path, evidence: Evidence) -> Never:

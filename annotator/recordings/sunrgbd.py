@@ -48,7 +48,7 @@ from annotator.recordings.listing import (
     unread_note,
 )
 from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.text import spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -112,7 +112,6 @@ def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None 
     return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
-EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
 # What is read here and by annotator.formats.
 EXTRACTED_READ = (
     "image",
@@ -175,18 +174,18 @@ def _frame(
     return Frame(key, i, camera, image.rgb, cloud, depth_m, calibration.up, T, exif_orientation=orientation)
 
 
-def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
-    """Opens the folder in VoteNet's layout at `path`; `NotFound` if it is not one."""
+def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | None:
+    """Opens the folder in VoteNet's layout at `path`; None if it is not one."""
     if not ((path / "image").is_dir() and (path / "calib").is_dir()):
-        return NotFound(EXTRACTED_LOOKED_FOR)
+        return None
     for clouds, suffix in ((path / "depth", ".mat"), (path / "points", ".npz")):
         names = stems(clouds, (suffix,)) if clouds.is_dir() else set()
         calibrated = stems(path / "calib", (".txt",)) if names else set()
         # a cloud folder with KITTI's calibration differs only in the content of calib/
         if names and calibrated and not _is_kitti(path / "calib" / f"{min(calibrated)}.txt"):
             keys = joined(names, stems(path / "image", IMAGE_SUFFIXES))
-            return SunRgbdExtracted(path, sorted_keys(path, keys, EXTRACTED_LOOKED_FOR), clouds)
-    return NotFound(EXTRACTED_LOOKED_FOR)
+            return SunRgbdExtracted(path, sorted_keys(path, keys, "image/KEY.jpg"), clouds)
+    return None
 
 
 def _is_kitti(path: Path) -> bool:
@@ -234,7 +233,6 @@ def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None
     return rgb[v, u]
 
 
-SCENES_LOOKED_FOR = "scene folders (intrinsics.txt, image/, depth/, extrinsics/), or folders of them"
 MARK = "intrinsics.txt"
 # The data set's top folders, one per camera. They are searched several levels deep, any other folder only one level.
 CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
@@ -303,10 +301,10 @@ class SunRgbdScenes(KeyedFrames):
         return _frame(key, i, calibration, image, cloud, depth_m)
 
 
-def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
-    """Lists the raw scenes at or below `path`; `NotFound` if there are none."""
+def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | None:
+    """Lists the raw scenes at or below `path`; None if there are none."""
     if not path.is_dir():
-        return NotFound(SCENES_LOOKED_FOR)
+        return None
     if _is_scene(str(path)):
         return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
     with path_errors(path):
@@ -314,8 +312,8 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
         levels = MOST_LEVELS if is_data_set else 1
         folders = dict(_scenes(str(path), levels))
     if not folders:
-        return NotFound(SCENES_LOOKED_FOR)
-    keys = sorted_keys(path, set(folders), SCENES_LOOKED_FOR)
+        return None
+    keys = sorted_keys(path, set(folders), MARK)
     return SunRgbdScenes(path, keys, tuple(folders[key] for key in keys))
 
 

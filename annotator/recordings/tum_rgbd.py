@@ -28,7 +28,7 @@ from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
 from annotator.recordings.plausible import are_plausible
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
@@ -36,7 +36,6 @@ from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import amount
 
-LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
 RGB_LIST, DEPTH_LIST, POSES = "rgb.txt", "depth.txt", "groundtruth.txt"
 UNITS_PER_M = 5000.0
 # The camera that TUM recommends for all its recordings, whose depth was registered with it.
@@ -150,10 +149,10 @@ class TumRgbd(KeyedFrames):
             raise FrameError(self.path, f"the listed file {error}") from error
 
 
-def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
-    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one."""
+def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | None:
+    """Opens the recording in TUM's format at `path`; None if it is not one."""
     if not ((path / RGB_LIST).is_file() and (path / DEPTH_LIST).is_file()):
-        return NotFound(LOOKED_FOR)
+        return None
     tolerance_s = TOLERANCE_S if options.tolerance_s is None else options.tolerance_s
     tolerance_ns = round(tolerance_s * S_TO_NS)
     (color_times, colors), (depth_times, depths) = (_listed(path / name) for name in (RGB_LIST, DEPTH_LIST))

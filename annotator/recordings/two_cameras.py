@@ -17,8 +17,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.distortion import distort_planes
-from annotator.geometry.projection import CameraKey, camera_key, pixel_colors, pixel_rays, require_image_size
+from annotator.geometry.projection import (
+    CameraKey,
+    camera_key,
+    distort_planes,
+    pixel_colors,
+    pixel_rays,
+    require_image_size,
+)
 from annotator.types import Camera, PointCloud
 from annotator.types.errors import GeometryError
 

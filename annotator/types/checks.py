@@ -36,11 +36,6 @@ def too_late(time: object, unit: str) -> str:
     return f"the time {str(time)[:40]} {unit} is beyond the year 2262, so its unit is probably another one"
 
 
-def too_dense(step_ns: float) -> str:
-    """Says that times follow each other faster than any sensor takes frames, and why that probably is."""
-    return f"the times are {step_ns:g} ns apart (their median), so their unit is probably another one"
-
-
 def in_time(time: int, unit: str = "ns", unit_ns: int = 1) -> int:
     """Returns a time that fits; for pydantic's fields."""
     if abs(time) > LATEST_NS // unit_ns:

@@ -131,7 +131,7 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
         has_mask = load_mask(recording, frame) is not None
     except FormatError as error:
         problem = str(error)
-    scanned = len(recording.scan(index).xyz_m) if isinstance(recording, Scanned) else None
+    scanned = len(recording.scan(index).raw.xyz_m) if isinstance(recording, Scanned) else None
     seen = int(inside_image(camera, project(camera, cloud.xyz_m)).sum())
     return FrameReport(
         key=frame.key,

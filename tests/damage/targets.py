@@ -39,9 +39,12 @@ from dataset_samples import make_item, make_label, write  # noqa: E402
 from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
 from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
-from test_cloud_files import RGB, XYZ  # noqa: E402
+from test_cloud_files import (  # noqa: E402
+    RGB,
+    XYZ,
+    written,
+)
 from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
-from test_las_file import written  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402

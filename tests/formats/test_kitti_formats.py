@@ -37,8 +37,8 @@ from annotator.formats.kitti_rows import (
 from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.losses import Losses, Lost
-from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import Sight
 from annotator.geometry.projection import pixel_rays
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError

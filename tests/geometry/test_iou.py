@@ -10,8 +10,6 @@ import pytest
 from geometry_strategies import random_boxes
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import (
@@ -109,32 +107,6 @@ def test_known_volumes_with_a_unit_box(b: OrientedBox, expected: float) -> None:
     tolerance = 1e-9 * min(1.0, b.volume_m3)
     for pair in (([UNIT], [b]), ([b], [UNIT])):
         assert volumes(*pair)[0] == pytest.approx(expected, rel=1e-6, abs=tolerance)
-
-
-def test_volumes_of_random_boxes_are_those_of_the_hull_of_their_intersection() -> None:
-    compared = 0
-    for a, b in zip(random_boxes(60, 1), random_boxes(60, 2), strict=True):
-        sides = np.concatenate([np.concatenate([one.rotation.T, -one.rotation.T]) for one in (a, b)])
-        ends = [
-            s @ one.center_m + size / 2
-            for one, s in ((a, sides[:6]), (b, sides[6:]))
-            for size in [np.tile(one.size_m, 2)]
-        ]
-        planes = np.column_stack([sides, -np.concatenate(ends)])
-        # the point that is farthest inside all planes: the largest ball in the intersection
-        best = linprog(
-            [0, 0, 0, -1],
-            np.column_stack([sides, np.ones(12)]),
-            np.concatenate(ends),
-            bounds=[(None, None)] * 3 + [(0, None)],
-        )
-        if best.status != 0 or best.x[3] < 1e-6:
-            assert volumes([a], [b])[0] < 1e-4
-            continue
-        hull = ConvexHull(HalfspaceIntersection(planes, best.x[:3]).intersections)
-        assert volumes([a], [b])[0] == pytest.approx(hull.volume, rel=1e-6)
-        compared += 1
-    assert compared > 30
 
 
 def test_a_matrix_has_the_iou_of_every_pair() -> None:

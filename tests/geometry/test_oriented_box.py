@@ -1,14 +1,14 @@
-"""Corners, containment and boxes around points."""
+"""Corners, containment and boxes around points; directions and axes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry_strategies import boxes, random_boxes, rotations
-from hypothesis import given, settings
+from geometry_strategies import boxes, random_boxes, rigid_transforms, rotations, vectors
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import (
@@ -23,6 +23,7 @@ from annotator.geometry.oriented_box import (
     tightest_box,
 )
 from annotator.geometry.projection import project, unproject_depth
+from annotator.geometry.transforms import corners_4x8, right_handed_axes, unit
 from annotator.rcv.rotations import free_grid, yaw_grid
 from annotator.types import Box2D, Camera, Correction, Frame, OrientedBox, PointCloud
 from annotator.types.errors import GeometryError
@@ -261,3 +262,44 @@ def test_boxes_that_do_not_turn_are_alike() -> None:
     turns = 0.3 + np.pi / 2 * np.arange(10)
     found = common_axis(standing(np.array([0.0, -1.0, 0.0]), turns, 1.0, 0))
     assert found.alike > 0.95
+
+
+ZERO = np.zeros(3)
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    return np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-12) and np.linalg.det(matrix) > 0
+
+
+@settings(deadline=None)
+@given(vectors(), vectors())
+def test_axes_are_right_handed_and_keep_the_major_axis(major: np.ndarray, hint: np.ndarray) -> None:
+    assume(np.linalg.norm(major) > 1e-6)
+    frame = right_handed_axes(major, hint)
+    assert is_rotation(frame)
+    np.testing.assert_allclose(frame[:, 0], unit(major), atol=1e-12)
+    if np.linalg.norm(np.cross(unit(major), hint)) > 1e-6:
+        assert frame[:, 1] @ hint > 0
+        assert abs(frame[:, 2] @ hint) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: unit(ZERO), "no direction"),
+        (lambda: unit(np.array([np.nan, 0.0, 1.0])), "no direction"),
+        (lambda: right_handed_axes(ZERO, np.ones(3)), "no direction"),
+        (lambda: right_handed_axes(np.ones(3), np.array([np.inf, 0.0, 0.0])), "finite"),
+    ],
+)
+def test_vectors_without_direction_are_refused(call, message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        call()
+
+
+@settings(deadline=None)
+@given(boxes(), rigid_transforms())
+def test_a_4x4_matrix_maps_homogeneous_corners_as_in_equation_1(box: OrientedBox, T_dst_camera: RigidTransform) -> None:
+    mapped = T_dst_camera.as_matrix() @ corners_4x8(box)
+    np.testing.assert_allclose(mapped[:3].T, box_corners(box.transformed(T_dst_camera)), atol=1e-9)
+    np.testing.assert_array_equal(mapped[3], 1.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,9 +16,8 @@ from hypothesis import strategies as st
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
-from annotator.recordings.image_file import decode_depth, read_rgb
-from annotator.recordings.phones.stray_scanner import _depth_m
-from annotator.recordings.ros.pictures import color_image, depth_image
+from annotator.recordings.image_file import read_color_image
+from annotator.recordings.ros.pictures import color_image
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
@@ -72,7 +70,7 @@ ODD = [
 def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
-        read_rgb(tmp_path / "a.png")
+        read_color_image(tmp_path / "a.png")
 
 
 def test_a_jpeg_of_too_many_pixels_is_refused():
@@ -116,25 +114,6 @@ def ros(encoding: str, values: np.ndarray, **more: object) -> SimpleNamespace:
     return SimpleNamespace(**fields, data=np.frombuffer(values.tobytes(), np.uint8), **more)
 
 
-def stray(folder: Path) -> np.ndarray:
-    (folder / "0.png").write_bytes(as_png(MILLIMETRES))
-    return _depth_m(folder / "0.png")
-
-
-@pytest.mark.parametrize(
-    "read",
-    [
-        pytest.param(lambda folder: open_recording(rgbd(folder, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
-        pytest.param(lambda _: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
-        pytest.param(lambda _: depth_image(ros("16UC1", MILLIMETRES)), id="ros"),
-        pytest.param(stray, id="stray"),
-    ],
-)
-def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Path], np.ndarray]):
-    expected = np.where(np.isin(MILLIMETRES, (65535, 65504)), 0, MILLIMETRES / 1000)
-    np.testing.assert_allclose(read(tmp_path), expected, rtol=1e-6)
-
-
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
 
 
@@ -175,11 +154,3 @@ def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
     np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
     dark = color_image(ros("mono16", np.full_like(grey, 530)), lambda own: own.with_all(ranges))
     assert dark.max() <= 1
-
-
-@pytest.mark.shared
-def test_the_collected_cases(shared: Path):
-    grey = open_recording(shared / "cases" / "18_image_depths" / "grey_12_in_16").frame(0)
-    assert (grey.rgb.min(), grey.rgb.max(), len(np.unique(grey.rgb))) == (0, 255, 60)
-    depth = open_recording(shared / "cases" / "10_rgbd_files" / "depth_65535").frame(0)
-    assert (len(depth.cloud), float(depth.cloud.xyz_m[:, 2].max())) == (2300, 2.0)

@@ -1,4 +1,4 @@
-"""RGB-D folders: the content of a frame, and the errors of damaged files."""
+"""RGB-D folders: the content of a frame, and the errors of damaged files; depth of another camera."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
+from annotator.recordings.two_cameras import registered
+from annotator.types import Camera
 from annotator.types.errors import FrameError, UnclearError
 from annotator.workflows.checking.dataset_check import check_datasets
 
@@ -72,24 +77,6 @@ def test_depth_scale_and_distortion_are_those_of_the_camera_file(folder: Path, d
     assert frame.camera.distortion == tuple(more["distortion"])
     v, u = np.divmod(frame.cloud.pixel_index, WIDTH)
     np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-3)
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_files_of_other_systems_are_read(folder: Path, color: np.ndarray, encoding: str):
-    """Byte order marks and line ends of Windows; the same name in both Unicode forms, as from macOS."""
-    for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
-        (folder / name / "000000.png").rename(folder / name / f"{key}.png")
-    for name, content in (
-        ("camera_intrinsic.json", json.dumps(INTRINSICS, indent=1)),
-        ("gravity.json", '{"up": [0, -2, 0]}\n'),
-        ("timestamps.csv", "key,timestamp_ns\ncafe\u0301,7000000\n000001,8000000\n"),
-    ):
-        (folder / name).write_bytes(content.replace("\n", "\r\n").encode(encoding))
-    recording = open_recording(folder)
-    assert recording.keys == ("000001", "caf\u00e9")
-    frame = recording.frame(1)
-    np.testing.assert_array_equal(frame.rgb, color)
-    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 7_000_000, [0, -1, 0])
 
 
 def test_gravity_becomes_a_unit_vector(folder: Path):
@@ -215,3 +202,69 @@ def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.nd
     with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
         open_recording(folder).frame(0)
     assert open_recording(folder).frame(1).key == "000001"
+
+
+DEPTH_CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 23.5)
+COLOR_CAMERA = Camera(160, 120, 140.0, 141.0, 80.0, 58.0, (0.05, -0.02, 0.001, -0.001))
+
+
+def pose(shift_m: list[float], turn_rad: list[float]) -> RigidTransform:
+    return RigidTransform.from_components(np.array(shift_m), Rotation.from_rotvec(turn_rad))
+
+
+def picture(camera: Camera) -> np.ndarray:
+    """A colour for each pixel that tells where it is."""
+    v, u = np.mgrid[: camera.height_px, : camera.width_px]
+    return np.stack([u, v, (u ^ v)], axis=-1).astype(np.uint8)
+
+
+small = st.floats(-0.1, 0.1)
+
+
+@given(st.lists(small, min_size=3, max_size=3), st.lists(small, min_size=3, max_size=3), st.integers(0, 99))
+def test_each_point_is_a_measured_pixel_with_the_colour_that_it_projects_to(
+    shift_m: list[float], turn_rad: list[float], seed: int
+):
+    random = np.random.default_rng(seed)
+    depth_m = random.uniform(0.5, 3.0, (DEPTH_CAMERA.height_px, DEPTH_CAMERA.width_px)).astype(np.float32)
+    depth_m[random.random(depth_m.shape) < 0.2] = random.choice([0.0, -1.0, np.nan, np.inf])
+    T_color_depth, rgb = pose(shift_m, turn_rad), picture(COLOR_CAMERA)
+    cloud, in_color_m = registered(depth_m, DEPTH_CAMERA, T_color_depth, rgb, COLOR_CAMERA)
+    back = T_color_depth.inv().apply(cloud.xyz_m)
+    px = project(DEPTH_CAMERA, back)
+    u, v = np.rint(px).astype(int).T
+    np.testing.assert_allclose(px, np.c_[u, v], atol=1e-2)
+    np.testing.assert_allclose(back[:, 2], depth_m[v, u], rtol=1e-5)
+    assert len({*zip(u, v, strict=True)}) == len(cloud)
+    px = project(COLOR_CAMERA, cloud.xyz_m)
+    clear = (np.abs(px % 1 - 0.5) > 1e-3).all(axis=1)
+    u, v = np.rint(px[clear]).astype(int).T
+    np.testing.assert_array_equal(cloud.rgb[clear], rgb[v, u])
+    assert cloud.pixel_index is None
+    # each pixel holds the nearest of its points
+    expected = np.full(in_color_m.shape, np.inf, np.float32)
+    u, v = np.floor(px + 0.5).astype(int).clip(0).T
+    np.minimum.at(
+        expected, (v.clip(max=COLOR_CAMERA.height_px - 1), u.clip(max=COLOR_CAMERA.width_px - 1)), cloud.xyz_m[:, 2]
+    )
+    expected[np.isinf(expected)] = 0
+    assert (expected != in_color_m).mean() < 1e-3
+
+
+def test_points_outside_the_image_or_hidden_from_it_are_left_out():
+    depth_m = np.full((48, 64), 2.0, np.float32)
+    depth_m[:, 28:36] = 1.0  # a post before a wall
+    T_color_depth = pose([-0.1, 0.0, 0.0], [0, 0, 0])
+    cloud, in_color_m = registered(depth_m, DEPTH_CAMERA, T_color_depth, picture(COLOR_CAMERA), COLOR_CAMERA)
+    middle = np.abs(cloud.xyz_m[:, 1]) < 0.2
+    columns = np.rint(project(DEPTH_CAMERA, T_color_depth.inv().apply(cloud.xyz_m[middle]))[:, 0]).astype(int)
+    # in the colour camera, the post lies 6 columns of the depth image further left, the wall 3
+    missing = {*range(64)} - {*columns}
+    assert {25, 26, 27} <= missing <= {0, 24, 25, 26, 27}
+    assert set(np.unique(in_color_m)) == {0.0, 1.0, 2.0}  # nothing between the post and the wall
+    aside, _ = registered(depth_m, DEPTH_CAMERA, pose([1.5, 0, 0], [0, 0, 0]), picture(COLOR_CAMERA), COLOR_CAMERA)
+    assert 0 < len(aside) < len(cloud) / 2
+    behind, nothing = registered(
+        depth_m, DEPTH_CAMERA, pose([0, 0, -3], [0, 0, 0]), picture(COLOR_CAMERA), COLOR_CAMERA
+    )
+    assert len(behind) == 0 and not nothing.any()

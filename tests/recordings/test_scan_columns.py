@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cloud_samples import SCAN, put_image
+from cloud_samples import SCAN
 from column_scans import OTHERS, make_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kitti_samples import OBJECT_CALIB
 
-from annotator.cli.main import main
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.scan_file import Scans, weigh_columns
-from annotator.types.errors import ConfigError, FrameError, UnclearError
+from annotator.types.errors import FrameError, UnclearError
 
 RANDOM = np.random.default_rng(3)
 COUNT = len(SCAN)
@@ -76,21 +74,6 @@ def test_values_that_contradict_name_or_place_are_refused(tmp_path: Path):
         assert len(Scans(columns).read(tmp_path / place).xyz_m) == COUNT
 
 
-def test_kitti_folders_with_other_scans_are_refused_unless_the_option_says_so(tmp_path: Path):
-    """Six floats a point, in KITTI's folders: mmdetection3d writes Waymo's scans so."""
-    put(tmp_path, "velodyne/000001.bin", 6)
-    put_image(tmp_path / "image_2" / "000001.png", 1)
-    (tmp_path / "calib").mkdir()
-    (tmp_path / "calib" / "000001.txt").write_text(OBJECT_CALIB)
-    with pytest.raises(UnclearError, match="look like rows of 6"):
-        open_recording(tmp_path).frame(0)
-    frame = open_recording(tmp_path, ReaderOptions(columns=6)).frame(0)
-    put(tmp_path, "velodyne/000001.bin", 4)
-    kitti = open_recording(tmp_path).frame(0)
-    np.testing.assert_array_equal(frame.cloud.xyz_m, kitti.cloud.xyz_m)
-    np.testing.assert_array_equal(frame.cloud.reflectance, kitti.cloud.reflectance)
-
-
 def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path):
     for number in range(40):
         put(tmp_path, f"{number}.bin", 4)
@@ -140,26 +123,11 @@ def test_a_dark_scan_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path)
         recording = open_recording(tmp_path, options)
         assert isinstance(recording, CloudFolder)
         for number in order:
-            reflectance = recording.scan(number).reflectance
+            reflectance = recording.scan(number).raw.reflectance
             assert reflectance is not None
             # the last one is beyond the scale of the others
             expected = {0: 200 / 255, 1: 1 / 255, 3: 1 / 255, 4: 60_000 / 65_535}[number]
             assert reflectance.max() == pytest.approx(expected, rel=1e-5)
-
-
-def test_the_option_is_stored_with_the_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    scan = np.random.default_rng(0).uniform(2, 9, (600, 3)).astype(np.float32)
-    (tmp_path / "take").mkdir()
-    (tmp_path / "take" / "a.bin").write_bytes(scan.tobytes())
-    monkeypatch.chdir(tmp_path)
-    assert main(["new", "cars", "--classes", "car"]) == 0
-    assert main(["add", "cars", "take"]) == 2
-    assert "give --columns N" in capsys.readouterr().err.replace("\n", " ")
-    assert main(["add", "cars", "take", "--columns", "3"]) == 0
-    with pytest.raises(ConfigError, match="takes --columns, --origin, not --camera"):
-        open_recording(tmp_path / "take", ReaderOptions(camera="left"))
 
 
 @pytest.mark.shared

@@ -71,19 +71,6 @@ def test_other_recordings_have_their_own_camera_and_no_known_gravity(tmp_path: P
     assert recording.frame(0).depth_m.max() == depth(0).max() / np.float32(1000)
 
 
-@pytest.mark.shared
-def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
-    source = shared / "data" / "rgbd_open3d_testdata" / "RGBD" / "other_formats"
-    for name in ("rgb", "depth"):
-        (tmp_path / name).mkdir()
-        (tmp_path / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
-    (tmp_path / "rgb" / "1.png").write_bytes((source / "TUM_color.png").read_bytes())
-    (tmp_path / "depth" / "1.png").write_bytes((source / "TUM_depth.png").read_bytes())
-    cloud = open_recording(tmp_path).frame(0).cloud
-    low, middle, high = np.percentile(cloud.xyz_m[:, 2], [1, 50, 99])
-    assert 1 < low < middle < 3 < high < 10  # a desk, with a hall behind it
-
-
 def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
     def change(path: Path) -> None:
         text = (path / name).read_text()
@@ -127,14 +114,12 @@ def test_folders_may_be_linked_into_the_recording_but_not_lead_further(tmp_path:
 @pytest.mark.parametrize(
     "changed",
     [
-        lambda text: "\ufeff" + text.replace("\n", "\r\n"),
         lambda text: text.replace(" ", ", "),
         lambda text: text.replace(" ", ","),
-        lambda text: text.replace("/", "\\"),
         lambda text: text.replace("rgb/", "./rgb/"),
         lambda text: text.replace(".png", ".png 1 2"),
     ],
-    ids=["windows", "commas-blanks", "commas", "backslashes", "point", "columns"],
+    ids=["commas-blanks", "commas", "point", "columns"],
 )
 def test_lists_of_other_tools_are_read(tmp_path: Path, changed: Callable[[str], str]):
     path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34], small)

@@ -3,34 +3,108 @@
 NumPy arrays (`.npy`; `.npz` with an array of points and optionally one of colours) are n x 3 (x y z), n x 4 (with
 reflectance), n x 6 (with colours), or have named fields. Nothing is unpickled. Headers are checked against the file's
 size before memory is allocated. Format: NEP 1 and `numpy.lib.format`.
+
+LAS and LAZ are read by laspy and lazrs (the extra `las`). Format: ASPRS, "LAS Specification 1.4", R15. Coordinates are
+integers with a scale and an offset, usually map coordinates in metres (`cloud_folder` moves the origin). Intensity and
+colours have 16 bits; some writers use fewer. The decompressor of LAZ trusts what it reads, so it runs in the `fence`.
 """
 
 from __future__ import annotations
 
 import codecs
 import io
+import struct
 import warnings
 from collections.abc import Callable
-from math import prod
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
 
+from annotator.fence import fenced
 from annotator.files import ARCHIVE_ERRORS, open_archive
-from annotator.frame_limits import memory_problem, read_frame_file
+from annotator.frame_limits import read_frame_file, require_memory
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
+    at_limits,
     field_columns,
     files_like,
     from_columns,
 )
-from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.pcd_ply import parse_pcd, parse_ply
 from annotator.recordings.listing import file_errors
 from annotator.recordings.scan_file import SCAN_SUFFIX, Scans
+from annotator.types.errors import MissingExtraError
+
+SIGNATURE = b"LASF"
+# From byte 94: header size, offset of the points, number of records before them, point format, bytes per point, points.
+HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
+SHORTEST_LAS_HEADER = 227
+COMPRESSED_BITS = 0xC0
+RECORD_HEAD_BYTES = 54
+COLORS = ("red", "green", "blue")
+
+
+def parse_las(data: bytes) -> RawCloud:
+    """Parses the points of a LAS or LAZ file, without withheld ones; its unit is assumed to be metres."""
+    # laspy imports lazrs by itself, without an error if it is missing
+    if find_spec("laspy") is None or find_spec("lazrs") is None:
+        raise MissingExtraError("laspy[lazrs]", "las")
+    columns = fenced(f"{__name__}:decode", data) if _is_compressed(data) else decode(data)
+    kept = ~at_limits([columns.pop(name) for name in "XYZ"]) & (columns.pop("withheld") == 0)
+    # zeros throughout: not measured
+    has_colors = any(columns[name].any() for name in COLORS if name in columns)
+    unused = set() if has_colors else {*COLORS}
+    unused |= set() if columns["intensity"].any() else {"intensity"}
+    return from_columns({name: values[kept] for name, values in columns.items() if name not in unused})
+
+
+def _is_compressed(data: bytes) -> bool:
+    """Rejects impossible record counts, which would keep laspy busy for hours."""
+    if not data.startswith(SIGNATURE) or len(data) < SHORTEST_LAS_HEADER:
+        raise ValueError("is not a LAS file, or its header is truncated")
+    header_bytes, start, records, point_format, point_bytes, _ = HEAD.unpack_from(data, HEAD_AT)
+    if not SHORTEST_LAS_HEADER <= header_bytes <= start <= len(data) or point_bytes == 0:
+        raise ValueError(f"the LAS header declares an impossible position of the points, byte {start}")
+    if records * RECORD_HEAD_BYTES > start - header_bytes:
+        raise ValueError(f"declares {records} records before its points, but fewer fit there")
+    return bool(point_format & COMPRESSED_BITS)
+
+
+def decode(data: bytes) -> dict[str, np.ndarray]:
+    """Returns the columns of a file whose header was checked, in this process: coordinates also as they are stored.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    import laspy
+
+    # layers that are not needed stay compressed
+    layers = laspy.DecompressionSelection
+    selection = layers.XY_RETURNS_CHANNEL | layers.Z | layers.INTENSITY | layers.RGB | layers.FLAGS
+    try:
+        with laspy.LasReader(
+            io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False, decompression_selection=selection
+        ) as reader:
+            header = reader.header
+            count = header.point_count
+            require_memory(points=count)
+            points = reader.read_points(count)
+    except MemoryError:
+        raise
+    except Exception as error:  # of a damaged file, laspy raises any
+        raise ValueError(f"cannot be read as LAS or LAZ ({str(error)[:300]})") from error
+    if len(points) != count:
+        raise ValueError(f"declares {count} points but ends after {len(points)}")
+    names = {"X", "Y", "Z", "x", "y", "z", "intensity", "withheld", *COLORS}
+    # scale and offset of a damaged file may be any bits
+    with np.errstate(all="ignore"):
+        present = [name for name in sorted(names) if name in "xyz" or name in header.point_format.dimension_names]
+        return {name: np.array(points[name]) for name in present}
+
 
 POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
 COLOR_NAMES = ("colors", "colours", "rgb", "color")
@@ -49,8 +123,9 @@ def parse_npz(data: bytes) -> RawCloud:
             infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             # other arrays may be of any kind, and large
             points, colors = (next((n for n in names if n in infos), "") for names in (POINT_NAMES, COLOR_NAMES))
-            # sizes are read before the values are unpacked
-            arrays = [read_array(archive.open(infos[name])) for name in (points, colors) if points and name]
+            used = [infos[name] for name in (points, colors) if points and name]
+            require_memory(more_bytes=sum(info.file_size for info in used))
+            arrays = [read_array(archive.open(info)) for info in used]
     except ARCHIVE_ERRORS as error:
         raise ValueError(f"its archive cannot be read ({error})") from error
     if not arrays:
@@ -75,17 +150,11 @@ def read_array(file: IO[bytes], *, is_image: bool = False) -> np.ndarray:
         # numpy warns about headers written by Python 2
         warnings.simplefilter("ignore")
         try:
-            is_old = npy.read_magic(file) == (1, 0)
-            shape, _, dtype = npy.read_array_header_1_0(file) if is_old else npy.read_array_header_2_0(file)
-            values = prod(shape)
-            problem = memory_problem(points=values if is_image else prod(shape[:1]), more_bytes=values * dtype.itemsize)
-            file.seek(0)
-            array = np.empty(0) if problem else npy.read_array(file, allow_pickle=False)
-        # the header is a Python expression: a damaged one can raise any exception
+            array = npy.read_array(file, allow_pickle=False)
+        # the header is a Python expression: a damaged one can raise any exception, and declare any size
         except Exception as error:
             raise ValueError(f"its array is damaged ({str(error)[:80]})") from error
-    if problem:
-        raise ValueError(problem)
+    require_memory(points=array.size if is_image else len(array) if array.ndim else 1, more_bytes=array.nbytes)
     if array.dtype.kind not in "fiu" and array.dtype.names is None:
         raise ValueError(f"its array holds {array.dtype}, not numbers")
     return array

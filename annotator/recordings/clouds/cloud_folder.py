@@ -19,14 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, ClassVar, Never
+from typing import ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.transforms import level_pose
 from annotator.image_bytes import UPRIGHT, Size
@@ -36,16 +34,15 @@ from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, wi
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
-from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, require_size, sorted_keys, stems
 from annotator.recordings.look_around import Scan
-from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError
 
-LOOKED_FOR = f"files of points ({' '.join(CLOUD_SUFFIXES)}), here or in points/"
 CLOUD_FOLDERS = ("points", "clouds", "cloud", "pointcloud", "pointclouds", "velodyne", "lidar", "pcd", "ply")
 IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 # For clouds without a camera; horizontal field of view 90 degrees.
@@ -54,14 +51,6 @@ VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
 # In labelCloud's projects, z of the clouds points up.
 LEVEL_MARK = "labels/_classes.json"
-
-
-class CloudPoseFile(BaseModel):
-    """The optional pose of the clouds' frame in `camera_intrinsic.json`."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    cloud_to_camera: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +149,7 @@ class CloudFolder(KeyedFrames):
         key = self.key(i)
         source, raw = self._seen(key)
         return Scan(
-            raw.xyz_m,
-            raw.rgb,
-            raw.reflectance,
+            raw,
             level_pose(source.up).rotation * source.T_camera_cloud.rotation,
             source.T_camera_cloud.inv().translation if source.in_world else np.zeros(3),
             RigidTransform.identity(),
@@ -215,7 +202,9 @@ class CloudFolder(KeyedFrames):
         if path.name == FILE_NAME:
             return _in_world(_json_camera(path, rgb))
         camera = _kitti_camera(path, rgb)
-        return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
+        if (self.path / LEVEL_MARK).is_file():
+            camera = replace(camera, up=camera.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
+        return _in_world(camera)
 
     def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
@@ -226,17 +215,17 @@ class CloudFolder(KeyedFrames):
         )
 
 
-def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one."""
+def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | None:
+    """Opens the folder of point clouds at `path`; None if it is not one."""
     if not path.is_dir():
-        return NotFound(LOOKED_FOR)
+        return None
     for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):
         keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
         if keys:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
             if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
-            ordered = sorted_keys(path, keys, LOOKED_FOR)
+            ordered = sorted_keys(path, keys, "files of points")
             times = read_times(path, ordered)
             folder = CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
             calibration = folder.calibration(ordered[0])
@@ -246,7 +235,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
                     "leave out one of them"
                 )
             return folder
-    return NotFound(LOOKED_FOR)
+    return None
 
 
 def _in_world(camera: CloudCamera) -> CloudCamera:
@@ -267,17 +256,8 @@ def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
     return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
 
 
-def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
-    """Returns the direction of the clouds' z axis in the camera frame."""
-    return np.asarray(source.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
-
-
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
-    camera = read_camera(path).camera
+    read = read_camera(path)
     if rgb is not None:
-        require_size(path, rgb, (camera.width_px, camera.height_px), "the camera is for", "write the intrinsics for it")
-    with file_errors(path, "correct the camera file"):
-        rows = CloudPoseFile.model_validate_json(read_text_file(path)).cloud_to_camera
-    return CloudCamera(
-        path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))
-    )
+        require_size(path, rgb, read.size, "the camera is for", "write the intrinsics for it")
+    return CloudCamera(path, read.T_camera_cloud, read.camera, read_up(path.with_name("gravity.json")))

@@ -16,7 +16,7 @@ scale. The first scans of a recording decide for all: one scale of reflectance, 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -139,18 +139,9 @@ REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_ref
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Share of the points that may be at the limit of one coordinate's type.
 MOST_SATURATED = 0.01
-# Longest number in a text file, characters.
-LONGEST_NUMBER = 400
-
-
-LINE = re.compile(rb"[^\r\n]+")
 HEXADECIMAL = re.compile(rb"(?:0[xX]|#)[0-9a-fA-F]{1,8}")
 # Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either.
 NOT_A_NUMBER = re.compile(rb"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
-# Values of text that are parsed together.
-VALUES_AT_ONCE = 1 << 17
-
-
 Scales = tuple[float, float]
 
 
@@ -292,39 +283,43 @@ def text_columns(
         first_line: line number of the body's first line in the file, for messages.
         pick: returns the values of `names` among those of a line; None = they are its first.
     """
+    if not count:
+        raise ValueError("has no points")
     # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
         raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
     require_memory(points=count, more_bytes=count * len(names) * 8)
-    table = np.empty((count, len(names)))
-    rows, filled, at_once = _text_rows(body, names, first_line, pick), 0, max(VALUES_AT_ONCE // len(names), 1)
-    while part := list(islice(rows, min(at_once, count - filled))):
-        table[filled : filled + len(part)] = _numbers(np.array(part), filled)
-        filled += len(part)
-    if filled < count:
-        raise ValueError(f"declares {count} points but has {filled}")
+    filled = (line for line in enumerate(body.splitlines(), first_line) if line[1].strip())
+    lines = [
+        (number, line if pick is None else b" ".join(pick(line.split()))) for number, line in islice(filled, count)
+    ]
+    if len(lines) < count:
+        raise ValueError(f"declares {count} points but has {len(lines)}")
+    try:
+        table = np.loadtxt(
+            [line for _, line in lines], ndmin=2, usecols=range(len(names)), comments=None, encoding="latin-1"
+        )
+    except ValueError:
+        table = np.array([_numbers(line, number, row, len(names)) for row, (number, line) in enumerate(lines, 1)])
     return {name: table[:, column] for column, name in enumerate(names)}
 
 
-def _numbers(texts: np.ndarray, above: int) -> Float64[np.ndarray, "n c"]:
-    """Returns the numbers of a table of texts that has `above` rows before it."""
-    # numpy would accept 1_000, which `to_number` refuses
-    if b"_" not in texts.tobytes():
-        with suppress(ValueError):
-            return np.asarray(texts.astype(np.float64))
-    return np.array([[_number(text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
+def _numbers(line: bytes, number: int, row: int, columns: int) -> list[float]:
+    """Returns the numbers of a line, also those that numpy does not know."""
+    values = line.split()[:columns]
+    if len(values) < columns:
+        raise ValueError(f"line {number} has {len(values)} values instead of {columns}")
+    try:
+        return [*map(_number, values)]
+    except ValueError as error:
+        raise ValueError(f"point {row}: {error}") from None
 
 
-def _number(text: bytes, row: int) -> float:
+def _number(text: bytes) -> float:
     """Returns a number as programs write it: decimal, hexadecimal (colours), or one of the names of NaN."""
     if HEXADECIMAL.fullmatch(text):
         return float(int(text.lstrip(b"#"), 16))
-    if NOT_A_NUMBER.fullmatch(text):
-        return np.nan
-    try:
-        return to_number(text.decode("utf-8", "replace"))
-    except ValueError as error:
-        raise ValueError(f"point {row + 1}: {error}") from None
+    return np.nan if NOT_A_NUMBER.fullmatch(text) else to_number(text.decode("utf-8", "replace"))
 
 
 def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
@@ -344,30 +339,6 @@ def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
         limits = np.iinfo(dtype)
     fits = known.min(initial=0) >= limits.min and known.max(initial=0) <= limits.max
     return values.astype(dtype) if fits else values
-
-
-def _text_rows(
-    body: bytes,
-    names: tuple[str, ...],
-    first_line: int,
-    pick: Callable[[list[bytes]], list[bytes]] | None,
-) -> Iterator[list[bytes]]:
-    """Yields the values of each line that is not blank."""
-    for line in LINE.finditer(body):
-        values = line[0].split()
-        if pick is not None and values:
-            values = pick(values) or [b""]
-        problem = ""
-        if values and len(values) < len(names):
-            problem = f"has {len(values)} values instead of {len(names)}"
-        # a numpy array of strings reserves the longest length for every element
-        elif values and max(map(len, values)) > LONGEST_NUMBER:
-            problem = f"has a value of more than {LONGEST_NUMBER} characters"
-        if problem:
-            number = first_line + len(body[: line.start()].splitlines())
-            raise ValueError(f"line {number} {problem}")
-        if values:
-            yield values[: len(names)]
 
 
 def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
@@ -414,7 +385,10 @@ class CommonScale:
         if not any(raw.scales):
             return raw
         if place not in self._found:
-            scales = [found for scan in islice(scans(), FIRST) if any(found := _scales_of(read, scan))]
+            scales = list[Scales]()
+            for scan in islice(scans(), FIRST):
+                with suppress(FrameError, ValueError):
+                    scales += filter(any, [read(scan).scales])
             if not scales:
                 return raw
             self._found[place] = (max(each for each, _ in scales), max(each for _, each in scales))
@@ -424,10 +398,3 @@ class CommonScale:
 def files_like(path: Path) -> list[Path]:
     """Returns the files of a folder with the suffix of this one, by name."""
     return sorted(file for file in path.parent.iterdir() if file.suffix.lower() == path.suffix.lower())
-
-
-def _scales_of(read: Callable[[Source], RawCloud], scan: Source) -> Scales:
-    try:
-        return read(scan).scales
-    except (FrameError, ValueError):
-        return 0.0, 0.0

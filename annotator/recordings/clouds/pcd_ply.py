@@ -21,14 +21,11 @@ from annotator.frame_limits import require_memory
 from annotator.recordings.clouds.columns import (
     RawCloud,
     binary_columns,
+    field_columns,
     from_columns,
-    split_colors,
     text_columns,
     typed,
 )
-
-# The longest reference, 264 bytes, is encoded in three bytes.
-MOST_EXPANSION = 88
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
@@ -55,7 +52,12 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
                 at += 1
             distance = ((control & 31) << 8 | data[at]) + 1
             at += 1
-            _repeat(out, distance, length + 2)
+            start, length = len(out) - distance, length + 2
+            if start < 0:
+                raise ValueError("a reference points before the beginning")
+            piece = out[start : start + length]
+            # source and destination may overlap
+            out += piece if distance >= length else (piece * (length // distance + 1))[:length]
             if len(out) > size:
                 break
     except IndexError:
@@ -65,19 +67,6 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def _repeat(out: bytearray, distance: int, length: int) -> None:
-    """Appends `length` bytes from `distance` before the end; source and destination may overlap."""
-    start = len(out) - distance
-    if start < 0:
-        raise ValueError("a reference points before the beginning")
-    if distance >= length:
-        out += out[start : start + length]
-    else:
-        pattern = bytes(out[start:])
-        out += (pattern * (length // distance + 1))[:length]
-
-
-LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
 PER_FIELD, LARGEST_POINT = ("SIZE", "TYPE", "COUNT"), 1 << 19
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
@@ -107,7 +96,7 @@ def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
     words: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in words:
-        end = data.find(b"\n", at, LONGEST_HEADER)
+        end = data.find(b"\n", at)
         if end < 0:
             raise ValueError("is not a PCD file, or its header is truncated")
         keyword, *rest = data[at:end].decode("latin-1").split() or ["#"]
@@ -165,24 +154,18 @@ def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[s
     content = data[offset + 8 : offset + 8 + packed]
     if len(content) < packed:
         raise ValueError(f"declares {packed} compressed bytes but has {len(content)}")
-    # checked before memory is allocated: LZF expands data by at most MOST_EXPANSION
-    if unpacked < count * dtype.itemsize or unpacked > max(packed * MOST_EXPANSION, 0):
+    if unpacked < count * dtype.itemsize:
         raise ValueError(f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed")
     require_memory(points=count, more_bytes=unpacked)
     try:
         plain = lzf_decompress(content, unpacked)
     except ValueError as error:
         raise ValueError(f"its compressed points are damaged ({error})") from error
-    columns, at = dict[str, np.ndarray](), 0
+    rows, at = np.empty(count, dtype), 0
     for name in dtype.names or ():
-        field = dtype[name]
-        values = int(np.prod(field.shape))
-        if values == 1:
-            columns[name] = np.frombuffer(plain, field.base, count, at)
-        else:
-            columns |= split_colors(name, np.frombuffer(plain, field.base, count * values, at).reshape(count, values))
-        at += count * field.itemsize
-    return columns
+        rows[name] = np.frombuffer(plain, dtype[name], count, at)
+        at += rows[name].nbytes
+    return field_columns(rows)
 
 
 # Begins the name of the field with a list's length.
@@ -274,7 +257,7 @@ def _vertices_from_text(data: bytes, offset: int, before: list[_Element], vertex
 
 def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     """Returns the byte order, the elements, and the offset of the header's end."""
-    end = data.find(b"end_header", 0, LONGEST_HEADER)
+    end = data.find(b"end_header")
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise ValueError("is not a PLY file, or its header is truncated")

@@ -15,6 +15,7 @@ Its image is rendered from the points, for operators and detectors.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from itertools import islice
 
 import numpy as np
@@ -63,7 +64,11 @@ class Origin:
     def xyz_m(self) -> Float64[np.ndarray, "3"]:
         """The origin; zeros in the sensor's own coordinates. Without the option, it reads a cloud."""
         if self._found is None:
-            self._found = next((_far_middle(cloud) for cloud in self._readable()), NOWHERE)
+            self._found = NOWHERE
+            for read in islice(self._clouds(), FRAMES_TRIED):
+                with suppress(FrameError, ValueError, OSError):
+                    self._found = _far_middle(read())
+                    break
         return self._found
 
     def of(self, raw: RawCloud) -> Float64[np.ndarray, "3"]:
@@ -76,13 +81,6 @@ class Origin:
         away = middle - self.xyz_m
         reach = STEP_M if self.xyz_m.any() else FARTHEST_MIDDLE_M
         return self.xyz_m if np.linalg.norm(away) <= reach else self.xyz_m + STEP_M * np.round(away / STEP_M)
-
-    def _readable(self) -> Iterable[RawCloud]:
-        for read in islice(self._clouds(), FRAMES_TRIED):
-            try:
-                yield read()
-            except (FrameError, ValueError, OSError):
-                continue
 
 
 def without_strays(raw: RawCloud, place_m: Float64[np.ndarray, "3"]) -> RawCloud:

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int32, UInt16
+from jaxtyping import Float32, Float64, Int32, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import in_metres, undistort_px
+from annotator.geometry.projection import in_metres
 from annotator.recordings.kinect.matroska import Block
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
@@ -137,12 +137,6 @@ class KinectCalibration:
     T_color_depth: RigidTransform
     depth_reach: float
     color_from_accelerometer: Rotation | None = None
-
-    def depth_to_3d(self, px: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
-        """Returns points in the depth camera's frame, metres; NaN outside the calibrated part of the lens."""
-        rays = np.column_stack([undistort_px(self.depth, px), np.ones(len(px))])
-        rays[~((rays[:, :2] ** 2).sum(axis=1) <= self.depth_reach**2)] = np.nan
-        return rays * np.asarray(depth_m, np.float64)[:, None]
 
     def seen_points(
         self, depth_mm: UInt16[np.ndarray, "h w"]

@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8, UInt16
+from jaxtyping import Float64, UInt8
 
 from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.calibration import (
@@ -38,8 +38,6 @@ LOG = logging.getLogger("annotator.kinect")
 FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
 # Timeout of one call, milliseconds; `stop` is checked between calls.
 WAIT_MS = 200
-# Limit of samples read at once; the accelerometer measures at 1.6 kHz.
-MOST_SAMPLES_AT_ONCE = 4096
 COLOR_SIZE: Size = (1280, 720)
 NS_PER_US = 1000
 NAME = "Azure Kinect"
@@ -81,41 +79,29 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
             f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux, also install the SDK's "
             "udev rules (99-k4a.rules)"
         )
-    if which is not None and not INDEX.fullmatch(which):
-        return _open_serial(k4a, config, which, count)
-    index = int(which or 0)
+    is_index = which is None or INDEX.fullmatch(which) is not None
+    index = int(which or 0) if is_index else 0
     if index >= count:
         raise DeviceError(f"there is no {NAME} number {index}: {count} connected, numbered from 0")
-    device = k4a.PyK4A(config, index, thread_safe=False)
-    try:
-        device.open()
-        return device, str(device.serial)
-    except k4a.K4AException as error:
-        _close_quietly(device)
+    others = []
+    for number in [index] if is_index else range(count):
+        device = k4a.PyK4A(config, number, thread_safe=False)
+        with suppress(k4a.K4AException):  # in use by another program, or not permitted
+            device.open()
+            serial = str(device.serial)
+            if is_index or serial == which:
+                return device, serial
+            others.append(serial)
+        if device.opened:
+            device.close()
+    if is_index:
         raise DeviceError(
             f"{NAME} number {index} cannot be opened: another program uses it, or this user lacks the permission (on "
             "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
-        ) from error
-
-
-def _open_serial(k4a: ModuleType, config: Any, serial: str, count: int) -> tuple[Any, str]:
-    others = []
-    for index in range(count):
-        device = k4a.PyK4A(config, index, thread_safe=False)
-        with suppress(k4a.K4AException):  # in use by another program; counted in the message below
-            device.open()
-            if str(device.serial) == serial:
-                return device, serial
-            others.append(str(device.serial))
-        _close_quietly(device)
+        )
     if len(others) < count:
         others.append(f"{count - len(others)} that cannot be opened")
-    raise DeviceError(f"no {NAME} with the serial number {serial} can be opened; connected: {', '.join(others)}")
-
-
-def _close_quietly(device: Any) -> None:
-    if device.opened:
-        device.close()
+    raise DeviceError(f"no {NAME} with the serial number {which} can be opened; connected: {', '.join(others)}")
 
 
 @dataclass(frozen=True)
@@ -264,7 +250,12 @@ class KinectDevice:
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
         self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
-        xyz_m, pixel = self.calibration.seen_points(_depth_mm(self.name, capture.depth, self._mode.size))
+        depth, (width, height) = capture.depth, self._mode.size
+        if depth.shape != (height, width) or depth.dtype != np.uint16:
+            raise DeviceError(
+                f"{self.name}: its depth images are {depth.shape} {depth.dtype}, not {width} x {height} uint16"
+            )
+        xyz_m, pixel = self.calibration.seen_points(depth)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))
         key, self._frames = f"{self._frames:06d}", self._frames + 1
         frame = Frame(
@@ -274,7 +265,7 @@ class KinectDevice:
 
     def _read_accelerations(self, time_ns: int) -> None:
         """Reads the accelerometer's new samples and drops those older than `WITHIN_NS`."""
-        for _ in range(MOST_SAMPLES_AT_ONCE):
+        while True:
             try:
                 sample = self._device.get_imu_sample(timeout=0)
             except self._k4a.K4ATimeoutException:
@@ -313,9 +304,3 @@ def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     if bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
         raise DeviceError(f"{name}: its colour images are {bgra.shape} {bgra.dtype}, not {height} x {width} BGRA")
     return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGB))
-
-
-def _depth_mm(name: str, depth: np.ndarray, size: Size) -> UInt16[np.ndarray, "h w"]:
-    if depth.shape != size[::-1] or depth.dtype != np.uint16:
-        raise DeviceError(f"{name}: its depth images are {depth.shape} {depth.dtype}, not {size[1]} x {size[0]} uint16")
-    return depth

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from annotator.files import open_file
-from annotator.types.errors import RecordingError
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 TRACK_ENTRY, VIDEO = 0xAE, 0xE0
@@ -35,10 +34,8 @@ LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
 # A century; sums and differences of two such times fit into 64 bits.
 MOST_NS = 1 << 62
-# Several hours of recording; a block of six bytes takes 200 in memory.
-MOST_BLOCKS = 4_000_000
-# Chunk sizes for the search after a damaged part: they grow, so that many small damaged parts stay cheap.
-FIRST_CHUNK, LARGEST_CHUNK = 1 << 12, 1 << 20
+# Bytes that are searched at once after a damaged part.
+CHUNK_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -148,16 +145,12 @@ class _IndexReader:
             return
         is_laced = bool(head[length + 2] & LACING_BITS)
         before = length + 3
-        if len(self.blocks) == MOST_BLOCKS:
-            raise RecordingError(f"{self.path}: has more than {MOST_BLOCKS} blocks; cut the recording into parts")
         self.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
 
     def _next_cluster(self, at: int, end: int) -> int:
         """Returns the offset of the next cluster, at `at` or later; `end` if there is none."""
-        size = FIRST_CHUNK
         while at < end:
-            chunk = self._read(at, size)
-            size = min(2 * size, LARGEST_CHUNK)
+            chunk = self._read(at, CHUNK_BYTES)
             offset = chunk.find(CLUSTER_ID)
             if offset >= 0:
                 return at + offset

@@ -24,7 +24,7 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
-from annotator.image_bytes import declared_size, decode_image, image_problem
+from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
@@ -35,7 +35,7 @@ from annotator.recordings.kinect.calibration import (
 )
 from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index
 from annotator.recordings.listing import file_errors
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 
@@ -110,12 +110,10 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
 
     halves = FORMATS[fourcc]
     if halves is None:
-        # checked before decoding: damaged bytes could declare an image of gigabytes
-        if declared_size(data) != (width_px, height_px):
-            raise ValueError(image_problem(data) or f"it is not a JPEG image of {width_px} x {height_px} pixels")
-        return np.asarray(
-            cv2.cvtColor(decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), cv2.COLOR_BGR2RGB)
-        )
+        bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if bgr.shape[:2] != (height_px, width_px):
+            raise ValueError(f"it is not an image of {width_px} x {height_px} pixels")
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
     expected = width_px * height_px * halves // 2
     if len(data) != expected:
         raise ValueError(f"it has {len(data)} bytes, but {width_px} x {height_px} pixels of {fourcc} have {expected}")
@@ -125,7 +123,6 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
 
 
 TRACKS = frozenset({"COLOR", "DEPTH"})
-LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +238,10 @@ def is_azure_kinect(path: Path) -> bool:
         return False
 
 
-def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
-    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one."""
+def open_azure_kinect(path: Path) -> AzureKinect | None:
+    """Opens the Azure Kinect recording at `path`, reading headers only; None if it is not one."""
     if not _is_mkv(path):
-        return NotFound(LOOKED_FOR)
+        return None
     stat = path.stat()
     index = _index(path, stat.st_mtime_ns, stat.st_size)
     if index is None:

@@ -9,6 +9,9 @@ The format is described in issues of github.com/marek-simonik/record3d (7, 27, 3
 camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
 to the first image, so that the direction of gravity is not known.
 
+ARKit's depth image shows the same part of the scene as the colour image, with fewer pixels. Confidence is 0 (low), 1 or
+2 (high). ARKit's world has y up (`ARConfiguration.WorldAlignment.gravity`).
+
 LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it reads, so it runs in the `fence`.
 """
 
@@ -16,6 +19,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
@@ -23,35 +27,98 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fence import fenced
-from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
+from annotator.files import ARCHIVE_ERRORS, check_file
 from annotator.frame_limits import read_frame_file, require_memory, require_pixels
 from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import file_errors, sorted_keys
-from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.rgbd_folder import Number, Positive, Side
-from annotator.types import Camera, Frame
+from annotator.recordings.two_cameras import registered
+from annotator.types import Camera, Frame, PointCloud
 from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 
-# Data that cannot be compressed gets a little larger.
-MOST_GROWTH, HEADS_BYTES = 1.1, 4096
+# The lowest confidence that is used, unless the option `min_confidence` says otherwise. Low confidence is found at
+# edges, where values lie between object and background, and on dark or shiny surfaces.
+MIN_CONFIDENCE = 1
+UP = np.array([0.0, 1.0, 0.0])
+MOST_OFF_UNIT = 1e-3
+# Part of the up direction that must lie in the image plane to tell which way an image is held.
+LEAST_UPRIGHT = 0.3
+
+
+def phone_cloud(
+    path: Path,
+    camera: Camera,
+    rgb: UInt8[np.ndarray, "H W 3"],
+    depth_m: Float32[np.ndarray, "h w"],
+    confidence: UInt8[np.ndarray, "h w"] | None,
+    min_confidence: int | None,
+) -> tuple[PointCloud, Float32[np.ndarray, "H W"]]:
+    """Returns the coloured points of a phone's depth image, and the depth in the colour image's pixels.
+
+    Args:
+        path: of the depth image, for messages.
+        camera: the colour camera.
+        depth_m: z, metres; zero, negative, NaN and infinite values mean no measurement.
+        confidence: of each depth pixel; None if it was not recorded.
+        min_confidence: pixels with less are left out; None for the default.
+    """
+    least = MIN_CONFIDENCE if min_confidence is None else min_confidence
+    if confidence is not None:
+        depth_m = np.where(confidence >= least, depth_m, np.float32(0))
+    depth_camera = resized(camera, depth_m.shape[1], depth_m.shape[0])
+    cloud, in_color_m = registered(depth_m, depth_camera, RigidTransform.identity(), rgb, camera)
+    if len(cloud) == 0:
+        raise FrameError(
+            path,
+            f"no pixel has a depth of confidence {least} or more, so the cloud is empty",
+            "use the other frames, or give a lower --min-confidence",
+        )
+    return cloud, in_color_m
+
+
+def rotation_of(quaternion: Sequence[float]) -> Rotation | None:
+    """Returns the rotation of a quaternion x y z w; None if it is not one."""
+    values = np.array(quaternion, np.float64)
+    return Rotation.from_quat(values) if abs(np.linalg.norm(values) - 1) <= MOST_OFF_UNIT else None
+
+
+def turns_to_upright(ups: Float64[np.ndarray, "n 3"]) -> int:
+    """Returns how many quarter turns clockwise bring a recording's images upright, 0 if the camera looks down or up.
+
+    Args:
+        ups: unit vectors against gravity in the camera's frame, some of the recording's.
+    """
+    x, y = ups[:, :2].mean(axis=0) if len(ups) else (0.0, 0.0)
+    return 0 if np.hypot(x, y) < LEAST_UPRIGHT else round(np.arctan2(-x, -y) / (np.pi / 2)) % 4
+
+
+def turned(camera: Camera, turns: int) -> Camera:
+    """Returns the camera (without distortion) of images that are turned clockwise by quarter turns."""
+    for _ in range(turns):
+        cx, cy = camera.height_px - 1 - camera.cy, camera.cx
+        camera = Camera(camera.height_px, camera.width_px, camera.fy, camera.fx, cx, cy)
+    return camera
+
+
+def up_in_camera(world_from_camera: Rotation) -> Float64[np.ndarray, "3"]:
+    """Returns the unit vector against gravity in the camera's frame, given its orientation in ARKit's world."""
+    return np.asarray(world_from_camera.inv().apply(UP))
 
 
 def decompress(data: bytes, expected_bytes: int) -> bytes:
     """Returns the `expected_bytes` bytes in a compressed stream."""
     if find_spec("lzfse") is None:
         raise MissingExtraError("lzfse", "phones")
-    if len(data) > expected_bytes * MOST_GROWTH + HEADS_BYTES:
-        raise ValueError(f"it has {len(data)} bytes, too many for an image of {expected_bytes}")
     raw: bytes = fenced(f"{__name__}:unpack", data, expected_bytes)
     return raw
 
@@ -72,9 +139,7 @@ def unpack(data: bytes, expected_bytes: int) -> bytes:
 @lru_cache(maxsize=4)
 def _archive(path: Path, changed_ns: int, size: int, process: int) -> zipfile.ZipFile:
     """Returns an archive, which stays open: its list of files is long. By process, since a fork shares its place."""
-    with open_file(path) as file:
-        # refuses an endless list of files
-        open_archive(file).close()
+    check_file(path)
     return zipfile.ZipFile(path)
 
 
@@ -109,7 +174,6 @@ def read_entry(path: Path, name: str) -> bytes:
         raise ValueError(f"the archive is damaged here ({error})") from error
 
 
-LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
 REMEDY = "export the recording again"
 # Depth sizes of the back and the front camera (long side, short side), for files that do not name them.
@@ -287,10 +351,10 @@ def is_record3d(path: Path) -> bool:
     return is_file or ((path / METADATA).is_file() and (path / FOLDER).is_dir())
 
 
-def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
-    """Opens the Record3D recording at `path`; `NotFound` if it is not one."""
+def open_record3d(path: Path, options: ReaderOptions) -> Record3D | None:
+    """Opens the Record3D recording at `path`; None if it is not one."""
     if not is_record3d(path):
-        return NotFound(LOOKED_FOR)
+        return None
     with file_errors(path, REMEDY, kind=RecordingError):
         entries = list_entries(path)
     keys = {

@@ -29,17 +29,15 @@ from annotator.frame_limits import read_frame_file
 from annotator.geometry.projection import in_metres
 from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
-from annotator.recordings.image_file import read_confidence, read_depth
+from annotator.recordings.image_file import VideoFile, open_video, read_confidence, read_depth
 from annotator.recordings.listing import file_errors, frame_file, require_size
-from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
+from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.video_file import VideoFile, open_video
+from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
 
-LOOKED_FOR = "rgb.mp4, odometry.csv and depth/ of Stray Scanner"
 VIDEO, POSES, MATRIX, DEPTH, CONFIDENCE = "rgb.mp4", "odometry.csv", "camera_matrix.csv", "depth", "confidence"
 QUATERNION, INTRINSICS = ("qx", "qy", "qz", "qw"), ("fx", "fy", "cx", "cy")
 REMEDY = "copy the recording from the phone again, or remove the frame"
@@ -167,11 +165,11 @@ class StrayScanner(KeyedFrames):
         raise FrameError(self.path / POSES, f"line {i + 2}: {problem}", REMEDY)
 
 
-def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | NotFound:
-    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one."""
+def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | None:
+    """Opens the recording of Stray Scanner at `path`; None if it is not one."""
     poses = path / POSES
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
-        return NotFound(LOOKED_FOR)
+        return None
     with file_errors(poses, "copy the recording from the phone again", kind=RecordingError):
         try:
             lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)

@@ -29,8 +29,6 @@ from annotator.types.messages import amount
 METADATA = "metadata.yaml"
 MAGICS = {".bag": ROS1_MAGIC, ".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC}
 SUFFIXES = tuple(MAGICS)
-LOOKED_FOR = "a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files"
-LARGEST_METADATA = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +203,6 @@ def _metadata(folder: Path) -> dict[str, Any]:
     path = folder / METADATA
     if not path.is_file():
         return {}
-    if path.stat().st_size > LARGEST_METADATA:
-        raise RecordingError(f"{path}: is too large; remove it to read the bag without it")
     try:
         content = yaml.safe_load(read_text_file(path))
         info = content["rosbag2_bagfile_information"]

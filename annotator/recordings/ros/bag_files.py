@@ -293,7 +293,13 @@ class Ros1File(ChunkedFile):
                 for connection in reader.connections:
                     index = reader.indexes[connection.id]
                     places = np.array([(each.time, numbers[each.chunk_pos], each.offset) for each in index], np.int64)
-                    self.channels += (_ros1_channel(connection, places.reshape(-1, 3)),)
+                    self.channels += (
+                        Channel(
+                            connection.topic, connection.msgtype, "ros1", "ros1msg", connection.msgdef.data.encode(),
+                            connection.ext.callerid or "", connection.id,
+                            *np.ascontiguousarray(places.reshape(-1, 3).T),
+                        ),
+                    )  # fmt: skip
         except OSError:
             raise
         # of a damaged bag, rosbags raises any exception
@@ -324,13 +330,6 @@ class Ros1File(ChunkedFile):
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {size} bytes")
         return data
-
-
-def _ros1_channel(connection: Any, places: Int64[np.ndarray, "n 3"]) -> Channel:
-    return Channel(
-        connection.topic, connection.msgtype, "ros1", "ros1msg", connection.msgdef.data.encode(),
-        connection.ext.callerid or "", connection.id, *np.ascontiguousarray(places.T),
-    )  # fmt: skip
 
 
 def _ros1_fields(data: bytes) -> dict[bytes, bytes]:

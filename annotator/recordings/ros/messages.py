@@ -107,7 +107,7 @@ def _stamp_of_head(channel: Channel, data: bytes) -> int:
 @lru_cache(maxsize=256)
 def _decoder(encoding: str, kind: str, schema_encoding: str, schema: bytes) -> Callable[[bytes], Any]:
     if encoding == "json":
-        return _from_json
+        return lambda data: json.loads(data, object_hook=lambda values: SimpleNamespace(**values))
     if encoding == "protobuf":
         return _protobuf_decoder(kind, schema)
     if encoding not in ("ros1", "cdr"):
@@ -157,10 +157,6 @@ def _protobuf_decoder(kind: str, schema: bytes) -> Callable[[bytes], Any]:
     return parse
 
 
-def _from_json(data: bytes) -> Any:
-    return json.loads(data, object_hook=lambda values: SimpleNamespace(**values))
-
-
 def byte_array(data: Any) -> np.ndarray:
     """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers."""
     if isinstance(data, str):
@@ -176,7 +172,6 @@ def byte_array(data: Any) -> np.ndarray:
 # sensor_msgs/PointField.msg and foxglove.PackedElementField.NumericType
 ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
-LARGEST_POINT = 1 << 16
 
 
 def cloud_of(content: Any) -> RawCloud:
@@ -220,7 +215,7 @@ def _foxglove_cloud(content: Any) -> RawCloud:
 
 def _point_type(size: int, fields: list[tuple[str, int, str, int]]) -> np.dtype:
     """Returns the type of a point; fields of an unknown type or of several values are left out."""
-    if not 0 < size <= LARGEST_POINT:
+    if size <= 0:
         raise ValueError(f"declares {len(fields)} fields in points of {size} bytes")
     used = {}
     for name, offset, kind, count in fields:

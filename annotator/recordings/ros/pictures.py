@@ -9,17 +9,18 @@ groups of three bits, lowest first, each with a fourth bit that says whether ano
 are a little-endian word, the first one in its highest bits.
 
 Each message of a video topic (`foxglove.CompressedVideo`) has the bytes of one picture, without pictures that depend
-on later ones. PyAV decodes it from the last key frame on. A decoder replaces a lost reference picture by another one
-without a word, and all pictures up to the next key frame are made up: of H.264, the numbers in its slice headers tell
-it (ITU-T H.264, 7.3, 7.4.3).
+on later ones. PyAV decodes it from the last key frame on. The decoder of H.264 replaces a lost picture by another one,
+and all up to the next key frame are made up: it only logs that.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,16 @@ from jaxtyping import Float32, UInt8, UInt16
 from annotator.frame_limits import most_pixels, require_pixels
 from annotator.geometry.projection import in_metres
 from annotator.image_bytes import decode_image
-from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
+from annotator.recordings.image_file import (
+    STRICT,
+    STRICTEST,
+    Levels,
+    contrast_levels,
+    depth_levels,
+    pixels_as_eight_bits,
+)
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import FIELD_ERRORS, byte_array, message
-from annotator.recordings.video_file import STRICT, STRICTEST
 
 # columns and rows, which `compressed_depth_image_transport` writes before the words
 RVL_HEAD_BYTES = 8
@@ -234,146 +241,11 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
     return pixels_as_eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
 
 
-START_CODE = b"\x00\x00\x01"
-SLICE, KEY_SLICE, SEQUENCE, PICTURE = 1, 5, 7, 8
-# Profiles whose sequence parameter sets describe chroma and scaling.
-HIGH_PROFILES = {44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244}
-# Bytes of a slice that have the beginning of its header; of a sequence parameter set.
-SLICE_BYTES, SET_BYTES = 32, 1024
-MOST_ZEROS = 32
-
-
-@dataclass(frozen=True)
-class _Sequence:
-    """Of a sequence parameter set: bits of a picture's number, whether numbers may be left out, and colour planes."""
-
-    bits: int
-    has_gaps: bool
-    has_planes: bool
-
-
-@dataclass
-class _Parameters:
-    sequences: dict[int, _Sequence] = field(default_factory=dict)
-    # picture parameter set -> sequence parameter set
-    pictures: dict[int, int] = field(default_factory=dict)
-
-
-def lost_before(pictures: Sequence[bytes]) -> int | None:
-    """Returns which picture is the first after a lost one; None if none is lost, as far as the stream tells.
-
-    Args:
-        pictures: of an Annex B stream, in order, each with all its NAL units, from a key frame on.
-    """
-    parameters, expected = _Parameters(), None
-    for index, data in enumerate(pictures):
-        try:
-            found = _number(data, parameters)
-        except ValueError:  # damaged, or of an unknown form: the decoder judges it
-            found = None
-        if found is None:
-            expected = None
-            continue
-        number, bits, is_reference, is_key = found
-        if not is_key and expected is not None and number != expected:
-            return index
-        # pictures that are no references have the number of the next one that is
-        expected = (number + is_reference) % (1 << bits)
-    return None
-
-
-def nal_units(data: bytes) -> Iterator[tuple[int, int]]:
-    """Yields the first byte of each NAL unit, and the place after it."""
-    at = data.find(START_CODE)
-    while 0 <= at < len(data) - 3:
-        yield data[at + 3], at + 4
-        at = data.find(START_CODE, at + 3)
-
-
-def _number(data: bytes, parameters: _Parameters) -> tuple[int, int, bool, bool] | None:
-    """Returns a picture's number, its bits, and whether it is a reference and a key frame; None if that is not told."""
-    for head, at in nal_units(data):
-        kind = head & 31
-        if kind == SEQUENCE:
-            number, sequence = _read_sequence(_Bits(data[at : at + SET_BYTES]))
-            parameters.sequences[number] = sequence
-        elif kind == PICTURE:
-            bits = _Bits(data[at : at + SLICE_BYTES])
-            parameters.pictures[bits.exp_golomb()] = bits.exp_golomb()
-        elif kind in (SLICE, KEY_SLICE):
-            bits = _Bits(data[at : at + SLICE_BYTES])
-            bits.exp_golomb()  # first macroblock
-            bits.exp_golomb()  # type
-            found = parameters.sequences.get(parameters.pictures.get(bits.exp_golomb(), -1))
-            if found is None or found.has_gaps:
-                return None
-            bits.read(2 if found.has_planes else 0)
-            return bits.read(found.bits), found.bits, bool(head & 0x60), kind == KEY_SLICE
-    return None
-
-
-def _read_sequence(bits: _Bits) -> tuple[int, _Sequence]:
-    """Reads a sequence parameter set; returns its number and content."""
-    profile = bits.read(8)
-    bits.read(16)  # constraints, level
-    number, has_planes = bits.exp_golomb(), False
-    if profile in HIGH_PROFILES:
-        chroma = bits.exp_golomb()
-        has_planes = chroma == 3 and bool(bits.read(1))
-        bits.exp_golomb()  # depth of luma
-        bits.exp_golomb()  # depth of chroma
-        bits.read(1)
-        if bits.read(1):
-            for index in range(12 if chroma == 3 else 8):
-                if bits.read(1):
-                    _skip_scaling(bits, 16 if index < 6 else 64)
-    length = bits.exp_golomb() + 4
-    order = bits.exp_golomb()
-    if order == 0:
-        bits.exp_golomb()
-    elif order == 1:
-        bits.read(1)
-        bits.exp_golomb()
-        bits.exp_golomb()
-        for _ in range(bits.exp_golomb()):
-            bits.exp_golomb()
-    bits.exp_golomb()  # number of reference frames
-    return number, _Sequence(length, bool(bits.read(1)), has_planes)
-
-
-def _skip_scaling(bits: _Bits, size: int) -> None:
-    last = following = 8
-    for _ in range(size):
-        if following:
-            coded = bits.exp_golomb()
-            following = (last + (coded + 1) // 2 * (1 if coded % 2 else -1)) % 256
-        last = following or last
-
-
-class _Bits:
-    """The bits of a NAL unit's content, without its emulation prevention bytes."""
-
-    def __init__(self, content: bytes) -> None:
-        content = content.replace(b"\0\0\3", b"\0\0")
-        self._value, self._left = int.from_bytes(content), 8 * len(content)
-
-    def read(self, count: int) -> int:
-        """Returns the next `count` bits as a number; raises ValueError at the end."""
-        if count > self._left:
-            raise ValueError("a NAL unit is cut")
-        self._left -= count
-        return self._value >> self._left & (1 << count) - 1
-
-    def exp_golomb(self) -> int:
-        """Returns the next number in Exp-Golomb code; raises ValueError at the end."""
-        zeros = 0
-        while not self.read(1):
-            zeros += 1
-        if zeros > MOST_ZEROS:
-            raise ValueError("a number is too long")
-        return (1 << zeros) - 1 + self.read(zeros)
-
-
+# The first byte of each NAL unit; of H.264, its lower bits are 5 for a slice of a key frame.
+NAL_UNIT, KEY_SLICE = re.compile(rb"\x00\x00\x01(.)", re.DOTALL), 5
+# What the decoder of H.264 logs where pictures are missing.
+LOST = ("Frame num gap", "reference picture missing", "Missing reference picture")
+LOGGING = Lock()
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 # Encoders put a key frame every few seconds.
 MOST_BACK = 600
@@ -395,30 +267,47 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
     if not is_key_frame(form, packets[-1]):
         raise ValueError(f"has no key frame among the {len(packets)} pictures before it")
     packets.reverse()
-    if form == "h264" and lost_before(packets) is not None:
-        raise ValueError("a picture of its video is lost since the last key frame, and those after it depend on it")
     pictures = []
-    try:
-        decoder: Any = av.CodecContext.create(CODECS[form], "r")
-        decoder.options = {
-            "err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT,
-            "max_pixels": str(most_pixels()),
-        }
-        for number, packet in enumerate([*packets, None], 1):
-            encoded = None if packet is None else av.Packet(packet)
-            if encoded is not None:
-                encoded.pts = number
-            # only the last one is kept
-            for picture in decoder.decode(encoded):
-                pictures = [picture]
-                if picture.is_corrupt:
-                    raise ValueError("a picture is incomplete")
-    except (av.FFmpegError, ValueError) as error:
-        raise ValueError(f"its video cannot be decoded ({error})") from error
+    with _logged() as logged:
+        try:
+            decoder: Any = av.CodecContext.create(CODECS[form], "r")
+            decoder.options = {
+                "err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT,
+                "max_pixels": str(most_pixels()),
+            }
+            for number, packet in enumerate([*packets, None], 1):
+                encoded = None if packet is None else av.Packet(packet)
+                if encoded is not None:
+                    encoded.pts = number
+                # only the last one is kept
+                for picture in decoder.decode(encoded):
+                    pictures = [picture]
+                    if picture.is_corrupt:
+                        raise ValueError("a picture is incomplete")
+        except (av.FFmpegError, ValueError) as error:
+            raise ValueError(f"its video cannot be decoded ({error})") from error
+    if any(words in text for _, _, text in logged for words in LOST):
+        raise ValueError("a picture of its video is lost since the last key frame, and those after it depend on it")
     # of a message without a picture, an earlier one would be shown
     if not pictures or pictures[-1].pts != len(packets):
         raise ValueError("its video has no picture here")
     return np.asarray(pictures[-1].to_ndarray(format="rgb24"))
+
+
+@contextmanager
+def _logged() -> Iterator[list[tuple[int, str, str]]]:
+    """Yields a list, into which goes what the decoders of this thread log within the block."""
+    import av.logging
+
+    # the level is that of all threads
+    with LOGGING:
+        before = av.logging.get_level()
+        av.logging.set_level(av.logging.DEBUG)
+        try:
+            with av.logging.Capture() as logged:
+                yield logged
+        finally:
+            av.logging.set_level(before)
 
 
 def is_key_frame(form: str, data: bytes) -> bool:
@@ -428,7 +317,7 @@ def is_key_frame(form: str, data: bytes) -> bool:
         return bool(data) and data[0] >> 6 == 2 and not data[0] & (0x06 if data[0] & 0x30 == 0x30 else 0x0C)
     if form == "av1":
         return _has_sequence_header(data)
-    heads = [head for head, _ in nal_units(data)]
+    heads = [unit[1][0] for unit in NAL_UNIT.finditer(data)]
     if form == "h264":
         return any(head & 31 == KEY_SLICE for head in heads)
     return any(16 <= head >> 1 & 63 <= 21 for head in heads)

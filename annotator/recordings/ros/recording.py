@@ -28,8 +28,8 @@ from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, wi
 from annotator.recordings.image_file import Levels
 from annotator.recordings.kitti import UP, visible_cloud
 from annotator.recordings.look_around import Scan, level_turn
-from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import (
     FIELD_ERRORS,
     RECTIFIED,
@@ -318,16 +318,16 @@ class ScanBag(RosBag):
                 T_world_camera = world_pose(T_camera_scan)
                 place_m = np.zeros(3) if T_world_camera is None else T_world_camera.translation
             return Scan(
-                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, place_m, RigidTransform.identity(), knows_up,
+                raw, R_level_scan, place_m, RigidTransform.identity(), knows_up,
                 int(self.pairs.cloud_time_ns[i]), RigidTransform.identity() if place_m.any() else None,
             )  # fmt: skip
 
 
-def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
-    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one."""
+def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
+    """Opens the bag at `path`, without reading images or clouds; None if it is not one."""
     bag = open_bag(path)
     if bag is None:
-        return NotFound(LOOKED_FOR)
+        return None
     chosen = choose(bag, options)
     realsense = realsense_of(bag, chosen)
     notes: tuple[str, ...] = ()

@@ -144,27 +144,6 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
     return Chosen(image, info, points, depth, _info(bag, depth, images, "depth_info", options.depth_info))
 
 
-def options_of(bag: Bag) -> dict[str, str]:
-    """Returns the option that can name each topic, by name; topics that none can name are left out."""
-    found = {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
-    found |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
-    return found | {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
-
-
-def uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
-    """Returns what each topic is used for, by name; topics that are not used are left out."""
-    found: dict[str, str] = {}
-    if chosen is not None:
-        image, depth = (None if one is None else one.topic for one in (chosen.image, chosen.depth))
-        roles = (
-            (chosen.depth_info, "camera of the depth"), (chosen.info, "camera"), (chosen.points, "points"),
-            (depth, "depth"), (image, "image"),
-        )  # fmt: skip
-        found |= {topic.name: role for topic, role in roles if topic is not None}
-    found |= {topic.name: "transforms" for topic in bag.of_type(*TF_TYPES)}
-    return found | {topic.name: "gravity" for topic in bag.of_type(IMU_TYPE)}
-
-
 def _image(bag: Bag, name: str | None, images: list[ImageTopic], colors: list[ImageTopic]) -> ImageTopic | None:
     if name is not None:
         topic = _named(bag, "image", name, [image.topic for image in images])
@@ -359,22 +338,6 @@ def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
     return RealSense(unit_m, between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
 
 
-def realsense_uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
-    """Returns what RealSense's own topics are used for, by name; empty for other bags."""
-    if chosen is None or chosen.depth is None or chosen.image is None:
-        return {}
-    depth = DEPTH.fullmatch(chosen.depth.topic.name)
-    if depth is None:
-        return {}
-    names = [topic.name for topic in (chosen.image.topic, chosen.depth.topic, *bag.of_type(IMU_TYPE))]
-    streams = (stream[1] for name in names if (stream := STREAM.fullmatch(name)))
-    return {
-        depth[1] + UNIT: "unit of the depth",
-        depth[1] + depth[2] + "/info": "rate of the depth",
-        **{stream + POSE: "transforms" for stream in streams},
-    }
-
-
 def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
     """Returns `T_target_source` of two streams."""
     return _pose(bag, target) * _pose(bag, source).inv()
@@ -431,11 +394,34 @@ def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] |
         chosen = choose(bag, options)
     except InputError:  # whoever opens the recording gets this error
         chosen = None
-    used, options_by_name = realsense_uses(bag, chosen) | uses(bag, chosen), options_of(bag)
+    used, named = _uses(bag, chosen), {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
+    named |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
+    named |= {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
     return tuple(
         TopicReport(
             name=name, type=topic.type, messages=len(topic), rate_hz=topic.rate_hz,
-            use=used.get(name, ""), option=options_by_name.get(name, ""),
+            use=used.get(name, ""), option=named.get(name, ""),
         )
         for name, topic in sorted(bag.topics.items())
     )  # fmt: skip
+
+
+def _uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
+    """Returns what each topic is used for, by name; topics that are not used are left out."""
+    found = {topic.name: "transforms" for topic in bag.of_type(*TF_TYPES)}
+    found |= {topic.name: "gravity" for topic in bag.of_type(IMU_TYPE)}
+    if chosen is None:
+        return found
+    image, depth = (None if one is None else one.topic for one in (chosen.image, chosen.depth))
+    roles = (
+        (chosen.depth_info, "camera of the depth"), (chosen.info, "camera"), (chosen.points, "points"),
+        (depth, "depth"), (image, "image"),
+    )  # fmt: skip
+    found |= {topic.name: role for topic, role in roles if topic is not None}
+    realsense = None if image is None or depth is None else DEPTH.fullmatch(depth.name)
+    if realsense is not None:
+        found[realsense[1] + UNIT] = "unit of the depth"
+        found[realsense[1] + realsense[2] + "/info"] = "rate of the depth"
+        streams = (STREAM.fullmatch(topic.name) for topic in (image, depth, *bag.of_type(IMU_TYPE)) if topic)
+        found |= {stream[1] + POSE: "transforms" for stream in streams if stream}
+    return found

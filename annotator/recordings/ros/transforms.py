@@ -121,23 +121,17 @@ class Links:
         return _rigid(*poses[nearest])
 
     def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
+        missing = f"the transform from {source} to {target} is missing"
         for (child, parent), problem in self.invalid.items():
             # where a chain ends
             if child in (top_source, top_target):
-                return (
-                    f"the transform from {source} to {target} is missing: the bag's transform from {child} to {parent} "
-                    f"is invalid: {problem}"
-                )
+                return f"{missing}: the bag's transform from {child} to {parent} is invalid: {problem}"
         if not self.parents:
-            return f"the transform from {source} to {target} is missing: the bag has no tf"
-        known = self.parents.keys() | set(self.parents.values())
-        lost = next((name for name in (target, source) if name not in known), None)
-        if lost is not None:
-            listed = ", ".join(sorted(known)[:12])
-            return f"the transform from {source} to {target} is missing: tf does not know {lost!r} (it has {listed})"
+            return f"{missing}: the bag has no tf"
+        known = ", ".join(sorted(self.parents.keys() | set(self.parents.values()))[:12])
         return (
-            f"the transform from {source} to {target} is missing: {source} hangs from {top_source}, "
-            f"{target} from {top_target}, and no link joins these two"
+            f"{missing}: {source} hangs from {top_source}, {target} from {top_target}, and no link joins these two (tf "
+            f"has {known})"
         )
 
 

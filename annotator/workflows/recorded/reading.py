@@ -30,7 +30,7 @@ from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
 from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
 from annotator.formats.reading import read_mask
 from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
-from annotator.geometry.occlusion import Sight
+from annotator.geometry.outline import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog

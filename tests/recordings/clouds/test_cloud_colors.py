@@ -192,22 +192,3 @@ def test_lists_of_different_lengths_in_a_binary_ply_are_named(tmp_path: Path, pl
         FrameError, match=rf"its {named} elements have lists of different lengths \(d\).*save it without"
     ):
         read_cloud(tmp_path / "a.ply")
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    "file",
-    ["04_pcd_text_colours/float/000000.pcd", "04_pcd_text_colours/integer_in_F/000000.pcd",
-     "05_ply_odd/ushort_16_bits_text/000000.ply"],
-)  # fmt: skip
-def test_the_collected_colours(shared: Path, file: str):
-    rgb = read_cloud(shared / "cases" / file).rgb
-    expected = [[224, 16, 16], [16, 224, 16], [16, 16, 224]]
-    np.testing.assert_array_equal(rgb, np.tile(np.array(expected, np.uint8), (400, 1)))
-
-
-@pytest.mark.shared
-def test_the_collected_lists_and_saturated_coordinates(shared: Path):
-    assert len(read_cloud(shared / "cases" / "05_ply_odd" / "list_in_vertex" / "000000.ply").xyz_m) == 1200
-    with pytest.raises(FrameError, match="its coordinates are saturated: y is at the limit of int32"):
-        read_cloud(shared / "cases" / "14_las" / "saturated" / "000000.las")

@@ -14,7 +14,6 @@ from small_recordings import kitti_object, kitti_raw, kitti_tracking
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.kitti import read_calibration
 from annotator.types.errors import FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
@@ -41,22 +40,6 @@ def test_the_cloud_contains_the_points_on_the_image_with_their_colours(folder: P
     assert frame.cloud.pixel_index is None
     assert frame.depth_m is None
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["kitti/training/calib/000000.txt", "kitti_drive_0005/calib.txt"])
-def test_real_calibrations_project_as_with_p2(shared: Path, name: str):
-    path = shared / "data" / name
-    calibration = read_calibration(path)
-    given = {line.split(":")[0]: line.split()[1:] for line in path.read_text().splitlines() if ":" in line}
-    matrix = {key: np.array(values, float) for key, values in given.items()}
-    lidar = np.random.default_rng(0).uniform([3, -20, -2], [60, 20, 2], (500, 3))
-    Tr = np.vstack([matrix["Tr_velo_to_cam"].reshape(3, 4), [0, 0, 0, 1]])
-    R = np.eye(4)
-    R[:3, :3] = matrix["R0_rect"].reshape(3, 3)
-    uvw = np.c_[lidar, np.ones(500)] @ (matrix["P2"].reshape(3, 4) @ R @ Tr).T
-    px = project(calibration.camera(1242, 375), calibration.to_camera(lidar))
-    np.testing.assert_allclose(px, uvw[:, :2] / uvw[:, 2:], atol=1e-6)
 
 
 def test_tracking_frames_have_timestamps(folder: Path):
@@ -105,15 +88,6 @@ def test_invalid_points_are_left_out(folder: Path):
     scan_path(folder).write_bytes(broken.tobytes())
     inside = by_formula(SCAN)[1] & np.isfinite(broken).all(axis=1)
     assert len(open_recording(folder).frame(0).cloud) == inside.sum()
-
-
-def test_a_missing_scan_affects_only_its_frame(folder: Path):
-    scan_path(folder).unlink()
-    recording = open_recording(folder)
-    assert recording.keys == ("000003", "000005")
-    with pytest.raises(FrameError, match=r"velodyne/000003\.bin: missing; put 000003\.bin beside the image 000003"):
-        recording.frame(0)
-    assert recording.frame(1).key == "000005"
 
 
 def test_a_missing_calibration_is_an_error_of_its_frame_or_of_the_recording(folder: Path):
@@ -207,15 +181,6 @@ def test_errors_name_the_damaged_file(
     with pytest.raises(FrameError, match=complaint) as caught:
         open_recording(drive).frame(0)
     assert caught.value.path == path
-
-
-def test_the_error_of_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
-    with pytest.raises(RecordingError, match=f"one of them: {drive.name}$"):
-        open_recording(drive.parent)
-    for path in (*drive.glob("*/data/*.png"), *drive.glob("*/data/*.bin")):
-        path.unlink()
-    with pytest.raises(RecordingError, match="no frames; expected image_02/data/KEY"):
-        open_recording(drive)
 
 
 TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>

@@ -16,7 +16,6 @@ from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 from annotator.recordings import detect_format, open_recording
 from annotator.recordings.ros import pairing, pictures
 from annotator.recordings.ros.bag import Topic, open_bag
-from annotator.recordings.ros.pictures import lost_before
 from annotator.types.errors import FrameError, RecordingError, UnknownFormatError
 
 
@@ -214,16 +213,16 @@ def test_pictures_after_a_lost_one_are_errors_until_the_next_key_frame(monkeypat
         assert abs(picture(monkeypatch, form, packets, i).mean() - level) <= 4
 
 
-def test_lost_pictures_of_h264_are_told_by_their_numbers():
-    # x264's numbers have 4 bits here, so they begin again; with scaling lists, and pictures that are no references
+def test_lost_pictures_of_h264_are_told(monkeypatch: pytest.MonkeyPatch):
+    # x264's numbers have 4 bits here, so they begin again; and pictures that are no references may be lost
     levels = [i * 7 for i in range(30)]
-    plain = encoded("h264", levels, 30, **{"x264-params": "cqm=jvt"})
-    skipping = encoded("h264", levels, 30, 1, tune="psnr", **{"x264-params": "b-adapt=0:scenecut=0"})
-    for packets in (plain, skipping):
-        assert lost_before(packets) is None
-    for i in (1, 15, 16, 28):
-        assert lost_before(plain[:i] + plain[i + 1 :]) == i
-    references = [i for i in range(1, 29) if skipping[i].split(b"\0\0\1")[-1][0] & 0x60]
+    packets = encoded("h264", levels, 30, 1, tune="psnr", **{"x264-params": "b-adapt=0:scenecut=0"})
+    references = [i for i in range(1, 29) if packets[i].split(b"\0\0\1")[-1][0] & 0x60]
     assert 10 < len(references) < 20
-    for i in range(1, 29):
-        assert lost_before(skipping[:i] + skipping[i + 1 :]) == (i if i in references else None)
+    for lost in (None, 1, 2, 15, 16, 17, 28):
+        left = [packet for i, packet in enumerate(packets) if i != lost]
+        if lost in references:
+            with pytest.raises(ValueError, match="is lost since the last key frame"):
+                picture(monkeypatch, "h264", left, len(left) - 1)
+        else:
+            assert abs(picture(monkeypatch, "h264", left, len(left) - 1).mean() - levels[-1]) <= 6

@@ -130,16 +130,14 @@ def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
 WRONG_OPTIONS = [
     ({"image": "/nowhere"}, "--image /nowhere: is not in the bag; possible are: /left/image_raw, /right/image_raw"),
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
-    ({"columns": 4}, "not --columns"),
     ({"image": "/left/image_raw", "points": "/points", "origin": (1, 2, 3)}, "so --origin is not taken"),
 ]
 
 
 @pytest.mark.parametrize(("options", "problem"), WRONG_OPTIONS)
 def test_options_that_do_not_fit_the_bag_are_errors(tmp_path: Path, options: dict[str, object], problem: str):
-    full = {"image": "/left/image_raw", "points": "/points"} | options if "columns" in options else options
     with pytest.raises(ConfigError, match=problem):
-        open_recording(two_cameras(tmp_path), ReaderOptions.model_validate(full))
+        open_recording(two_cameras(tmp_path), ReaderOptions.model_validate(options))
 
 
 def test_the_raw_image_is_preferred_to_its_compressed_form_and_colour_to_infrared(tmp_path: Path):
@@ -171,7 +169,7 @@ def test_partners_are_counted(tmp_path: Path):
 
 MISSING = [
     ({}, "the transform from lidar to camera is missing: the bag has no tf"),
-    ({"camera": "rig"}, r"tf does not know 'lidar' \(it has camera, rig\)"),
+    ({"camera": "rig"}, r"lidar hangs from lidar, camera from rig, .* \(tf has camera, rig\)"),
     ({"camera": "rig", "lidar": "roof"}, "lidar hangs from roof, camera from rig, and no link joins these two"),
 ]
 
@@ -192,7 +190,7 @@ def test_the_camera_frame_can_be_named(tmp_path: Path):
         write_scan(bag, START_NS)
         write_camera(bag, "cam", START_NS, frame="nonsense")
         write_mount(bag)
-    with pytest.raises(FrameError, match="'nonsense'"):
+    with pytest.raises(FrameError, match="nonsense from nonsense, and no link"):
         open_recording(bag.path).frame(0)
     frame = open_recording(bag.path, ReaderOptions(tf_frame="camera")).frame(0)
     np.testing.assert_allclose(frame.cloud.xyz_m, seen_points(), atol=1e-6)
@@ -340,17 +338,6 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path):
     assert most_apart(frame.cloud.xyz_m, expected) < 1e-5
     assert len(frame.cloud) > 150
     assert frame.depth_m is not None and frame.depth_m.shape == IMAGE.shape[:2]
-
-
-def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
-    with BagWriter(tmp_path, "ros1") as bag:
-        for i in range(2):
-            write_scan(bag, START_NS + i * 100 * MS)
-    recording = open_recording(bag.path)
-    assert "a virtual camera" in recording.notes[0]
-    frame = recording.frame(1)
-    expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
-    np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
 
 
 def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):

@@ -225,14 +225,6 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
     assert raw.reflectance is not None and raw.reflectance.max() <= 1
 
 
-def test_what_is_no_number_is_no_measurement():
-    xyz = np.array([[1, 2, 3], [np.nan, 0, 0], [0, np.inf, 0], [4, 5, 6]], np.float32)
-    raw = cloud_of(ros_cloud(structured(dict(zip("xyz", xyz.T, strict=True)))))
-    np.testing.assert_array_equal(raw.xyz_m, xyz[[0, 3]])
-    values = np.array([[np.nan, np.inf, -1.0, 2.0]], np.float32)
-    np.testing.assert_array_equal(depth_image(image(values[:, :, None], "32FC1")), [[0, 0, 0, 2]])
-
-
 POINTS = structured({name: np.arange(4, dtype=np.float32) for name in "xyz"})
 WRONG_CLOUDS = [
     (ros_cloud(POINTS, width=5), "declares 5 x 1 points"),

@@ -81,7 +81,7 @@ def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:
     row = "{} {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
     (wall / "label_02.txt").write_text("".join(row.format(n, n) for n in range(3)))
     frame = open_recording(wall).frame(0)
-    drive = KittiTracking(wall, ("0", "1", "2", "3"))
+    drive = KittiTracking(wall, ("0", "1", "2", "3"), wall, "image_02", "velodyne")
     for index in range(3):
         T = RigidTransform.from_translation([index, 0.0, 0.0])
         (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
