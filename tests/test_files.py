@@ -155,8 +155,7 @@ EXCEPT = {
     "project/backup/archive.py": "a backup's file is opened through the door; SQLite, on a copy of our own",
     "project/backup/snapshot.py": "SQLite; the path is checked to be a regular file",
     "project/backup/take_in.py": "regular files only, and no links",
-    "project/database/file.py": "SQLite, on a copy of our own",
-    "project/database/generation.py": "SQLite; a `-wal` is read through the door",
+    "project/database/file.py": "SQLite; a `-wal` is read through the door",
     "project/database/migrations.py": "SQLite, in memory",
     "web/security.py": "the token may come from a pipe",
 }

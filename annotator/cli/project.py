@@ -40,9 +40,6 @@ def run_new(
         print_line(f"next: annotator add {name} PATH")
 
 
-MOVE_AUTHOR = "annotator project move"
-
-
 def run_move(
     project: options.ProjectName, recording: options.RecordingName, path: Path, /, *, projects: options.Projects = None
 ) -> None:
@@ -55,7 +52,7 @@ def run_move(
     """
     with options.open_named(project, projects) as opened:
         before = opened.recordings.find(recording, removed=True)
-        now = move_recording(opened, before.id, path, MOVE_AUTHOR)
+        now = move_recording(opened, before.id, path)
     new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
     print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
@@ -134,8 +131,7 @@ def run_backup(
 ) -> None:
     """Write a backup of a project, as of one moment, while a server or a job may go on writing.
 
-    The file holds settings, database, images of pseudo-views and detectors, with their hashes. It does not hold the
-    recordings.
+    The file holds settings, database, images of pseudo-views and detectors. It does not hold the recordings.
 
     Args:
         file: the file to write; default: PROJECT-TIME.zip in this folder.
@@ -146,7 +142,7 @@ def run_backup(
         backup = back_up(options.named_folder(project, projects), out, models, progress=progress)
     manifest = backup.manifest
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
-    print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
+    print_line(f"{out}: {labels}, {events}, {amount(manifest.count, 'file')}")
     print_missing(backup.missing)
     print_line(f"restore it with: annotator project restore {out} NAME")
 

@@ -17,7 +17,7 @@ from annotator.project.adjustments import Adjustments
 from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
-from annotator.project.backup.snapshot import unfinished_folder
+from annotator.project.backup.snapshot import database_problems, unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.changing import MadeChange, made_changes
@@ -171,7 +171,7 @@ class Project:
 
     def problems(self) -> list[str]:
         """Problems that a full check of the database finds; empty for a sound one."""
-        return self.store.problems()
+        return database_problems(self.store.path)
 
     def close(self) -> None:
         """Closes the database."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
 from annotator.project.adjusting import moved_box, moved_geometry, moving
+from annotator.project.database.store import driver_of
 from annotator.project.records import BOX_2D, BOXES_2D, SAID, BoxRecord, SaidRecord, ViewGeometry, parsed
 from annotator.types import Box2D, OrientedBox
 from annotator.types.label import AttributeValue
@@ -22,13 +22,6 @@ Row = dict[str, Any]
 """A row of an audited table as SQLite has it: a Boolean is 0 or 1."""
 
 Names = tuple[tuple[int, str], ...]
-
-
-def driver_of(connection: Connection) -> sqlite3.Connection:
-    """SQLite's own connection, which is several times as fast for small statements."""
-    driver = connection.connection.driver_connection
-    assert isinstance(driver, sqlite3.Connection)
-    return driver
 
 
 class Terms:

@@ -28,11 +28,11 @@ from annotator.project.classes.values import (
 )
 from annotator.project.config import read_config
 from annotator.project.database.schema import columns_of, frames, labels
-from annotator.project.database.store import Store
+from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import NewLabel
 from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
-from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
+from annotator.project.rows import Row, Terms, values_json, values_of
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 
 # Minimum exact 3D IoU at which two boxes count as the same object.

@@ -135,8 +135,8 @@ def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 # Younger files may be in use, although one is written in moments; folders have locks.
 OLD_S = 3600.0
 
-# As `files.write_atomic`, `project.create_project` and `keep_replaced` name them; SQLite may have files beside one.
-_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinished)")
+# As `files.write_atomic` and `project.create_project` name them.
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp|unfinished)")
 
 
 def clear_leftovers(projects_root: Path) -> None:

@@ -139,8 +139,7 @@ def _be_command(order: dict[str, Any]) -> None:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (order["limit"], order["limit"]))
         if order["migration"]:
-            more = migrations.Migration(migrations.newest_version() + 1, tuple(order["migration"]))
-            migrations.MIGRATIONS = (*migrations.MIGRATIONS, more)
+            migrations.MIGRATIONS = (*migrations.MIGRATIONS, tuple(order["migration"]))
         log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         null = os.open(os.devnull, os.O_RDONLY)
         for target, file in ((0, null), (1, log), (2, log)):

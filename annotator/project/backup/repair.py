@@ -6,11 +6,13 @@ import os
 import shutil
 import sqlite3
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
+from types import SimpleNamespace
 from typing import Any
 
 from sqlalchemy import Connection, func, insert, select, update
@@ -31,22 +33,28 @@ from annotator.project.audit.events import (
     rebuild,
     without_track_index,
 )
-from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
+from annotator.project.backup.archive import is_content, is_regular
 from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
-from annotator.project.backup.take_in import copy_regular, new_project
-from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.generation import has_foreign_wal, wal_of
-from annotator.project.database.migrations import UNRELEASED, application_problem
+from annotator.project.backup.snapshot import (
+    copied_files,
+    database_problems,
+    given_id,
+    missing_events,
+    reading,
+    unfinished_folder,
+)
+from annotator.project.backup.take_in import copy_files, new_project
+from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
+from annotator.project.database.file import has_foreign_wal, wal_of
+from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, open_store
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
-_PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models", "class_changes")
-_BATCH = 200
+_PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "class_changes")
 # Largest end of a truncated database that is replaced by empty pages.
 MOST_FILLED = 1 << 30
 
@@ -71,7 +79,7 @@ class Repaired:
     is_new: bool
     backup: Path | None = None
     events: int = 0
-    lost: dict[str, int] = field(default_factory=dict)
+    lost: Counter[str] = field(default_factory=Counter)
     restored: int = 0
     missing: tuple[str, ...] = ()
 
@@ -93,8 +101,11 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     if not is_regular(project, DATABASE_FILE):
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
     is_sound = _has_config(project) and not has_foreign_wal(database) and not database_problems(database)
-    # where events are missing, the tables know more than the events
-    if is_sound and not _lacks_events(database):
+    if is_sound:
+        with reading(database) as source:
+            # where events are missing, the tables know more than the events
+            is_sound = missing_events(source) == 0
+    if is_sound:
         backup = back_up_automatically(project, Reason.REPAIR)
         with closing(open_store(database)) as store:
             try:
@@ -111,11 +122,6 @@ def _has_config(project: Path) -> bool:
     except ProjectError:
         return False
     return True
-
-
-def _lacks_events(database: Path) -> bool:
-    with reading(database) as connection:
-        return missing_events(connection) > 0
 
 
 def _salvage(project: Path, name: str) -> Repaired:
@@ -135,22 +141,23 @@ def _salvage(project: Path, name: str) -> Repaired:
         stack.callback(store.close)
         try:
             with reading(copy) as source:
-                source.execute("SELECT count(*) FROM sqlite_master").fetchone()
-                if application_problem(source.execute("PRAGMA application_id").fetchone()[0]) == UNRELEASED:
+                if version_problem(source) == UNRELEASED:
                     raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
-                _copy_plain(source, store, repaired, _PLAIN)
+                _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
-                _copy_plain(source, store, repaired, ("passes",))  # which refer to events
+                _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events
                 config = _config(project, name, source)
         except sqlite3.Error as error:
+            newest = "".join(f"; the newest automatic one is {path}" for path in automatic_backups(project)[-1:])
             raise ProjectError(
-                f"{project / DATABASE_FILE}: nothing can be read ({error}); {_advice(project)}"
+                f"{project / DATABASE_FILE}: nothing can be read ({error}); {RESTORE}{newest}"
             ) from error
-        if any(repaired.lost.values()):
+        if repaired.lost.total():
             _restore_states(copy, store, repaired)
         write_config(place, config)
         store.close()
-        repaired.missing = _copy_files(project, place)
+        names, repaired.missing = copied_files(project, place / DATABASE_FILE)
+        copy_files(project, place, [name for name in names if name != CONFIG_FILE], lambda done, total: None)
     return repaired
 
 
@@ -168,14 +175,14 @@ def _fill_up(database: Path) -> None:
         os.truncate(database, size)
 
 
-def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired, tables: Sequence[str]) -> None:
+def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], tables: Sequence[str]) -> None:
     with store.write() as connection:
         for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
-            for row in _rows(source, table, repaired):
+            for row in _rows(source, table, lost):
                 kept = {key: value for key, value in row.items() if key in known}
                 if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
-                    _count_lost(repaired, table)
+                    lost[table] += 1
                     continue
                 if table == "frames":
                     kept |= {"revision": 0, "finalised": 0, "attributes": None}
@@ -187,35 +194,34 @@ def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired, ta
                             f"INSERT INTO {table} ({columns}) VALUES ({marks})", tuple(kept.values())
                         )
                 except DBAPIError:
-                    _count_lost(repaired, table)
+                    lost[table] += 1
 
 
 def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
     """Appends all events that can be read and applied; the others are left out."""
     with store.write() as connection:
         with without_track_index(connection):
-            for row in _rows(source, "events", repaired):
+            for row in _rows(source, "events", repaired.lost):
                 values: Row = {column.name: None for column in events.c} | row
                 try:
                     values["rows"] = unpacked(values["rows"])
                     values["revision"] = max(values["revision"], _revision(connection, values) + 1)
                     with connection.begin_nested():
                         connection.execute(insert(events), values)
-                        event = event_of(_Attributes(values))
+                        event = event_of(SimpleNamespace(**values))
                         _require_applicable(connection, event)
                         apply_events(connection, [event])
                         newer = update(frames).where(frames.c.id == event.frame_id)
                         connection.execute(newer.values(revision=event.revision))
                 except (AnnotatorError, DBAPIError, sqlite3.Error, *UNFIT):
-                    _count_lost(repaired, "events")
+                    repaired.lost["events"] += 1
                 else:
                     repaired.events += 1
-            if any(repaired.lost.values()):
+            if repaired.lost.total():
                 _free_tracks(connection, store)
         hide_removed(connection)
-    missing = max(0, given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
-    if missing:
-        repaired.lost["events"] = repaired.lost.get("events", 0) + missing
+    if (gone := given_id(source, "events") - repaired.events) > repaired.lost["events"]:
+        repaired.lost["events"] = gone
 
 
 def _require_applicable(connection: Connection, event: Event) -> None:
@@ -237,19 +243,6 @@ def _free_tracks(connection: Connection, store: Store) -> None:
         _append(connection, store, frame_id, change)
 
 
-def _advice(project: Path) -> str:
-    backups = automatic_backups(project)
-    newest = f"; the newest automatic one is {backups[-1]}" if backups else ""
-    return f"{RESTORE}{newest}"
-
-
-class _Attributes:
-    """A row whose columns are attributes."""
-
-    def __init__(self, values: Row) -> None:
-        self.__dict__.update(values)
-
-
 def _revision(connection: Connection, values: Row) -> int:
     """The present revision of an event's frame, or of its view where it has no frame."""
     if values["frame_id"] is not None:
@@ -264,12 +257,12 @@ def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings the rows to the state that the damaged database shows, if it does."""
     with reading(copy) as source, store.write() as connection:
         for table in AUDITED:
-            for row in _rows(source, table, Repaired(Path(), True)):
+            for row in _rows(source, table, Counter()):
                 try:
                     with connection.begin_nested():
                         repaired.restored += _restore(connection, store, table, row)
                 except (AnnotatorError, DBAPIError, sqlite3.Error, ValueError, KeyError):
-                    _count_lost(repaired, "states")
+                    repaired.lost["states"] += 1
         hide_removed(connection)
 
 
@@ -307,61 +300,33 @@ def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConf
     try:
         return read_config(project)
     except ProjectError:
-        rows = _rows(source, "classes", Repaired(Path(), True))
+        rows = _rows(source, "classes", Counter())
         classes = tuple(sorted({str(row["name"]) for row in rows})) or ("object",)
         return new_config(name, classes, ProjectSettings(), time.time_ns())
 
 
-def _copy_files(project: Path, place: Path) -> tuple[str, ...]:
-    """Copies views and detectors; returns those that the project refers to, and that are not there."""
-    with explained(place), reading(place / DATABASE_FILE) as connection:
-        stored = stored_files(connection)
-    names = list(folder_files(project, stored))
-    for name in names:
-        if not (place / name).exists():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            copy_regular(project / name, place / name)
-    return stored.not_in(set(names))
-
-
-def _rows(source: sqlite3.Connection, table: str, repaired: Repaired) -> Iterator[Row]:
-    """Yields the readable rows of a table in order; pages that cannot be read are passed over row by row."""
+def _rows(source: sqlite3.Connection, table: str, lost: Counter[str]) -> Iterator[Row]:
+    """Yields the readable rows of a table in order; those on pages that cannot be read are passed over one by one."""
     try:
         if not source.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (table,)).fetchone():
             return
         last = _last_id(source, table)
     except sqlite3.Error:
-        _count_lost(repaired, table)
+        lost[table] += 1
         return
     after = -1
     while after < last:
         try:
-            cursor = source.execute(
-                f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}", (after,)
-            )
-            found = cursor.fetchall()
-            if not found:
-                return
+            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT 1", (after,))
+            values = cursor.fetchone()
         except (sqlite3.Error, UnicodeDecodeError):
-            yield from _one_by_one(source, table, after + 1, min(after + _BATCH, last), repaired)
-            after = min(after + _BATCH, last)
+            lost[table] += 1
+            after += 1
             continue
-        yield from (_row(cursor, values) for values in found)
-        after = found[-1][0]
-
-
-def _one_by_one(source: sqlite3.Connection, table: str, first: int, last: int, repaired: Repaired) -> Iterator[Row]:
-    for number in range(first, last + 1):
-        try:
-            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid = ?", (number,))
-            if (values := cursor.fetchone()) is not None:
-                yield _row(cursor, values)
-        except (sqlite3.Error, UnicodeDecodeError):
-            _count_lost(repaired, table)
-
-
-def _row(cursor: sqlite3.Cursor, values: tuple[Any, ...]) -> Row:
-    return dict(zip((column[0] for column in cursor.description[1:]), values[1:], strict=True))
+        if values is None:
+            return
+        after = values[0]
+        yield dict(zip((column[0] for column in cursor.description[1:]), values[1:], strict=True))
 
 
 def _last_id(source: sqlite3.Connection, table: str) -> int:
@@ -372,7 +337,3 @@ def _last_id(source: sqlite3.Connection, table: str) -> int:
         if given := given_id(source, table):
             return given
         raise
-
-
-def _count_lost(repaired: Repaired, table: str) -> None:
-    repaired.lost[table] = repaired.lost.get(table, 0) + 1

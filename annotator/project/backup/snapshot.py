@@ -12,9 +12,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from annotator.files import lock_folder, locked_folder
-from annotator.project.database.file import database_file
-from annotator.project.database.generation import has_foreign_wal
-from annotator.project.database.migrations import application_problem, newest_version, schema_problems
+from annotator.project.backup.archive import folder_files, stored_files
+from annotator.project.database.file import DatabaseFile, has_foreign_wal
+from annotator.project.database.migrations import schema_problems, version_problem
 from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, foreign_wal, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
@@ -38,11 +38,23 @@ def write_snapshot(path: Path, out: Path) -> None:
         os.close(descriptor)
 
 
+def copied_files(folder: Path, database: Path) -> tuple[list[str], tuple[str, ...]]:
+    """The files beside the database that a copy of the project in `folder` has, and those that are not there.
+
+    Args:
+        database: a copy of the project's, which says what it refers to.
+    """
+    with explained(database), reading(database) as connection:
+        stored = stored_files(connection)
+    found = folder_files(folder, stored)
+    return found, tuple(name for name in stored.names if name not in set(found))
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection for one transaction that only reads, and that trusts nothing in the database's schema."""
     with closing(
-        sqlite3.connect(database_file(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        sqlite3.connect(DatabaseFile(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
     ) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA query_only = ON")
@@ -128,14 +140,10 @@ def given_id(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _problems(connection: sqlite3.Connection) -> Iterator[str]:
-    if problem := application_problem(connection.execute("PRAGMA application_id").fetchone()[0]):
+    if problem := version_problem(connection):
         yield problem
         return
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if not 1 <= version <= newest_version():
-        yield f"has database version {version}; this annotator knows versions 1 to {newest_version()}"
-        return
-    differences = list(schema_problems(connection, version))
+    differences = list(schema_problems(connection))
     yield from differences
     lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
     yield from (line for line in lines if line != "ok")

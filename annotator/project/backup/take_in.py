@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -19,20 +19,17 @@ from annotator.project.backup.archive import (
     BackupManifest,
     ModelChoice,
     Progress,
-    folder_files,
     is_regular,
     keep_models,
     open_backup,
-    stored_files,
-    sync_files,
     unpack,
 )
-from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
+from annotator.project.backup.snapshot import copied_files, database_problems, unfinished_folder, write_snapshot
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
-from annotator.project.database.generation import wal_of
+from annotator.project.database.file import wal_of
 from annotator.project.database.schema import class_changes, frames, models, recordings
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, open_store
 from annotator.project.log import Writer
 from annotator.project.recordings import KEPT, Recordings
 from annotator.types.errors import FormatError, ProjectError
@@ -110,7 +107,7 @@ def restore(
     with open_backup(file) as (archive, manifest):
         name = check_name(manifest.project if name is None else name)
         with new_project(root, name) as place:
-            unpack(file, archive, manifest, place, progress)
+            unpack(file, archive, place, progress)
             if problems := database_problems(place / DATABASE_FILE):
                 raise FormatError(file, f"{DATABASE_FILE}: {problems[0]}")
     return root / name, manifest
@@ -157,14 +154,9 @@ def copy_project(
             raise ProjectError(f"{folder / DATABASE_FILE}: {problems[0]}")
         if not labels:
             remove_labels(database)
-        with explained(database):
-            keep_models(database, models)
-            with reading(database) as connection:
-                names = list(folder_files(folder, stored_files(connection)))
-        for number, each in enumerate(names, 1):
-            (place / each).parent.mkdir(parents=True, exist_ok=True)
-            copy_regular(folder / each, place / each)
-            progress(number, len(names))
+        keep_models(database, models)
+        names, _ = copied_files(folder, database)
+        copy_files(folder, place, names, progress)
         if found := verify(place, deep=True).problems:
             more = f" (and {amount(len(found) - 1, 'more problem')})" if len(found) > 1 else ""
             raise ProjectError(f"{folder}: {found[0]}{more}; nothing was copied")
@@ -177,7 +169,7 @@ def _take_database(folder: Path, place: Path) -> None:
     copied.mkdir()
     for part in (DATABASE_FILE, wal_of(Path(DATABASE_FILE)).name):
         if is_regular(folder, part):
-            copy_regular(folder / part, copied / part)
+            _copy_regular(folder / part, copied / part)
     write_snapshot(copied / DATABASE_FILE, place / DATABASE_FILE)
     shutil.rmtree(copied)
 
@@ -196,7 +188,7 @@ def new_project(root: Path, name: str) -> Iterator[Path]:
             for folder in (MODELS_FOLDER, VIEWS_FOLDER):
                 (place / folder).mkdir(exist_ok=True)
             write_config(place, read_config(place).model_copy(update={"name": name}))
-            sync_files(place)
+            _sync_files(place)
             # never replaces a folder with content, which another process may have made meanwhile
             place.rename(path)
             sync_folder(root)
@@ -204,12 +196,26 @@ def new_project(root: Path, name: str) -> Iterator[Path]:
         raise ProjectError(f"{path}: cannot be created: {error}") from error
 
 
-def copy_regular(source: Path, target: Path) -> None:
-    """Copies a regular file.
+def _sync_files(folder: Path) -> None:
+    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
+    if hasattr(os, "sync"):
+        os.sync()
+        return
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
 
-    Raises:
-        OSError: it is a link or no regular file, or cannot be read or written.
-    """
+
+def copy_files(source: Path, target: Path, names: Sequence[str], progress: Progress) -> None:
+    """Copies regular files of a project into the folder of a new one."""
+    for number, name in enumerate(names, 1):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        _copy_regular(source / name, target / name)
+        progress(number, len(names))
+
+
+def _copy_regular(source: Path, target: Path) -> None:
     # it may have been replaced by a link or a pipe since it was listed
     with os.fdopen(os.open(source, _FLAGS), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
