@@ -211,19 +211,13 @@ def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
 def run_repair(
     project: options.ProjectName, new_name: str | None = None, /, *, projects: options.Projects = None
 ) -> None:
-    """Repair a project: make its present state anew from its events, after a backup.
-
-    If the database is damaged, all that can be read goes into a new project, and the damaged one stays as it is.
+    """Repair a project: make a new one of all that can be read of it. The damaged project stays as it is.
 
     Args:
-        new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
+        new_name: name of the new project; default: the old name with `-repaired`.
     """
     done = repair(options.named_folder(project, projects), new_name)
     events = amount(done.events, "event")
-    if not done.is_new:
-        print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
-        print_missing(done.missing)
-        return
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
         one = {table: "pass" if table == "passes" else table.removesuffix("s") for table in done.lost}

@@ -173,8 +173,7 @@ def damage(database: Path) -> None:
 
 COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
     "copy": (["project", "copy", "{folder}/long", "new"], None),
-    "repair": (["project", "repair", "long"], None),
-    "salvage": (["project", "repair", "long", "new"], damage),
+    "repair": (["project", "repair", "long", "new"], damage),
 }
 
 
@@ -189,8 +188,8 @@ def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path
     for _ in kills.kills(*words, "--projects", kills.folder):
         offered = {path.name for path in kills.folder.iterdir() if not path.name.startswith(".")}
         assert offered <= {"long", "new"}
-        # what is salvaged stays as it was
-        for each in offered - ({"long"} if name == "salvage" else set()):
+        # what is repaired stays as it was
+        for each in offered - ({"long"} if name == "repair" else set()):
             with open_project(kills.folder / each) as project:
                 assert project.statistics().labels.total == LABELS
             require_sound(kills.folder / each)

@@ -14,7 +14,7 @@ import pytest
 from store_samples import box_at, by_hand, damage, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
-from annotator.project.backup.make import Reason, automatic_backups, back_up
+from annotator.project.backup.make import back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
@@ -129,14 +129,13 @@ def test_a_deep_verification_finds_what_differs_from_the_events(
     assert {path.name for path in full.parent.iterdir()} == {"hands"}
 
 
-def test_repair_makes_the_state_anew_after_a_backup(full: Path) -> None:
+def test_repair_makes_the_state_anew(full: Path) -> None:
     before = stored_state(full)
     damage("UPDATE labels SET state = 'rejected'")(full)
     repaired = repair(full)
-    assert (repaired.path, repaired.is_new) == (full, False)
-    assert stored_state(full) == before
-    assert verify(full, deep=True).problems == ()
-    assert automatic_backups(full, Reason.REPAIR) == [repaired.backup]
+    assert (repaired.path, repaired.lost) == (full.with_name("hands-repaired"), {})
+    assert stored_state(repaired.path) == before
+    assert verify(repaired.path, deep=True).problems == ()
 
 
 def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, recording: StoredRecording) -> None:
@@ -156,7 +155,7 @@ def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, r
         file.write(b"\0" * 4096)
     damaged = database.read_bytes()
     repaired = repair(project.path, "saved")
-    assert repaired.is_new and repaired.lost and repaired.restored
+    assert repaired.lost and repaired.restored
     assert database.read_bytes() == damaged
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
@@ -209,7 +208,7 @@ def test_an_event_that_cannot_be_applied_is_named_and_left_out(full: Path, chang
     with_rows(full, change)
     assert "the events contradict each other" in " ".join(verify(full, deep=True).problems)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.lost == {"events": 1} and repaired.restored == 1
+    assert repaired.lost == {"events": 1} and repaired.restored == 1
     assert verify(repaired.path, deep=True).problems == ()
     assert stored_state(repaired.path)["labels"] == whole["labels"]
     assert latest_pass(repaired.path) == found is not None
@@ -233,7 +232,7 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
     assert count
     assert "refers to a missing row of events" in " ".join(verify(full, deep=True).problems)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
+    assert repaired.lost["events"] >= count and repaired.restored
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
     assert sorted(str(row[BOX]) for row in saved["labels"]) == sorted(str(row[BOX]) for row in whole["labels"])
@@ -249,6 +248,6 @@ def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
     with database.open("r+b") as file:
         file.truncate(size - 2 * 4096)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.events
+    assert repaired.events
     assert len(stored_state(repaired.path)["labels"]) == whole
     assert database.stat().st_size == size - 2 * 4096

@@ -149,7 +149,7 @@ def _require_space(folder: Path, needed: int) -> None:
 
 
 # --- automatic backups ------------------------------------------------------------------------------------------------
-# Before a database is upgraded or repaired, before classes or values are merged or removed, and after some hours of
+# Before a database is upgraded, before classes or values are merged or removed, and after some hours of
 # changes while a server runs. They are files in `.backups/PROJECT` beside the project's folder, so they outlive it.
 # Only the last few of each kind are kept. They contain the active detectors, not all.
 
@@ -164,7 +164,6 @@ class Reason(StrEnum):
 
     CHANGES = "changes"
     UPGRADE = "before-upgrade"
-    REPAIR = "before-repair"
     CLASSES = "before-classes"
 
 

@@ -1,4 +1,4 @@
-"""Repair: the present state is made anew from the events; of a damaged database, all that is readable is salvaged."""
+"""Repair: a new project is made of the events that can be read, and where events are lost, of the tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sqlite3
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
@@ -30,25 +30,24 @@ from annotator.project.audit.events import (
     hide_removed,
     insert_event,
     read_row,
-    rebuild,
     without_track_index,
 )
 from annotator.project.backup.archive import is_content, is_regular
-from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.make import automatic_backups
 from annotator.project.backup.snapshot import (
     copied_files,
     database_problems,
     given_id,
-    missing_events,
     reading,
     unfinished_folder,
+    write_snapshot,
 )
 from annotator.project.backup.take_in import copy_files, new_project
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.database.file import has_foreign_wal, wal_of
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, open_store
+from annotator.project.database.store import DATABASE_FILE, Store, create_store
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
@@ -66,9 +65,7 @@ class Repaired:
     """The result of a repair.
 
     Attributes:
-        path: the repaired project: the same, or a new one with what was readable.
-        is_new: True for a new one; the damaged project is unchanged.
-        backup: of the project before its repair; None for a new one.
+        path: the new project; the damaged one is unchanged.
         events: number of events that were replayed.
         lost: number of rows that could not be read or used, by table.
         restored: number of states that were taken from the damaged project's tables, because their events are lost.
@@ -76,8 +73,6 @@ class Repaired:
     """
 
     path: Path
-    is_new: bool
-    backup: Path | None = None
     events: int = 0
     lost: Counter[str] = field(default_factory=Counter)
     restored: int = 0
@@ -85,13 +80,12 @@ class Repaired:
 
 
 def repair(project: Path, new_name: str | None = None) -> Repaired:
-    """Repairs the project in a folder.
+    """Makes a new project, beside the one in a folder, of all that can be read of it.
 
-    If its database is sound, the tables of the present state are made anew from the events, after a backup. Otherwise,
-    or if the events contradict each other, all that can be read goes into a new project beside it.
+    Its state is made anew from the events, and where events are lost, from the tables.
 
     Args:
-        new_name: of the new project, if one is needed; default: the old name with `-repaired`.
+        new_name: default: the old name with `-repaired`.
 
     Raises:
         ConfigError: an invalid name.
@@ -100,58 +94,34 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
-    is_sound = _has_config(project) and not has_foreign_wal(database) and not database_problems(database)
-    if is_sound:
-        with reading(database) as source:
-            # where events are missing, the tables know more than the events
-            is_sound = missing_events(source) == 0
-    if is_sound:
-        backup = back_up_automatically(project, Reason.REPAIR)
-        with closing(open_store(database)) as store:
-            try:
-                with store.write() as connection:
-                    return Repaired(project, False, backup.path, rebuild(connection), missing=backup.missing)
-            except ProjectError:
-                pass  # contradicting events: the salvage leaves them out
-    return _salvage(project, new_name or f"{project.resolve().name}-repaired")
-
-
-def _has_config(project: Path) -> bool:
-    try:
-        read_config(project)
-    except ProjectError:
-        return False
-    return True
-
-
-def _salvage(project: Path, name: str) -> Repaired:
-    root = project.resolve().parent
+    root, name = project.resolve().parent, new_name or f"{project.resolve().name}-repaired"
     with ExitStack() as stack:
         place = stack.enter_context(new_project(root, name))
         # SQLite works on a copy: opening a damaged database may write to it
         folder = stack.enter_context(unfinished_folder(Path(gettempdir()), "annotator-repair"))
         copy = folder / DATABASE_FILE
-        shutil.copyfile(project / DATABASE_FILE, copy)
-        _fill_up(copy)
-        wal = wal_of(Path(DATABASE_FILE)).name
-        if is_regular(project, wal) and not has_foreign_wal(project / DATABASE_FILE):
-            shutil.copyfile(project / wal, folder / wal)
-        repaired = Repaired(root / name, True)
+        is_foreign = has_foreign_wal(database)
+        if is_foreign or database_problems(database):
+            shutil.copyfile(database, copy)
+            _fill_up(copy)
+            if is_regular(project, wal_of(database).name) and not is_foreign:
+                shutil.copyfile(wal_of(database), wal_of(copy))
+        else:  # others may be writing to it
+            write_snapshot(database, copy)
+        repaired = Repaired(root / name)
         store = create_store(place / DATABASE_FILE)
         stack.callback(store.close)
         try:
             with reading(copy) as source:
                 if version_problem(source) == UNRELEASED:
-                    raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
+                    raise ProjectError(f"{database}: {UNRELEASED}")
                 _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
                 _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events
                 config = _config(project, name, source)
         except sqlite3.Error as error:
             newest = "".join(f"; the newest automatic one is {path}" for path in automatic_backups(project)[-1:])
-            raise ProjectError(
-                f"{project / DATABASE_FILE}: nothing can be read ({error}); {RESTORE}{newest}"
-            ) from error
+            raise ProjectError(f"{database}: nothing can be read ({error}); {RESTORE}{newest}") from error
         if repaired.lost.total():
             _restore_states(copy, store, repaired)
         write_config(place, config)

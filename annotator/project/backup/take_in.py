@@ -82,8 +82,6 @@ def _copy_adjustments(old: Store, new: Store) -> None:
             adjustments.set_up(recording.id, recording.up, AUTHOR)
 
 
-# Bound of a foreign project's settings, bytes.
-_MOST_CONFIG = 2**20
 # Windows has neither of the last two, nor links and pipes as others have them.
 _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
@@ -142,8 +140,7 @@ def copy_project(
             raise ProjectError(
                 f"{folder} is not a project that can be copied: {required} is missing or no regular file"
             )
-    if (folder / CONFIG_FILE).stat().st_size > _MOST_CONFIG:
-        raise ProjectError(f"{folder / CONFIG_FILE}: is larger than {_MOST_CONFIG >> 20} MiB")
+    read_config(folder)  # which bounds its size
     with new_project(root, name) as place:
         database = place / DATABASE_FILE
         if sent:

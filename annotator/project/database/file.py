@@ -4,11 +4,9 @@ SQLite keeps the latest transactions in `project.db-wal`. If a process is killed
 to whatever `project.db` it finds when the database is opened next: also to an older copy that somebody has put there.
 The result is a newer state than that of the copy, or a damaged database. SQLite's own headers do not prevent this.
 
-So each write transaction stores a new token and the token of the transaction before it (table `generation`). The
-first write of a process is a transaction that is moved into `project.db` at once, so the file then differs from every
-earlier copy of it. A `-wal` belongs to a database if the token in `project.db` is one of those in the `-wal`, or the
-one before its first. A token consists of a number, one more than that of the token before, and of random digits: the
-greater text is the newer one.
+So each write transaction stores a new token and the token of the transaction before it (table `generation`). A `-wal`
+belongs to a database if the token in `project.db` is one of those in the `-wal`, or the one before its first. A token
+consists of a number, one more than that of the token before, and of random digits: the greater text is the newer one.
 
 Nothing here opens the database but SQLite: closing any other descriptor of it would drop SQLite's locks, which belong
 to the process.

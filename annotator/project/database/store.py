@@ -95,7 +95,6 @@ class Store:
     busy_timeout_s: float = BUSY_TIMEOUT_S
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
-    _begun: threading.Event = field(default_factory=threading.Event)
     # `connection`: of the thread's `snapshot`
     _thread: threading.local = field(default_factory=threading.local)
 
@@ -148,8 +147,6 @@ class Store:
         # after the timeout, SQLite itself reports the problem
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
-            if not self._begun.is_set():
-                self._begin_writing(ends_s)
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
                 token = advance(connection)
                 yield connection
@@ -174,16 +171,6 @@ class Store:
         with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
             upgrade(driver_of(connection))
             advance(connection)
-
-    def _begin_writing(self, ends_s: float) -> None:
-        """Changes the database file itself, so that it differs from every copy made before (`file.py`)."""
-        with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
-            advance(connection)
-        with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
-            _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-        # a reader of an older state can prevent it; the next write then tries again
-        if logged == moved:
-            self._begun.set()
 
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
