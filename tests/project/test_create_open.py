@@ -162,21 +162,6 @@ def test_opening_a_damaged_project_raises_a_clear_error(
         open_project(tmp_path / "hands")
 
 
-def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: int) -> None:
-    project.labels.create(frame, [NewLabel("hand", box_at())] * 20, by_hand())
-    project.close()
-    path = project.path / "project.db"
-    content = bytearray(path.read_bytes())
-    for page in range(1, len(content) // 4096):
-        content[page * 4096 : page * 4096 + 64] = b"\xff" * 64
-    path.write_bytes(bytes(content))
-    with (
-        pytest.raises(ProjectError, match=r"project\.db: is damaged; restore it"),
-        open_project(project.path) as broken,
-    ):
-        broken.labels.of_frame(frame)
-
-
 @pytest.mark.parametrize("name", ["project.json", "project.db", "project.db-journal"])
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
 def test_a_pipe_or_device_in_place_of_a_file_is_an_error(project: Project, name: str, make: Callable[[Path], object]):

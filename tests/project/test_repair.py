@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -93,16 +92,6 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
         "refers to files outside the project: ../../x.pt",
     ),
 ]
-
-
-def test_what_a_killed_verification_left_is_removed(
-    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scratch = tmp_path / "scratch"
-    (scratch / ".annotator-verify.0123.unfinished").mkdir(parents=True)
-    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
-    assert verify(full, deep=True).problems == ()
-    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize(("change", "says"), [pytest.param(*row[1:], id=row[0]) for row in SHALLOW])

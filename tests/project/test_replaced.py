@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
-from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state, use_next
+from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state
 from time_limit import time_limit
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
@@ -19,7 +19,6 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.project.database import file
 from annotator.project.database.file import has_foreign_wal
-from annotator.project.database.store import open_store
 from annotator.types.errors import ProjectError, ReplacedError
 
 
@@ -211,20 +210,6 @@ def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -
     assert verify(moved, deep=True).problems == ()
 
 
-def test_a_database_copied_in_the_middle_of_a_session_is_not_mixed_with_a_later_wal(full: Path, tmp_path: Path) -> None:
-    write_and_be_killed(full)
-    with open_project(full) as project:
-        frame = project.frames.of()[3]
-        project.labels.create(frame.id, [NewLabel("hand", box_at())], by_hand(frame.revision))
-        shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
-        with closing(sqlite3.connect(full / "project.db")) as connection:
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    write_and_be_killed(full)
-    shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
-    with pytest.raises(ProjectError, match="does not belong"):
-        open_project(full)
-
-
 def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full: Path) -> None:
     # A reader holds the checkpoint up: it moves the first page, but not the last ones, which have changed since. So the
     # file is shorter than its first page says.
@@ -255,19 +240,6 @@ def test_several_looks_must_find_a_foreign_wal(
     true, looks = file._token, count()
     monkeypatch.setattr(file, "_token", lambda *how: "f" * 32 if next(looks) < wrong else true(*how))
     assert has_foreign_wal(full / "project.db") == is_foreign
-
-
-def test_an_upgrade_stores_a_new_token(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else a copy from before the upgrade would pass for the upgraded database."""
-    use_next(monkeypatch)
-
-    def token() -> str:
-        with closing(sqlite3.connect(full / "project.db")) as connection:
-            return str(connection.execute("SELECT substr(chain, -32) FROM generation").fetchone()[0])
-
-    before = token()
-    open_store(full / "project.db").close()
-    assert token() != before
 
 
 @pytest.mark.parametrize(
