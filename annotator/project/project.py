@@ -35,7 +35,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
-from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -250,7 +250,6 @@ def create_project(
 def open_project(
     path: Path,
     *,
-    busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     readable: Sequence[Path] | None = None,
 ) -> Project:
@@ -263,7 +262,6 @@ def open_project(
     require_own_files(path)
     store = open_store(
         path / DATABASE_FILE,
-        busy_timeout_s=busy_timeout_s,
         clock=clock,
         before_upgrade=lambda: back_up_before_upgrade(path),
     )

@@ -29,6 +29,7 @@ from annotator.project import (
 )
 from annotator.project.classes import edit
 from annotator.project.config import not_in_use, read_config, rename_project
+from annotator.project.database.store import waiting_at_most
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, InUseError, ProjectError
 
@@ -178,7 +179,8 @@ def test_a_lock_that_outlasts_the_timeout_is_reported(project: Project, frame: i
     other.execute("BEGIN IMMEDIATE")
     try:
         with (
-            open_project(project.path, busy_timeout_s=0.1) as waiting,
+            open_project(project.path) as waiting,
+            waiting_at_most(0.1),
             pytest.raises(ProjectError, match="locked by another process"),
         ):
             waiting.frames.finalise(frame, by_hand())

@@ -35,7 +35,7 @@ from annotator.project.backup.snapshot import (
 )
 from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read_config
 from annotator.project.database.schema import events
-from annotator.project.database.store import DATABASE_FILE, Clock, Store, explained
+from annotator.project.database.store import DATABASE_FILE, Store, explained
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 from annotator.types.messages import first_few
 
@@ -57,7 +57,6 @@ def back_up(
     out: Path,
     models: ModelChoice = ModelChoice.ALL,
     *,
-    clock: Clock = time.time_ns,
     progress: Progress = lambda done, total: None,
 ) -> Backup:
     """Writes the state of one moment of the project in the folder `project` to the new file `out`.
@@ -90,7 +89,7 @@ def back_up(
                 )
             keep_models(database, models)
             names, missing = copied_files(project, database)
-            manifest = _write(project, database, part, names, models, clock(), progress)
+            manifest = _write(project, database, part, names, models, progress)
             if out.exists():
                 raise ProjectError(f"{out} exists already; choose another file")
             part.replace(out)
@@ -106,7 +105,6 @@ def _write(
     part: Path,
     names: Sequence[str],
     models: ModelChoice,
-    created_ns: int,
     progress: Progress,
 ) -> BackupManifest:
     _require_space(part.parent, database.stat().st_size + sum((project / name).stat().st_size for name in names))
@@ -119,7 +117,7 @@ def _write(
     manifest = BackupManifest(
         project=project.resolve().name,
         annotator=__version__,
-        created_ns=created_ns,
+        created_ns=time.time_ns(),
         database_version=version,
         last_event=last,
         events=events,

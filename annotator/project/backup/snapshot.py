@@ -13,9 +13,9 @@ from pathlib import Path
 
 from annotator.files import lock_folder, locked_folder
 from annotator.project.backup.archive import folder_files, stored_files
-from annotator.project.database.file import DatabaseFile, has_foreign_wal
+from annotator.project.database.file import DatabaseFile, require_own_wal
 from annotator.project.database.migrations import schema_problems, version_problem
-from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, foreign_wal, is_lock
+from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
 
@@ -26,8 +26,7 @@ def write_snapshot(path: Path, out: Path) -> None:
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
-    if has_foreign_wal(path):
-        raise ProjectError(foreign_wal(path))
+    require_own_wal(path)
     with explained(path), reading(path) as source, explained(out), closing(sqlite3.connect(out)) as target:
         # all pages in one step: SQLite begins again if another process writes between two steps
         source.backup(target, pages=-1)

@@ -22,9 +22,9 @@ from annotator.project.backup.snapshot import (
     write_snapshot,
 )
 from annotator.project.config import CONFIG_FILE, read_config
-from annotator.project.database.file import has_foreign_wal
+from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
-from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.project.database.store import DATABASE_FILE, explained, open_store
 from annotator.types.errors import ProjectError
 from annotator.types.messages import amount, first_few
 
@@ -61,8 +61,7 @@ def _checked(project: Path, deep: bool) -> list[str]:
         if not is_regular(project, DATABASE_FILE):
             return [f"{DATABASE_FILE} is missing, or no regular file"]
         database = project / DATABASE_FILE
-        if has_foreign_wal(database):
-            return [foreign_wal(database)]
+        require_own_wal(database)
         if not deep:
             return [f"{DATABASE_FILE}: {problem}" for problem in database_problems(database)]
         # what a killed verification has left there is removed

@@ -65,6 +65,16 @@ def has_foreign_wal(path: Path) -> bool:
     return True
 
 
+def require_own_wal(path: Path) -> None:
+    """Refuses a database with a `has_foreign_wal`."""
+    if has_foreign_wal(path):
+        raise ProjectError(
+            f"{path}: does not belong to the file {wal_of(path).name} beside it; probably it is a copy that was put "
+            "there by hand, and the other file is left from another state; nothing was changed. `annotator project "
+            "repair` makes a new project of it without that file"
+        )
+
+
 def wal_of(path: Path) -> Path:
     """The `-wal` file of a database."""
     return path.with_name(path.name + WAL)

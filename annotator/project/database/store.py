@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import closing, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 from sqlalchemy.util import LRUCache
 
-from annotator.project.database.file import DatabaseFile, advance, has_foreign_wal, wal_of
+from annotator.project.database.file import DatabaseFile, advance, require_own_wal
 from annotator.project.database.migrations import (
     APPLICATION_ID,
     newest_version,
@@ -78,30 +77,50 @@ _PROBLEMS: dict[int | None, str] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
 class Store:
     """One open database. Thread-safe, but not fork-safe: each process opens its own.
 
     Attributes:
         file: the database file, as it was when it was opened.
         engine: SQLAlchemy's pool of connections.
-        busy_timeout_s: how long to wait while another process has locked it, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
         write_lock: held by the thread that writes.
     """
 
-    file: DatabaseFile
-    engine: Engine
-    busy_timeout_s: float = BUSY_TIMEOUT_S
-    clock: Clock = time.time_ns
-    write_lock: threading.Lock = field(default_factory=threading.Lock)
-    # `connection`: of the thread's `snapshot`
-    _thread: threading.local = field(default_factory=threading.local)
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self.path, self.file, self.clock = path, DatabaseFile(path), clock
+        shared = _shared_engine()
+        pool = QueuePool(self._connect, THREADS, THREADS, BUSY_TIMEOUT_S, dialect=shared.dialect)
+        self.engine = Engine(pool, shared.dialect, shared.url, execution_options={"compiled_cache": _COMPILED})
+        event.listen(self.engine, "begin", _begin)
+        self.write_lock = threading.Lock()
+        # `connection`: of the thread's `snapshot`
+        self._thread = threading.local()
 
-    @property
-    def path(self) -> Path:
-        """The database file."""
-        return self.file.path
+    def _connect(self) -> Any:  # typed as sqlite3.Connection, it is none of SQLAlchemy's
+        self.file.require_current()
+        connection = sqlite3.connect(
+            self.file.address,
+            uri=True,
+            timeout=patience_s(BUSY_TIMEOUT_S),
+            isolation_level=None,  # `_begin` starts transactions, not the sqlite3 module
+            check_same_thread=False,  # the pool hands a connection to one thread at a time
+        )
+        try:
+            # the file may have been replaced before SQLite opened it
+            self.file.require_current()
+            connection.execute("PRAGMA foreign_keys = ON")
+            # views and triggers of a stranger's database may call no function with side effects
+            connection.execute("PRAGMA trusted_schema = OFF")
+            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
+            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
+            connection.execute("PRAGMA synchronous = FULL")
+            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
+            connection.execute("PRAGMA recursive_triggers = ON")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -114,7 +133,7 @@ class Store:
         if (shared := getattr(self._thread, "connection", None)) is not None:
             yield shared
             return
-        with self._transaction("BEGIN", patience_s(self.busy_timeout_s)) as connection:
+        with self._transaction("BEGIN", patience_s(BUSY_TIMEOUT_S)) as connection:
             yield connection
 
     @contextmanager
@@ -143,7 +162,7 @@ class Store:
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
         self._require_writable()
-        ends_s = time.monotonic() + patience_s(self.busy_timeout_s)
+        ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
         # after the timeout, SQLite itself reports the problem
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
@@ -168,7 +187,7 @@ class Store:
                 f"{self.path}: was written by an older annotator and must be upgraded before it is used, but it "
                 f"{_READ_ONLY}; {_COPY_IT}"
             )
-        with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
+        with self._transaction("BEGIN IMMEDIATE", BUSY_TIMEOUT_S) as connection:
             upgrade(driver_of(connection))
             advance(connection)
 
@@ -206,7 +225,7 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
         path.touch(mode=0o600, exist_ok=False)
     except FileExistsError as error:
         raise ProjectError(f"{path}: exists already") from error
-    store = _store(DatabaseFile(path), BUSY_TIMEOUT_S, clock)
+    store = Store(path, clock)
     with _closed_on_error(store), explained(path, store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so they apply to every later connection
@@ -219,7 +238,6 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
 def open_store(
     path: Path,
     *,
-    busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     before_upgrade: Callable[[], None] | None = None,
 ) -> Store:
@@ -234,9 +252,8 @@ def open_store(
             or views than its version; or the file `-wal` beside it belongs to another database.
     """
     _require_file(path)
-    if has_foreign_wal(path):
-        raise ProjectError(foreign_wal(path))
-    store = _store(DatabaseFile(path), busy_timeout_s, clock)
+    require_own_wal(path)
+    store = Store(path, clock)
     with _closed_on_error(store):
         with store.read() as connection:
             driver = driver_of(connection)
@@ -254,15 +271,6 @@ def open_store(
             store.upgrade()
         store.file.remember()
     return store
-
-
-def foreign_wal(path: Path) -> str:
-    """The problem that `has_foreign_wal` finds, in words."""
-    return (
-        f"{path}: does not belong to the file {wal_of(path).name} beside it; probably it is a copy that was put there "
-        "by hand, and the other file is left from another state; nothing was changed. `annotator project repair` makes "
-        "a new project of it without that file"
-    )
 
 
 def _require_file(path: Path) -> None:
@@ -341,40 +349,7 @@ def _shared_engine() -> Engine:
     return engine
 
 
-def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
-    def connect() -> Any:  # typed as sqlite3.Connection, it is none of SQLAlchemy's
-        file.require_current()
-        connection = sqlite3.connect(
-            file.address,
-            uri=True,
-            timeout=patience_s(busy_timeout_s),
-            isolation_level=None,  # the begin event below starts transactions, not the sqlite3 module
-            check_same_thread=False,  # the pool hands a connection to one thread at a time
-        )
-        try:
-            # the file may have been replaced before SQLite opened it
-            file.require_current()
-            connection.execute("PRAGMA foreign_keys = ON")
-            # views and triggers of a stranger's database may call no function with side effects
-            connection.execute("PRAGMA trusted_schema = OFF")
-            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
-            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
-            connection.execute("PRAGMA synchronous = FULL")
-            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
-            connection.execute("PRAGMA recursive_triggers = ON")
-        except BaseException:
-            connection.close()
-            raise
-        return connection
-
-    shared = _shared_engine()
-    pool = QueuePool(connect, THREADS, THREADS, busy_timeout_s, dialect=shared.dialect)
-    engine = Engine(pool, shared.dialect, shared.url, execution_options={"compiled_cache": _COMPILED})
-
-    @event.listens_for(engine, "begin")
-    def begin(connection: Connection) -> None:
-        statement, wait_ms = connection.get_execution_options()[_BEGIN]
-        connection.exec_driver_sql(f"PRAGMA busy_timeout = {wait_ms}")
-        connection.exec_driver_sql(statement)
-
-    return Store(file, engine, busy_timeout_s, clock)
+def _begin(connection: Connection) -> None:
+    statement, wait_ms = connection.get_execution_options()[_BEGIN]
+    connection.exec_driver_sql(f"PRAGMA busy_timeout = {wait_ms}")
+    connection.exec_driver_sql(statement)
