@@ -59,11 +59,14 @@ def check_name(name: str) -> str:
     return name
 
 
+TAKEN = "{} exists already; choose another name"
+
+
 def free_path(root: Path, name: str) -> Path:
     """The folder of a new project of that name in the projects folder `root`."""
     path = root / check_name(name)
     if os.path.lexists(path):
-        raise ProjectError(f"{path} exists already; choose another name")
+        raise ProjectError(TAKEN.format(path))
     return path
 
 

@@ -12,12 +12,11 @@ from types import TracebackType
 
 from sqlalchemy import Connection
 
-from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
 from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
-from annotator.project.backup.snapshot import database_problems, unfinished_folder
+from annotator.project.backup.snapshot import database_problems, new_project
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.changing import MadeChange, made_changes
@@ -229,22 +228,10 @@ def create_project(
 ) -> Project:
     """Creates the project `root/name`; the folder appears complete or not at all."""
     config = new_config(name, tuple(classes), settings or ProjectSettings(), clock())
-    path = root / name
-    taken = f"{path} exists already; open it, or choose another name"
-    if path.exists():
-        raise ProjectError(taken)
-    try:
-        with unfinished_folder(root, name) as unfinished:
-            for folder in _FOLDERS:
-                (unfinished / folder).mkdir()
-            create_store(unfinished / DATABASE_FILE, clock=clock).close()
-            write_config(unfinished, config)
-            unfinished.rename(path)
-            sync_folder(root)
-    except OSError as error:
-        # `rename` never replaces a folder with content: another process may have created the project meanwhile
-        raise ProjectError(taken if path.exists() else f"{path}: cannot be created: {error}") from error
-    return open_project(path, clock=clock)
+    with new_project(root, name) as place:
+        create_store(place / DATABASE_FILE, clock=clock).close()
+        write_config(place, config)
+    return open_project(root / name, clock=clock)
 
 
 def open_project(

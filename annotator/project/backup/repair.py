@@ -8,7 +8,7 @@ import sqlite3
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
@@ -36,18 +36,20 @@ from annotator.project.backup.archive import is_content, is_regular
 from annotator.project.backup.make import automatic_backups
 from annotator.project.backup.snapshot import (
     copied_files,
+    copy_files,
     database_problems,
     given_id,
+    new_project,
     reading,
+    sync_files,
     unfinished_folder,
     write_snapshot,
 )
-from annotator.project.backup.take_in import copy_files, new_project
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.database.file import has_foreign_wal, wal_of
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
@@ -128,6 +130,7 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         store.close()
         names, repaired.missing = copied_files(project, place / DATABASE_FILE)
         copy_files(project, place, [name for name in names if name != CONFIG_FILE], lambda done, total: None)
+        sync_files(place)
     return repaired
 
 
@@ -143,6 +146,30 @@ def _fill_up(database: Path) -> None:
     # a damaged header may name any size; the file remains sparse
     if length < size <= length + MOST_FILLED:
         os.truncate(database, size)
+
+
+def remove_labels(database: Path) -> None:
+    """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
+
+    Removed recordings and frames that are no longer there are left out. Ids stay.
+
+    Raises:
+        ProjectError: it is damaged, or the disk is full.
+        OSError: the file cannot be written.
+    """
+    empty = database.with_name(f"{database.name}.unlabelled")
+    with explained(database), closing(create_store(empty)) as new, reading(database) as source:
+        # changes of classes: detectors that were trained before a class was renamed need them
+        _copy_plain(source, new, Counter(), ("recordings", "frames", "models", "class_changes"))
+        with new.write() as connection:
+            connection.exec_driver_sql(
+                "DELETE FROM frames WHERE position IS NULL "
+                "OR recording_id IN (SELECT id FROM recordings WHERE removed_ns IS NOT NULL)"
+            )
+            connection.exec_driver_sql("DELETE FROM recordings WHERE removed_ns IS NOT NULL")
+            for row in _rows(source, "adjustments", Counter()):
+                _restore(connection, new, "adjustments", row)
+    empty.replace(database)
 
 
 def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], tables: Sequence[str]) -> None:
@@ -249,7 +276,8 @@ def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool
     frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
     if table == "adjustments":
         query = select(func.min(frames.c.id)).where(frames.c.recording_id == key)
-        frame_id = connection.execute(query).scalar_one()
+        if (frame_id := connection.execute(query).scalar_one()) is None:
+            return False
     _append(connection, store, frame_id, change)
     return True
 

@@ -6,13 +6,15 @@ import glob
 import os
 import shutil
 import sqlite3
+import stat
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from annotator.files import lock_folder, locked_folder
-from annotator.project.backup.archive import folder_files, stored_files
+from annotator.files import CHUNK_BYTES, lock_folder, locked_folder, sync_folder
+from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, Progress, folder_files, stored_files
+from annotator.project.config import TAKEN, free_path, read_config, write_config
 from annotator.project.database.file import DatabaseFile, require_own_wal
 from annotator.project.database.migrations import schema_problems, version_problem
 from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, is_lock
@@ -61,6 +63,10 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         yield connection
 
 
+# Windows has neither of the last two, nor links and pipes as others have them.
+_FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+
 # --- folders that are filled under a hidden name ----------------------------------------------------------------------
 
 
@@ -102,6 +108,56 @@ def remove_abandoned(folder: Path) -> bool:
     finally:
         os.close(lock)
     return not folder.exists()
+
+
+@contextmanager
+def new_project(root: Path, name: str) -> Iterator[Path]:
+    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
+
+    Raises:
+        ProjectError: the name is taken, or the folder cannot be written.
+    """
+    path = free_path(root, name)
+    try:
+        with unfinished_folder(root, name) as place:
+            yield place
+            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
+                (place / folder).mkdir(exist_ok=True)
+            write_config(place, read_config(place).model_copy(update={"name": name}))
+            # never replaces a folder with content, which another process may have made meanwhile
+            place.rename(path)
+            sync_folder(root)
+    except OSError as error:
+        # another process may have made one of this name meanwhile
+        raise ProjectError(TAKEN.format(path) if path.exists() else f"{path}: cannot be created: {error}") from error
+
+
+def sync_files(folder: Path) -> None:
+    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
+    if hasattr(os, "sync"):
+        os.sync()
+        return
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
+
+
+def copy_files(source: Path, target: Path, names: Sequence[str], progress: Progress) -> None:
+    """Copies regular files of a project into the folder of a new one."""
+    for number, name in enumerate(names, 1):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        copy_regular(source / name, target / name)
+        progress(number, len(names))
+
+
+def copy_regular(source: Path, target: Path) -> None:
+    # it may have been replaced by a link or a pipe since it was listed
+    with os.fdopen(os.open(source, _FLAGS), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(f"{source} is not a regular file")
+        with target.open("xb") as out:
+            shutil.copyfileobj(file, out, CHUNK_BYTES)
 
 
 # --- checking a database ----------------------------------------------------------------------------------------------

@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import stat
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
 from pathlib import Path
 
-from sqlalchemy import insert, select, true
-
-from annotator.files import CHUNK_BYTES, sync_folder
-from annotator.project.adjustments import Adjustments
 from annotator.project.backup.archive import (
-    MODELS_FOLDER,
-    VIEWS_FOLDER,
     BackupManifest,
     ModelChoice,
     Progress,
@@ -24,66 +14,22 @@ from annotator.project.backup.archive import (
     open_backup,
     unpack,
 )
-from annotator.project.backup.snapshot import copied_files, database_problems, unfinished_folder, write_snapshot
+from annotator.project.backup.repair import remove_labels
+from annotator.project.backup.snapshot import (
+    copied_files,
+    copy_files,
+    copy_regular,
+    database_problems,
+    new_project,
+    sync_files,
+    write_snapshot,
+)
 from annotator.project.backup.verify import verify
-from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
+from annotator.project.config import CONFIG_FILE, check_name, read_config
 from annotator.project.database.file import wal_of
-from annotator.project.database.schema import class_changes, frames, models, recordings
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, open_store
-from annotator.project.log import Writer
-from annotator.project.recordings import KEPT, Recordings
+from annotator.project.database.store import DATABASE_FILE
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
-
-# --- a copy without labels --------------------------------------------------------------------------------------------
-
-AUTHOR = "annotator project copy"
-
-
-def remove_labels(database: Path) -> None:
-    """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
-
-    Removed recordings and frames that are no longer there are left out. Ids stay.
-
-    Raises:
-        ProjectError: it is damaged, or the disk is full.
-        OSError: the file cannot be written.
-    """
-    empty = database.with_name(f"{database.name}.unlabelled")
-    with closing(open_store(database)) as old, closing(create_store(empty)) as new:
-        _copy_rows(old, new)
-        _copy_adjustments(old, new)
-    empty.replace(database)
-
-
-def _copy_rows(old: Store, new: Store) -> None:
-    with old.read() as source, new.write() as target:
-        for table, there in (
-            (recordings, recordings.c.removed_ns.is_(None)),
-            (frames, KEPT & frames.c.position.is_not(None)),
-            (models, true()),
-            # detectors that were trained before a class was renamed need them
-            (class_changes, true()),
-        ):
-            unlabelled = {"revision": 0, "finalised": False, "attributes": None} if table is frames else {}
-            rows = [{**row, **unlabelled} for row in source.execute(select(table).where(there)).mappings()]
-            if rows:
-                target.execute(insert(table), rows)
-
-
-def _copy_adjustments(old: Store, new: Store) -> None:
-    """Makes each adjustment anew, as an event without the labels that the first one moved."""
-    adjustments = Adjustments(Writer(new, new.path.parent))
-    for recording in Recordings(old).all():
-        if not recording.adjusted or not recording.frames:
-            continue
-        adjustments.correct(recording.id, recording.correction, AUTHOR)
-        if Recordings(new).get(recording.id).up != recording.up:
-            adjustments.set_up(recording.id, recording.up, AUTHOR)
-
-
-# Windows has neither of the last two, nor links and pipes as others have them.
-_FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def restore(
@@ -108,6 +54,7 @@ def restore(
             unpack(file, archive, place, progress)
             if problems := database_problems(place / DATABASE_FILE):
                 raise FormatError(file, f"{DATABASE_FILE}: {problems[0]}")
+            sync_files(place)
     return root / name, manifest
 
 
@@ -157,6 +104,7 @@ def copy_project(
         if found := verify(place, deep=True).problems:
             more = f" (and {amount(len(found) - 1, 'more problem')})" if len(found) > 1 else ""
             raise ProjectError(f"{folder}: {found[0]}{more}; nothing was copied")
+        sync_files(place)
     return root / name
 
 
@@ -166,56 +114,6 @@ def _take_database(folder: Path, place: Path) -> None:
     copied.mkdir()
     for part in (DATABASE_FILE, wal_of(Path(DATABASE_FILE)).name):
         if is_regular(folder, part):
-            _copy_regular(folder / part, copied / part)
+            copy_regular(folder / part, copied / part)
     write_snapshot(copied / DATABASE_FILE, place / DATABASE_FILE)
     shutil.rmtree(copied)
-
-
-@contextmanager
-def new_project(root: Path, name: str) -> Iterator[Path]:
-    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
-
-    Raises:
-        ProjectError: the name is taken, or the folder cannot be written.
-    """
-    path = free_path(root, name)
-    try:
-        with unfinished_folder(root, name) as place:
-            yield place
-            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
-                (place / folder).mkdir(exist_ok=True)
-            write_config(place, read_config(place).model_copy(update={"name": name}))
-            _sync_files(place)
-            # never replaces a folder with content, which another process may have made meanwhile
-            place.rename(path)
-            sync_folder(root)
-    except OSError as error:
-        raise ProjectError(f"{path}: cannot be created: {error}") from error
-
-
-def _sync_files(folder: Path) -> None:
-    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
-    if hasattr(os, "sync"):
-        os.sync()
-        return
-    for path in folder.rglob("*"):
-        if path.is_file():
-            with path.open("rb+") as file:
-                os.fsync(file.fileno())
-
-
-def copy_files(source: Path, target: Path, names: Sequence[str], progress: Progress) -> None:
-    """Copies regular files of a project into the folder of a new one."""
-    for number, name in enumerate(names, 1):
-        (target / name).parent.mkdir(parents=True, exist_ok=True)
-        _copy_regular(source / name, target / name)
-        progress(number, len(names))
-
-
-def _copy_regular(source: Path, target: Path) -> None:
-    # it may have been replaced by a link or a pipe since it was listed
-    with os.fdopen(os.open(source, _FLAGS), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(f"{source} is not a regular file")
-        with target.open("xb") as out:
-            shutil.copyfileobj(file, out, CHUNK_BYTES)
