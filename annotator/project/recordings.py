@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, bindparam, func, insert, select, update
 
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
@@ -184,9 +184,7 @@ class Recordings:
 
     def removed(self) -> tuple[StoredRecording, ...]:
         """The recordings that were removed, in the order they were added."""
-        with self.store.read() as connection:
-            query = _query().where(recordings.c.removed_ns.is_not(None)).order_by(recordings.c.id)
-            return tuple(map(_stored, connection.execute(query)))
+        return self._those(recordings.c.removed_ns.is_not(None))
 
     def removed_by(self) -> dict[int, str | None]:
         """All recordings by id: who has removed it from the project; None = nobody."""
@@ -208,8 +206,7 @@ class Recordings:
 
     def all(self) -> tuple[StoredRecording, ...]:
         """All recordings, in the order they were added."""
-        with self.store.read() as connection:
-            return tuple(map(_stored, connection.execute(_query().where(_THERE).order_by(recordings.c.id))))
+        return self._those(_THERE)
 
     def get(self, recording_id: int, *, removed: bool = False) -> StoredRecording:
         """One recording; with `removed`, also one that was removed."""
@@ -226,9 +223,11 @@ class Recordings:
 
     def at(self, path: Path) -> tuple[StoredRecording, ...]:
         """The recordings of a path, which differ in their options, in the order of their addition."""
+        return self._those(_THERE, recordings.c.path == str(path))
+
+    def _those(self, *are: ColumnElement[bool]) -> tuple[StoredRecording, ...]:
         with self.store.read() as connection:
-            query = _query().where(recordings.c.path == str(path), _THERE).order_by(recordings.c.id)
-            return tuple(map(_stored, connection.execute(query)))
+            return tuple(map(_stored, connection.execute(_query().where(*are).order_by(recordings.c.id))))
 
     def find(self, name: str, *, removed: bool = False) -> StoredRecording:
         """The recording of that name; with `removed`, also one that was removed."""

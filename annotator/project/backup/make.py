@@ -28,7 +28,6 @@ from annotator.project.backup.archive import (
 )
 from annotator.project.backup.snapshot import (
     copied_files,
-    database_problems,
     reading,
     unfinished_folder,
     write_snapshot,
@@ -36,7 +35,7 @@ from annotator.project.backup.snapshot import (
 from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read_config
 from annotator.project.database.schema import events
 from annotator.project.database.store import DATABASE_FILE, Store, explained
-from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
+from annotator.types.errors import AnnotatorError, ProjectError
 from annotator.types.messages import first_few
 
 # What a backup leaves free on the disk, bytes.
@@ -82,11 +81,6 @@ def back_up(
                 # the copy of the database, and the same in the archive
                 _require_space(place, 2 * (project / DATABASE_FILE).stat().st_size)
             write_snapshot(project / DATABASE_FILE, database)
-            if problems := database_problems(database):
-                raise ProjectError(
-                    f"{project / DATABASE_FILE}: {problems[0]}; a damaged project is not backed up; {RESTORE}, "
-                    "or repair it with `annotator project repair`"
-                )
             keep_models(database, models)
             names, missing = copied_files(project, database)
             manifest = _write(project, database, part, names, models, progress)

@@ -25,6 +25,9 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
+
+    Raises:
+        ProjectError: it is missing, locked or not sound.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
@@ -37,6 +40,8 @@ def write_snapshot(path: Path, out: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+    if problems := database_problems(out):
+        raise ProjectError(f"{path}: {problems[0]}; {RESTORE}, or repair it with `annotator project repair`")
 
 
 def copied_files(folder: Path, database: Path) -> tuple[list[str], tuple[str, ...]]:
@@ -178,11 +183,6 @@ def database_problems(path: Path) -> list[str]:
         if is_lock(error):
             raise ProjectError(f"{path}: {LOCKED}") from error
         return [f"cannot be read: {error}"]
-
-
-def missing_events(connection: sqlite3.Connection) -> int:
-    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
-    return given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
 
 
 def given_id(connection: sqlite3.Connection, table: str) -> int:

@@ -94,8 +94,6 @@ def copy_project(
             _take_database(folder, place)
         else:
             write_snapshot(folder / DATABASE_FILE, database)
-        if problems := database_problems(database):
-            raise ProjectError(f"{folder / DATABASE_FILE}: {problems[0]}")
         if not labels:
             remove_labels(database)
         keep_models(database, models)

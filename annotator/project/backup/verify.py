@@ -15,8 +15,6 @@ from annotator.project.audit.events import rebuild
 from annotator.project.backup.archive import is_regular, require_own_files, stored_files
 from annotator.project.backup.snapshot import (
     database_problems,
-    given_id,
-    missing_events,
     reading,
     unfinished_folder,
     write_snapshot,
@@ -26,7 +24,7 @@ from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.database.store import DATABASE_FILE, explained, open_store
 from annotator.types.errors import ProjectError
-from annotator.types.messages import amount, first_few
+from annotator.types.messages import first_few
 
 MOST_NAMED = 3
 Rows = dict[object, tuple[object, ...]]
@@ -62,29 +60,15 @@ def _checked(project: Path, deep: bool) -> list[str]:
             return [f"{DATABASE_FILE} is missing, or no regular file"]
         database = project / DATABASE_FILE
         require_own_wal(database)
-        if not deep:
-            return [f"{DATABASE_FILE}: {problem}" for problem in database_problems(database)]
+        if (problems := database_problems(database)) or not deep:
+            return [f"{DATABASE_FILE}: {problem}" for problem in problems]
         # what a killed verification has left there is removed
         with unfinished_folder(Path(gettempdir()), "annotator-verify") as folder:
             copy = folder / DATABASE_FILE
             write_snapshot(database, copy)
-            if problems := database_problems(copy):
-                return [f"{DATABASE_FILE}: {problem}" for problem in problems]
-            found = list(_state_problems(copy))
-            if found:  # a repaired project has gaps, too, but its state follows from the events that are left
-                found = [*_event_problems(copy), *found]
-            return [*found, *_file_problems(project, copy)]
+            return [*_state_problems(copy), *_file_problems(project, copy)]
     except ProjectError as error:
         return [str(error)]
-
-
-def _event_problems(copy: Path) -> Iterator[str]:
-    """Events that are gone: without this, only the rows that they gave would be named."""
-    with explained(copy), reading(copy) as connection:
-        missing = missing_events(connection)
-        number = given_id(connection, "events")
-    if missing > 0:
-        yield f"{missing} of {amount(number, 'event')} are missing"
 
 
 def _state_problems(copy: Path) -> Iterator[str]:
@@ -149,4 +133,4 @@ def _has_hash(project: Path, name: str, sha256: str) -> bool:
 
 
 def _named(keys: Sequence[object]) -> str:
-    return first_few([" ".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in keys], MOST_NAMED)
+    return first_few(list(map(str, keys)), MOST_NAMED)

@@ -56,8 +56,6 @@ THREADS = 20
 
 Clock = Callable[[], int]
 
-_READ_ONLY = "is on a read-only disk, or you have no right to write it"
-_COPY_IT = "copy its folder to a place where you may write"
 _BEGIN = "annotator_begin"
 
 # SQLite's messages about statements that do not fit the tables; all have the general code SQLITE_ERROR.
@@ -176,17 +174,16 @@ class Store:
             if has_lock:
                 self.write_lock.release()
 
-    def _require_writable(self) -> None:
+    def _require_writable(self, why: str = "") -> None:
         if not self.file.is_writable:
-            raise ProjectError(f"{self.path}: {_READ_ONLY}, so nothing was saved; to change this project, {_COPY_IT}")
+            raise ProjectError(
+                f"{self.path}: {why}is on a read-only disk, or you have no right to write it, so nothing was saved; to "
+                "change this project, copy its folder to a place where you may write"
+            )
 
     def upgrade(self) -> None:
         """Runs the missing migrations; errors as in `write`."""
-        if not self.file.is_writable:
-            raise ProjectError(
-                f"{self.path}: was written by an older annotator and must be upgraded before it is used, but it "
-                f"{_READ_ONLY}; {_COPY_IT}"
-            )
+        self._require_writable("is upgraded before it is used, but ")
         with self._transaction("BEGIN IMMEDIATE", BUSY_TIMEOUT_S) as connection:
             upgrade(driver_of(connection))
             advance(connection)
