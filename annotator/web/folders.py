@@ -12,8 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.files import private_folder
-from annotator.project.backup.snapshot import remove_abandoned
+from annotator.files import private_folder, remove_abandoned
 from annotator.project.config import BACKUPS as BACKUPS
 from annotator.recordings import detect_format
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError

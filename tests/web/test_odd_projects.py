@@ -21,8 +21,8 @@ from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM
 from store_samples import replace_folder
 
+from annotator.files import unfinished_folder
 from annotator.project import create_project
-from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.app import Fair, create_app

@@ -16,7 +16,7 @@ from pathlib import Path
 from sqlalchemy import func, select
 
 from annotator import __version__
-from annotator.files import sync_folder
+from annotator.files import sync_folder, unfinished_folder
 from annotator.project.backup.archive import (
     BackupManifest,
     ModelChoice,
@@ -26,12 +26,7 @@ from annotator.project.backup.archive import (
     keep_models,
     read_manifest,
 )
-from annotator.project.backup.snapshot import (
-    copied_files,
-    reading,
-    unfinished_folder,
-    write_snapshot,
-)
+from annotator.project.backup.snapshot import copied_files, reading, write_snapshot
 from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read_config
 from annotator.project.database.schema import events
 from annotator.project.database.store import DATABASE_FILE, Store, explained

@@ -18,7 +18,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select, update
 from sqlalchemy.exc import DBAPIError
 
-from annotator.files import open_file
+from annotator.files import open_file, unfinished_folder
 from annotator.project.audit.events import (
     CLASSES,
     UNFIT,
@@ -42,7 +42,6 @@ from annotator.project.backup.snapshot import (
     new_project,
     reading,
     sync_files,
-    unfinished_folder,
     write_snapshot,
 )
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config

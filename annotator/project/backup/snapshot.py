@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import shutil
 import sqlite3
 import stat
-import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from annotator.files import CHUNK_BYTES, lock_folder, locked_folder, sync_folder
+from annotator.files import CHUNK_BYTES, sync_folder, unfinished_folder
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, Progress, folder_files, stored_files
 from annotator.project.config import TAKEN, free_path, read_config, write_config
 from annotator.project.database.file import DatabaseFile, require_own_wal
@@ -73,46 +71,6 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
 # --- folders that are filled under a hidden name ----------------------------------------------------------------------
-
-
-@contextmanager
-def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
-    """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
-
-    Also removes folders that killed processes have left for the same name.
-    """
-    root.mkdir(parents=True, exist_ok=True)
-    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
-        remove_abandoned(left)
-
-    def make() -> Path:
-        folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
-        # no step follows its creation: another process may take it for a leftover until it is locked
-        folder.mkdir(mode=0o700)
-        return folder
-
-    folder, lock = locked_folder(make)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
-
-
-def remove_abandoned(folder: Path) -> bool:
-    """Removes a folder if no process holds its lock; returns whether it is gone.
-
-    Without locks, as on Windows, it stays.
-    """
-    lock = lock_folder(folder)
-    if lock is None:
-        return False
-    try:
-        shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        os.close(lock)
-    return not folder.exists()
 
 
 @contextmanager

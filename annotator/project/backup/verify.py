@@ -10,15 +10,10 @@ from tempfile import gettempdir
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection
 
-from annotator.files import sha256_of
+from annotator.files import sha256_of, unfinished_folder
 from annotator.project.audit.events import rebuild
 from annotator.project.backup.archive import is_regular, require_own_files, stored_files
-from annotator.project.backup.snapshot import (
-    database_problems,
-    reading,
-    unfinished_folder,
-    write_snapshot,
-)
+from annotator.project.backup.snapshot import database_problems, reading, write_snapshot
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
