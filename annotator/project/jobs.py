@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Select, delete, func, insert, select, update
 from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.errors import NotFoundError
 
 
 class Status(StrEnum):
@@ -43,11 +43,8 @@ class Run:
 
 def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
     """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields."""
-    try:
-        config = json.loads(config_json)
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"the settings of a run must be JSON: {error}") from error
-    text = json.dumps([image_detector, view_detector, config], sort_keys=True, separators=(",", ":"))
+    content = [image_detector, view_detector, json.loads(config_json)]
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
