@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -109,24 +108,17 @@ class Project:
         Args:
             edit: one of `annotator.project.classes.edit`, applied to the present configuration.
         """
-        ahead: Path | None = None
-        try:
-            # the lock prevents concurrent changes of the file, and new boxes of a removed class
-            with self.store.write() as connection:
-                old = take_config(self.path, connection)
-                made = edit(old)
-                new = made.config
-                if (number := self._change_classes(connection, old, made, author)) is not None:
-                    ahead = prepare_config(self.path, new, number)
-                elif new != old:
-                    write_config(self.path, new)
-        except BaseException:
-            if ahead is not None:
-                with suppress(Exception), self.store.read() as connection:  # the next one does it, if this fails
-                    take_config(self.path, connection)
-            raise
+        # the lock prevents concurrent changes of the file, and new boxes of a removed class
+        with self.store.write() as connection:
+            old = take_config(self.path, connection)
+            made = edit(old)
+            new = made.config
+            if (number := self._change_classes(connection, old, made, author)) is not None:
+                prepare_config(self.path, new, number)
+            elif new != old:
+                write_config(self.path, new)
         with self.store.read() as connection:
-            return take_config(self.path, connection) if ahead is not None else new
+            return take_config(self.path, connection)
 
     def _change_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> int | None:
         new = made.config

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
@@ -18,7 +17,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select, update
 from sqlalchemy.exc import DBAPIError
 
-from annotator.files import open_file, unfinished_folder
+from annotator.files import unfinished_folder
 from annotator.project.audit.events import (
     CLASSES,
     UNFIT,
@@ -55,8 +54,6 @@ from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
 _PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "class_changes")
-# Largest end of a truncated database that is replaced by empty pages.
-MOST_FILLED = 1 << 30
 
 Row = dict[str, Any]
 
@@ -104,7 +101,6 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         is_foreign = has_foreign_wal(database)
         if is_foreign or database_problems(database):
             shutil.copyfile(database, copy)
-            _fill_up(copy)
             if is_regular(project, wal_of(database).name) and not is_foreign:
                 shutil.copyfile(wal_of(database), wal_of(copy))
         else:  # others may be writing to it
@@ -113,7 +109,7 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         store = create_store(place / DATABASE_FILE)
         stack.callback(store.close)
         try:
-            with reading(copy) as source:
+            with _damaged(copy) as source:
                 if version_problem(source) == UNRELEASED:
                     raise ProjectError(f"{database}: {UNRELEASED}")
                 _copy_plain(source, store, repaired.lost, _PLAIN)
@@ -133,18 +129,13 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     return repaired
 
 
-def _fill_up(database: Path) -> None:
-    """Appends the pages that a truncated database has lost: SQLite refuses to read a shorter file than it expects."""
-    with open_file(database) as file:
-        header = file.read(32)
-    if len(header) < 32 or not header.startswith(b"SQLite format 3\0"):
-        return
-    page = int.from_bytes(header[16:18], "big")
-    size = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
-    length = database.stat().st_size
-    # a damaged header may name any size; the file remains sparse
-    if length < size <= length + MOST_FILLED:
-        os.truncate(database, size)
+@contextmanager
+def _damaged(copy: Path) -> Iterator[sqlite3.Connection]:
+    """As `reading`; of a truncated database, what is left is read."""
+    with reading(copy) as source:
+        # else SQLite refuses a file that is shorter than its first page says
+        source.execute("PRAGMA writable_schema = ON")
+        yield source
 
 
 def remove_labels(database: Path) -> None:
@@ -251,7 +242,7 @@ def _revision(connection: Connection, values: Row) -> int:
 
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings the rows to the state that the damaged database shows, if it does."""
-    with reading(copy) as source, store.write() as connection:
+    with _damaged(copy) as source, store.write() as connection:
         for table in AUDITED:
             for row in _rows(source, table, Counter()):
                 try:
