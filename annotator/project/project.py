@@ -46,7 +46,6 @@ from annotator.project.statistics import Statistics, read_statistics
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"
-_FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
 @dataclass(frozen=True)
@@ -239,26 +238,19 @@ def open_project(
     """
     read_config(path)
     require_own_files(path)
-    store = open_store(
-        path / DATABASE_FILE,
-        clock=clock,
-        before_upgrade=lambda: back_up_before_upgrade(path),
-    )
-    try:
-        # a project on a read-only disk can be read without them
-        for folder in _FOLDERS if os.access(path, os.W_OK) else ():
-            (path / folder).mkdir(exist_ok=True)
-    except OSError as error:
-        store.close()
-        raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
+    store = open_store(path / DATABASE_FILE, clock=clock, before_upgrade=lambda: back_up_before_upgrade(path))
     project = Project(path, store, readable)
     try:
         project.models.all()  # refuses paths of other folders
-        if os.access(path, os.W_OK):
+        if os.access(path, os.W_OK):  # a project on a read-only disk can be read without this
+            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
+                (path / folder).mkdir(exist_ok=True)
             with store.read() as connection:
                 take_config(path, connection)
-    except BaseException:
+    except BaseException as error:
         project.close()
+        if isinstance(error, OSError):
+            raise ProjectError(f"{path}: a subfolder cannot be created: {error}") from error
         raise
     return project
 

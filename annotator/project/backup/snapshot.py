@@ -1,4 +1,4 @@
-"""A copy of a database as of one moment, whether it is sound, and the hidden folder in which it is made."""
+"""A copy of a database as of one moment, whether it is sound, and the hidden folder that becomes a new project."""
 
 from __future__ import annotations
 
@@ -115,6 +115,7 @@ def copy_files(source: Path, target: Path, names: Sequence[str], progress: Progr
 
 
 def copy_regular(source: Path, target: Path) -> None:
+    """Copies a regular file, else raises OSError."""
     # it may have been replaced by a link or a pipe since it was listed
     with os.fdopen(os.open(source, _FLAGS), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
