@@ -59,7 +59,8 @@ def has_foreign_wal(path: Path) -> bool:
     for look in range(_LOOKS):
         if look:
             time.sleep(_LOOKS_AGAIN_AFTER_S)
-        fitting, token = _fitting_tokens(wal_of(path)), _token(path, "mode=ro&immutable=1")
+        # in this order: what is moved into the database meanwhile is still in the `-wal`, unless it is begun anew
+        token, fitting = _token(path, "mode=ro&immutable=1"), _fitting_tokens(wal_of(path))
         if fitting is None or token is None or token in fitting:
             return False
     return True
@@ -206,7 +207,8 @@ class DatabaseFile:
         """Empties the `-wal` of a database that was written over: SQLite would move it into the copy when it closes."""
         is_same = self._identity(self.place) == self._identities[self.place]
         if is_same and self._is_written_over() and has_foreign_wal(self.place):
-            os.truncate(wal_of(self.place), 0)
+            with suppress(OSError):
+                os.truncate(wal_of(self.place), 0)
         self._stamp = None
 
     def _what_changed(self) -> Path | None:
