@@ -22,7 +22,7 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -288,29 +288,24 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
             until the new one is complete.
         may_replace: decides on a folder that is not empty.
 
-    What a killed process left in this place is put right first, and logged.
+    What a killed process left in this place is put right first.
 
     Raises:
         FormatError: `out` may not be replaced, or the folder cannot be created.
     """
     # resolved now, because the working directory may change; if `out` is a link, its target is replaced
     out = out.resolve()
-    try:
-        _clear_leftovers(out)
-        _require_free(out, may_replace)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        part, lock = locked_folder(lambda: Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent)))
-    except OSError as error:
-        raise FormatError(out, f"cannot be created ({error.strerror})") from error
-    try:
+    with ExitStack() as stack:
+        try:
+            _clear_leftovers(out)
+            _require_free(out, may_replace)
+            part = stack.enter_context(unfinished_folder(out.parent, out.name))
+        except OSError as error:
+            raise FormatError(out, f"cannot be created ({error.strerror})") from error
         yield part
         # another process may have filled `out` meanwhile
         _require_free(out, may_replace)
         _put_in_place(part, out)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
 
 
 def _clear_leftovers(out: Path) -> None:
@@ -318,43 +313,57 @@ def _clear_leftovers(out: Path) -> None:
 
     Does nothing while another process fills a folder that is to become `out`.
     """
-    # mkdtemp appends eight characters
-    parts, olds = ([*out.parent.glob(f".{glob.escape(out.name)}.{kind}-????????")] for kind in ("part", "old"))
-    locks = [lock_folder(part) for part in parts]
-    try:
-        if None in locks:
-            return
-        filled = [old for old in olds if any(old.iterdir())]
-        if filled and not out.exists():
-            newest = max(filled, key=lambda old: old.stat().st_mtime_ns)
-            newest.rename(out)
-            olds.remove(newest)
-            LOG.warning("%s: put back from %s, where an interrupted run had moved it", out, newest.name)
-        for path in (*parts, *olds):
-            shutil.rmtree(path)
-            LOG.warning("%s: removed, an interrupted run had left it", path)
-    finally:
-        for lock in filter(None, locks):
-            os.close(lock)
+    parts, olds = ([*out.parent.glob(f".{glob.escape(out.name)}.{kind}")] for kind in ("*.unfinished", "old-????????"))
+    if [part for part in parts if not remove_abandoned(part)]:
+        return
+    filled = [old for old in olds if any(old.iterdir())]
+    if filled and not out.exists():
+        newest = max(filled, key=lambda old: old.stat().st_mtime_ns)
+        newest.rename(out)
+        olds.remove(newest)
+        LOG.warning("%s: put back from %s, where an interrupted run had moved it", out, newest.name)
+    for path in olds:
+        shutil.rmtree(path)
+        LOG.warning("%s: removed, an interrupted run had left it", path)
 
 
-def locked_folder(make: Callable[[], Path]) -> tuple[Path, int | None]:
-    """A new folder, and the descriptor that holds its lock until it is closed or the process ends.
+@contextmanager
+def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
+    """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
 
-    Args:
-        make: creates a folder under a new name.
-
-    Raises:
-        OSError: it cannot be created.
+    Also removes folders that killed processes have left for the same name.
     """
+    root.mkdir(parents=True, exist_ok=True)
+    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
+        remove_abandoned(left)
     while True:
-        folder = make()
+        folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
+        folder.mkdir(mode=0o700)
         lock = lock_folder(folder, waits=True)
-        # another process may have taken it for a leftover, and removed it, before it was locked
-        if folder.exists():
-            return folder, lock
-        if lock is not None:
-            os.close(lock)
+        try:
+            # another process may have taken it for a leftover, and removed it, before it was locked
+            if folder.exists():
+                yield folder
+                return
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            if lock is not None:
+                os.close(lock)
+
+
+def remove_abandoned(folder: Path) -> bool:
+    """Removes a folder if no process holds its lock; returns whether it is gone.
+
+    Without locks, as on Windows, it stays.
+    """
+    lock = lock_folder(folder)
+    if lock is None:
+        return False
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)
+    return not folder.exists()
 
 
 def lock_folder(folder: Path, *, waits: bool = False, is_shared: bool = False, is_told: bool = False) -> int | None:

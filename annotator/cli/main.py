@@ -55,7 +55,7 @@ COMMANDS: dict[str, Command] = {
     "project backup": Command("project:run_backup", "write a backup, also while a server runs"),
     "project restore": Command("project:run_restore", "make a project of a backup"),
     "project verify": Command("project:run_verify", "check whether a project is sound"),
-    "project repair": Command("project:run_repair", "repair a project, or save what is readable"),
+    "project repair": Command("project:run_repair", "make a new project of what is readable"),
     "project copy": Command("project:run_copy", "copy a project, or take in one that somebody else has sent"),
     "classes list": Command("classes:show", "list classes, numbers of their boxes, and attributes"),
     "classes add": Command("classes:add", "add a class"),

@@ -40,9 +40,6 @@ def run_new(
         print_line(f"next: annotator add {name} PATH")
 
 
-MOVE_AUTHOR = "annotator project move"
-
-
 def run_move(
     project: options.ProjectName, recording: options.RecordingName, path: Path, /, *, projects: options.Projects = None
 ) -> None:
@@ -55,7 +52,7 @@ def run_move(
     """
     with options.open_named(project, projects) as opened:
         before = opened.recordings.find(recording, removed=True)
-        now = move_recording(opened, before.id, path, MOVE_AUTHOR)
+        now = move_recording(opened, before.id, path)
     new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
     print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
@@ -134,8 +131,7 @@ def run_backup(
 ) -> None:
     """Write a backup of a project, as of one moment, while a server or a job may go on writing.
 
-    The file holds settings, database, images of pseudo-views and detectors, with their hashes. It does not hold the
-    recordings.
+    The file holds settings, database, images of pseudo-views and detectors. It does not hold the recordings.
 
     Args:
         file: the file to write; default: PROJECT-TIME.zip in this folder.
@@ -146,7 +142,7 @@ def run_backup(
         backup = back_up(options.named_folder(project, projects), out, models, progress=progress)
     manifest = backup.manifest
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
-    print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
+    print_line(f"{out}: {labels}, {events}, {amount(manifest.count, 'file')}")
     print_missing(backup.missing)
     print_line(f"restore it with: annotator project restore {out} NAME")
 
@@ -215,19 +211,13 @@ def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
 def run_repair(
     project: options.ProjectName, new_name: str | None = None, /, *, projects: options.Projects = None
 ) -> None:
-    """Repair a project: make its present state anew from its events, after a backup.
-
-    If the database is damaged, all that can be read goes into a new project, and the damaged one stays as it is.
+    """Repair a project: make a new one of all that can be read of it. The damaged project stays as it is.
 
     Args:
-        new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
+        new_name: name of the new project; default: the old name with `-repaired`.
     """
     done = repair(options.named_folder(project, projects), new_name)
     events = amount(done.events, "event")
-    if not done.is_new:
-        print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
-        print_missing(done.missing)
-        return
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
         one = {table: "pass" if table == "passes" else table.removesuffix("s") for table in done.lost}

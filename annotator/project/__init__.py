@@ -8,7 +8,7 @@ from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.changes import NewLabel, Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
-from annotator.project.jobs import FrameResult, Run, Status, run_key
+from annotator.project.jobs import Run, Status, run_key
 from annotator.project.labels import REVIEWED, StoredLabel
 from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
@@ -31,7 +31,6 @@ __all__ = [
     "Effort",
     "Event",
     "FramePart",
-    "FrameResult",
     "History",
     "ImageBoxes",
     "ListedProject",

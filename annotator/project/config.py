@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,11 +58,14 @@ def check_name(name: str) -> str:
     return name
 
 
+TAKEN = "{} exists already; choose another name"
+
+
 def free_path(root: Path, name: str) -> Path:
     """The folder of a new project of that name in the projects folder `root`."""
     path = root / check_name(name)
     if os.path.lexists(path):
-        raise ProjectError(f"{path} exists already; choose another name")
+        raise ProjectError(TAKEN.format(path))
     return path
 
 
@@ -171,21 +173,14 @@ def read_config(folder: Path) -> ProjectConfig:
     except OSError as error:
         raise ProjectError(f"{path}: cannot be read: {error}") from error
     try:
-        config = _config_of(content)
+        version = _Version.model_validate_json(content).format_version
+        if version <= FORMAT_VERSION:
+            return ProjectConfig.model_validate_json(content)
     except ValidationError as error:
         raise ProjectError(f"{path}: {first_problem(error)}; repair it or {RESTORE}") from error
-    if isinstance(config, int):
-        raise ProjectError(
-            f"{path}: has format version {config}; this annotator reads up to {FORMAT_VERSION}; update annotator"
-        )
-    return config
-
-
-@lru_cache(maxsize=64)
-def _config_of(content: bytes) -> ProjectConfig | int:
-    """The configuration in a file's content, which a server reads several times a request; or its newer version."""
-    version = _Version.model_validate_json(content).format_version
-    return version if version > FORMAT_VERSION else ProjectConfig.model_validate_json(content)
+    raise ProjectError(
+        f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
+    )
 
 
 def config_bytes(config: ProjectConfig) -> bytes:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
 
 from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
-from annotator.project.database.schema import adjustments, events, frame_results, frames, runs
+from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.errors import NotFoundError
 
 
 class Status(StrEnum):
@@ -41,27 +41,10 @@ class Run:
     finished_ns: int | None
 
 
-@dataclass(frozen=True)
-class FrameResult:
-    """The latest result of a frame under one key."""
-
-    frame_id: int
-    key: str
-    run_id: int
-    status: Status
-    reason: str | None
-    seconds: float
-    proposals: int
-    time_ns: int
-
-
 def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
     """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields."""
-    try:
-        config = json.loads(config_json)
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"the settings of a run must be JSON: {error}") from error
-    text = json.dumps([image_detector, view_detector, config], sort_keys=True, separators=(",", ":"))
+    content = [image_detector, view_detector, json.loads(config_json)]
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -101,21 +84,15 @@ class Jobs:
         with self.store.write() as connection:
             record_result(connection, run_id, frame_id, seconds, reason=reason, time_ns=self.store.clock())
 
-    def results(self, status: Status | None = None) -> tuple[FrameResult, ...]:
-        """Results of frames, the oldest first; None = done and failed ones."""
-        query = select(*(frame_results.c[each.name] for each in fields(FrameResult))).order_by(frame_results.c.id)
+    def results(self, status: Status | None = None) -> tuple[AnyRow, ...]:
+        """The latest result of each frame under each key, the oldest first; None = done and failed ones."""
+        query = select(frame_results).order_by(frame_results.c.id)
         if status is not None:
             query = query.where(frame_results.c.status == status.value)
         with self.store.read() as connection:
-            return tuple(
-                FrameResult(**{**row._mapping, "status": Status(row.status)}) for row in connection.execute(query)
-            )
+            return tuple(connection.execute(query))
 
-    def pending(
-        self,
-        key: str,
-        recordings: Collection[int] | None = None,
-    ) -> tuple[StoredFrame, ...]:
+    def pending(self, key: str, recordings: Collection[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames that a run with this key still has to process, in order.
 
         Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this

@@ -66,10 +66,6 @@ class Writer:
         self, frame_id: int, payloads: Sequence[Payload], context: WriteContext, action: str | None = None
     ) -> Receipt:
         """Changes one frame, all or nothing; `action` as in `append_to_frames`."""
-        if self.store.write_lock.locked():
-            # rejects a stale change without waiting for the lock
-            with self.store.read() as connection:
-                require_writable(connection, frame_id, context)
         with self.store.write() as connection:
             return self.to_frame_in(connection, frame_id, payloads, context, action)
 

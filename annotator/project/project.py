@@ -5,19 +5,17 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 from sqlalchemy import Connection
 
-from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
 from annotator.project.audit.history import History
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
-from annotator.project.backup.snapshot import unfinished_folder
+from annotator.project.backup.snapshot import database_problems, new_project
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.changing import MadeChange, made_changes
@@ -35,7 +33,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
-from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -48,7 +46,6 @@ from annotator.project.statistics import Statistics, read_statistics
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"
-_FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
 @dataclass(frozen=True)
@@ -110,24 +107,17 @@ class Project:
         Args:
             edit: one of `annotator.project.classes.edit`, applied to the present configuration.
         """
-        ahead: Path | None = None
-        try:
-            # the lock prevents concurrent changes of the file, and new boxes of a removed class
-            with self.store.write() as connection:
-                old = take_config(self.path, connection)
-                made = edit(old)
-                new = made.config
-                if (number := self._change_classes(connection, old, made, author)) is not None:
-                    ahead = prepare_config(self.path, new, number)
-                elif new != old:
-                    write_config(self.path, new)
-        except BaseException:
-            if ahead is not None:
-                with suppress(Exception), self.store.read() as connection:  # the next one does it, if this fails
-                    take_config(self.path, connection)
-            raise
+        # the lock prevents concurrent changes of the file, and new boxes of a removed class
+        with self.store.write() as connection:
+            old = take_config(self.path, connection)
+            made = edit(old)
+            new = made.config
+            if (number := self._change_classes(connection, old, made, author)) is not None:
+                prepare_config(self.path, new, number)
+            elif new != old:
+                write_config(self.path, new)
         with self.store.read() as connection:
-            return take_config(self.path, connection) if ahead is not None else new
+            return take_config(self.path, connection)
 
     def _change_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> int | None:
         new = made.config
@@ -171,7 +161,7 @@ class Project:
 
     def problems(self) -> list[str]:
         """Problems that a full check of the database finds; empty for a sound one."""
-        return self.store.problems()
+        return database_problems(self.store.path)
 
     def close(self) -> None:
         """Closes the database."""
@@ -229,28 +219,15 @@ def create_project(
 ) -> Project:
     """Creates the project `root/name`; the folder appears complete or not at all."""
     config = new_config(name, tuple(classes), settings or ProjectSettings(), clock())
-    path = root / name
-    taken = f"{path} exists already; open it, or choose another name"
-    if path.exists():
-        raise ProjectError(taken)
-    try:
-        with unfinished_folder(root, name) as unfinished:
-            for folder in _FOLDERS:
-                (unfinished / folder).mkdir()
-            create_store(unfinished / DATABASE_FILE, clock=clock).close()
-            write_config(unfinished, config)
-            unfinished.rename(path)
-            sync_folder(root)
-    except OSError as error:
-        # `rename` never replaces a folder with content: another process may have created the project meanwhile
-        raise ProjectError(taken if path.exists() else f"{path}: cannot be created: {error}") from error
-    return open_project(path, clock=clock)
+    with new_project(root, name) as place:
+        create_store(place / DATABASE_FILE, clock=clock).close()
+        write_config(place, config)
+    return open_project(root / name, clock=clock)
 
 
 def open_project(
     path: Path,
     *,
-    busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     readable: Sequence[Path] | None = None,
 ) -> Project:
@@ -261,27 +238,19 @@ def open_project(
     """
     read_config(path)
     require_own_files(path)
-    store = open_store(
-        path / DATABASE_FILE,
-        busy_timeout_s=busy_timeout_s,
-        clock=clock,
-        before_upgrade=lambda: back_up_before_upgrade(path),
-    )
-    try:
-        # a project on a read-only disk can be read without them
-        for folder in _FOLDERS if os.access(path, os.W_OK) else ():
-            (path / folder).mkdir(exist_ok=True)
-    except OSError as error:
-        store.close()
-        raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
+    store = open_store(path / DATABASE_FILE, clock=clock, before_upgrade=lambda: back_up_before_upgrade(path))
     project = Project(path, store, readable)
     try:
         project.models.all()  # refuses paths of other folders
-        if os.access(path, os.W_OK):
+        if os.access(path, os.W_OK):  # a project on a read-only disk can be read without this
+            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
+                (path / folder).mkdir(exist_ok=True)
             with store.read() as connection:
                 take_config(path, connection)
-    except BaseException:
+    except BaseException as error:
         project.close()
+        if isinstance(error, OSError):
+            raise ProjectError(f"{path}: a subfolder cannot be created: {error}") from error
         raise
     return project
 

@@ -17,7 +17,7 @@ from sqlalchemy import ColumnElement, Connection, ScalarSelect, bindparam, func,
 
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.audit.events import hide_removed
-from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, moves, recordings
+from annotator.project.database.schema import ALL_LABELS, AnyRow, adjustments, frames, recordings
 from annotator.project.database.store import Store
 from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
@@ -193,14 +193,9 @@ class Recordings:
         present = set(keys)
         return Rescan(new, tuple(key for key in known if key not in present))
 
-    def move(self, recording_id: int, path: Path, keys: Sequence[str], author: str) -> StoredRecording:
-        """Changes the path of one moved recording, as `move_together`."""
-        return self.move_together({recording_id: (path, keys)}, author)[0]
-
-    def move_together(
+    def move(
         self,
         moved: Mapping[int, tuple[Path, Sequence[str]]],
-        author: str,
         clouds: Mapping[int, Mapping[str, SharedCloud]] = MappingProxyType({}),
     ) -> tuple[StoredRecording, ...]:
         """Changes the paths of moved recordings, all or none; their frames, labels and boxes stay as they are.
@@ -214,45 +209,8 @@ class Recordings:
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
-                self._move(connection, recording_id, path.resolve(), keys, author, clouds.get(recording_id, NO_CLOUDS))
+                _move(connection, recording_id, path.resolve(), keys, clouds.get(recording_id, NO_CLOUDS))
             return tuple(_recording(connection, recording_id) for recording_id in moved)
-
-    def _move(
-        self,
-        connection: Connection,
-        recording_id: int,
-        path: Path,
-        keys: Sequence[str],
-        author: str,
-        clouds: Mapping[str, SharedCloud],
-    ) -> None:
-        _require_unique(path, keys)
-        before = _recording(connection, recording_id, removed=True)
-        taken = select(recordings.c.id, recordings.c.name, recordings.c.removed_ns).where(
-            recordings.c.path == str(path),
-            recordings.c.options == before.options,
-            recordings.c.id != recording_id,
-        )
-        other = connection.execute(taken).first()
-        if other is not None and other.removed_ns is None:
-            raise ProjectError(
-                f"{path} is in the project already, as recording {other.name}; to have the labels of {before.name} "
-                f"there, first run `annotator project remove PROJECT {shlex.quote(other.name)}`"
-            )
-        if other is not None:  # a removed one gives its place up; `project move` can still bring it back
-            same = recordings.c.id == other.id
-            connection.execute(update(recordings).where(same).values(path=f"{path}.removed-{other.id}"))
-        known = _positions(connection, recording_id)
-        # a removed one has no latest scan
-        needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
-        _require_same(before, path, needed, keys)
-        _update_frames(connection, recording_id, known, _indices(keys), clouds)
-        if path != before.path:
-            same = recordings.c.id == recording_id
-            connection.execute(update(recordings).where(same).values(path=str(path)))
-            row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
-            connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
-        _bring_back(connection, before)
 
     def remove(self, recording_id: int, author: str) -> None:
         """Takes a recording out of the project; its labels stay in the log, and come back with it."""
@@ -265,9 +223,7 @@ class Recordings:
 
     def removed(self) -> tuple[StoredRecording, ...]:
         """The recordings that were removed, in the order they were added."""
-        with self.store.read() as connection:
-            query = _query().where(recordings.c.removed_ns.is_not(None)).order_by(recordings.c.id)
-            return tuple(map(_stored, connection.execute(query)))
+        return self._those(recordings.c.removed_ns.is_not(None))
 
     def removed_by(self) -> dict[int, str | None]:
         """All recordings by id: who has removed it from the project; None = nobody."""
@@ -290,8 +246,7 @@ class Recordings:
 
     def all(self) -> tuple[StoredRecording, ...]:
         """All recordings, in the order they were added."""
-        with self.store.read() as connection:
-            return tuple(map(_stored, connection.execute(_query().where(_THERE).order_by(recordings.c.id))))
+        return self._those(_THERE)
 
     def get(self, recording_id: int, *, removed: bool = False) -> StoredRecording:
         """One recording; with `removed`, also one that was removed."""
@@ -308,9 +263,11 @@ class Recordings:
 
     def at(self, path: Path) -> tuple[StoredRecording, ...]:
         """The recordings of a path, which differ in their options, in the order of their addition."""
+        return self._those(_THERE, recordings.c.path == str(path))
+
+    def _those(self, *are: ColumnElement[bool]) -> tuple[StoredRecording, ...]:
         with self.store.read() as connection:
-            query = _query().where(recordings.c.path == str(path), _THERE).order_by(recordings.c.id)
-            return tuple(map(_stored, connection.execute(query)))
+            return tuple(map(_stored, connection.execute(_query().where(*are).order_by(recordings.c.id))))
 
     def find(self, name: str, *, removed: bool = False) -> StoredRecording:
         """The recording of that name; with `removed`, also one that was removed."""
@@ -349,6 +306,36 @@ ADJUSTED = (
     .outerjoin(adjustments)
     .where(recordings.c.id == bindparam("recording"))
 )
+
+
+def _move(
+    connection: Connection, recording_id: int, path: Path, keys: Sequence[str], clouds: Mapping[str, SharedCloud]
+) -> None:
+    _require_unique(path, keys)
+    before = _recording(connection, recording_id, removed=True)
+    taken = select(recordings.c.id, recordings.c.name, recordings.c.removed_ns).where(
+        recordings.c.path == str(path),
+        recordings.c.options == before.options,
+        recordings.c.id != recording_id,
+    )
+    other = connection.execute(taken).first()
+    if other is not None and other.removed_ns is None:
+        raise ProjectError(
+            f"{path} is in the project already, as recording {other.name}; to have the labels of {before.name} "
+            f"there, first run `annotator project remove PROJECT {shlex.quote(other.name)}`"
+        )
+    if other is not None:  # a removed one gives its place up; `project move` can still bring it back
+        same = recordings.c.id == other.id
+        connection.execute(update(recordings).where(same).values(path=f"{path}.removed-{other.id}"))
+    known = _positions(connection, recording_id)
+    # a removed one has no latest scan
+    needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
+    _require_same(before, path, needed, keys)
+    _update_frames(connection, recording_id, known, _indices(keys), clouds)
+    if path != before.path:
+        same = recordings.c.id == recording_id
+        connection.execute(update(recordings).where(same).values(path=str(path)))
+    _bring_back(connection, before)
 
 
 def _bring_back(connection: Connection, before: StoredRecording) -> None:

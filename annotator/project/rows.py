@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sqlite3
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
 from annotator.project.adjusting import moved_box, moved_geometry, moving
+from annotator.project.database.store import driver_of
 from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, SaidRecord, ViewGeometry, parsed
 from annotator.types import Box2D, OrientedBox
 from annotator.types.label import AttributeValue
@@ -37,13 +37,6 @@ def T_camera_cloud(place: Place) -> RigidTransform | None:
         return T
     T_recorded_cloud = parsed(lambda text: RigidTransform.from_matrix(json.loads(text)), pose).inv()
     return T_recorded_cloud if T is None else T * T_recorded_cloud
-
-
-def driver_of(connection: Connection) -> sqlite3.Connection:
-    """SQLite's own connection, which is several times as fast for small statements."""
-    driver = connection.connection.driver_connection
-    assert isinstance(driver, sqlite3.Connection)
-    return driver
 
 
 class Terms:

@@ -15,11 +15,11 @@ from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
 from annotator.project.config import read_config
-from annotator.project.database.store import Store
+from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
 from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
-from annotator.project.rows import Row, Terms, driver_of, said_in, said_with, values_json
+from annotator.project.rows import Row, Terms, said_in, said_with, values_json
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.label import AttributeValue
 

@@ -12,8 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.files import private_folder
-from annotator.project.backup.snapshot import remove_abandoned
+from annotator.files import private_folder, remove_abandoned
 from annotator.project.config import BACKUPS as BACKUPS
 from annotator.recordings import detect_format
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError
@@ -135,8 +134,8 @@ def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 # Younger files may be in use, although one is written in moments; folders have locks.
 OLD_S = 3600.0
 
-# As `files.write_atomic`, `project.create_project` and `keep_replaced` name them; SQLite may have files beside one.
-_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinished)")
+# As `files.write_atomic` and `project.create_project` name them.
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp|unfinished)")
 
 
 def clear_leftovers(projects_root: Path) -> None:

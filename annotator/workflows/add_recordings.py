@@ -146,7 +146,7 @@ def register_recording(
     return _add(project, recording, name, up, options).recording
 
 
-def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
+def move_recording(project: Project, recording_id: int, path: Path) -> StoredRecording:
     """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
 
     A removed recording comes back with its labels.
@@ -168,7 +168,7 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     broken = {number: still_broken(recording, left_out[number]) for number, recording in moved.items()}
     places = {number: (recording.path, recording.keys) for number, recording in moved.items()}
     clouds = {number: shared_clouds(recording) for number, recording in moved.items()}
-    first = project.recordings.move_together(places, author, clouds)[0]
+    first = project.recordings.move(places, clouds)[0]
     for number, keys in broken.items():
         if keys:
             project.recordings.rescan(number, moved[number].keys, left_out=keys)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,13 +123,11 @@ class Killer:
 
     Attributes:
         killed: how often the kill came before the end.
-        migration: statements of one more migration, which the commands have.
     """
 
     def __init__(self, mortal: Mortal, template: Path, folder: Path, times: int, chance: random.Random) -> None:
         self.mortal, self.template, self.folder, self.times, self.chance = mortal, template, folder, times, chance
         self.killed = 0
-        self.migration: Sequence[str] = ()
 
     def fresh(self) -> Path:
         """A new copy of the template."""
@@ -138,7 +136,7 @@ class Killer:
 
     def whole(self, *words: str | Path) -> End:
         """Runs a command to its end, which must succeed."""
-        end = self.mortal.run(*words, migration=self.migration)
+        end = self.mortal.run(*words)
         assert end.code == 0, end
         return end
 
@@ -156,7 +154,7 @@ class Killer:
         for number in range(self.times):
             self.fresh()
             moment = seconds * (number + self.chance.random()) / self.times
-            end = self.mortal.run(*words, kill_s=moment, migration=self.migration)
+            end = self.mortal.run(*words, kill_s=moment)
             assert end.code in (0, -9), end
             self.killed += end.was_killed
             yield end

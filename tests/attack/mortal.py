@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -56,23 +55,15 @@ class Mortal:
         )
         assert self._answer() == "ready"
 
-    def run(
-        self,
-        *words: str | Path,
-        kill_s: float | None = None,
-        file_limit: int | None = None,
-        migration: Sequence[str] = (),
-    ) -> End:
+    def run(self, *words: str | Path, kill_s: float | None = None, file_limit: int | None = None) -> End:
         """Runs a command line.
 
         Args:
             words: the command line without `annotator`.
-            migration: statements of one more migration, which the command has.
             kill_s: when to kill it, seconds after its start; None = never.
             file_limit: the largest file that it can write, bytes; None = any.
         """
-        order = {"words": [str(word) for word in words], "kill_s": kill_s, "log": str(self._log)}
-        order |= {"limit": file_limit, "migration": migration}
+        order = {"words": [str(word) for word in words], "kill_s": kill_s, "log": str(self._log), "limit": file_limit}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
@@ -127,7 +118,6 @@ def _load(recording: Path) -> None:
 
 def _be_command(order: dict[str, Any]) -> None:
     from annotator.cli.main import main as annotator
-    from annotator.project.database import migrations
 
     code = 1
     try:
@@ -138,9 +128,6 @@ def _be_command(order: dict[str, Any]) -> None:
             # writing beyond the limit then fails with an error, as on a full disk
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (order["limit"], order["limit"]))
-        if order["migration"]:
-            more = migrations.Migration(migrations.newest_version() + 1, tuple(order["migration"]))
-            migrations.MIGRATIONS = (*migrations.MIGRATIONS, more)
         log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         null = os.open(os.devnull, os.O_RDONLY)
         for target, file in ((0, null), (1, log), (2, log)):

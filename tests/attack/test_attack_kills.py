@@ -18,7 +18,6 @@ import pytest
 from attacks import Killer, Labels, content_of, labels_in, require_sound
 from filled import fill
 from live_server import PATIENCE_S, wait_until
-from store_samples import NEXT, NOW, use_next, version_of
 from test_server_process import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.cli.main import main
@@ -173,8 +172,7 @@ def damage(database: Path) -> None:
 
 COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
     "copy": (["project", "copy", "{folder}/long", "new"], None),
-    "repair": (["project", "repair", "long"], None),
-    "salvage": (["project", "repair", "long", "new"], damage),
+    "repair": (["project", "repair", "long", "new"], damage),
 }
 
 
@@ -189,33 +187,13 @@ def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path
     for _ in kills.kills(*words, "--projects", kills.folder):
         offered = {path.name for path in kills.folder.iterdir() if not path.name.startswith(".")}
         assert offered <= {"long", "new"}
-        # what is salvaged stays as it was
-        for each in offered - ({"long"} if name == "salvage" else set()):
+        # what is repaired stays as it was
+        for each in offered - ({"long"} if name == "repair" else set()):
             with open_project(kills.folder / each) as project:
                 assert project.statistics().labels.total == LABELS
             require_sound(kills.folder / each)
         for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
             assert read_manifest(backup).labels == LABELS
-
-
-def test_a_killed_upgrade_changes_all_or_nothing(
-    killer: Callable[[Path], Killer], long: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_next(monkeypatch)
-    kills = killer(long)
-    kills.migration = NEXT.statements
-    versions = set()
-    for end in kills.kills("stats", "long", "--projects", kills.folder):
-        version = version_of(kills.folder / "long" / "project.db")
-        versions.add(version)
-        assert version in (NOW, NEXT.version)
-        assert end.was_killed or version == NEXT.version
-        with open_project(kills.folder / "long") as project:
-            assert project.statistics().labels.total == LABELS
-        require_sound(kills.folder / "long")
-        for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
-            assert read_manifest(backup).labels == LABELS
-    assert len(versions) == 2, "no kill came before the end of the migration, or none after it"
 
 
 # --- `kill -9` of the server while operators save and a job writes a dataset ------------------------------------------

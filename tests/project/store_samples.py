@@ -252,8 +252,8 @@ def replace_folder(folder: Path, backup: Path) -> None:
 
 
 def replace_database(folder: Path, backup: Path) -> None:
-    """The database alone, next to what SQLite has beside the old one."""
-    (folder / "project.db").unlink()
+    for left in folder.glob("project.db*"):
+        left.unlink()
     with (
         closing(sqlite3.connect(backup / "project.db")) as source,
         closing(sqlite3.connect(folder / "new.db")) as target,
@@ -265,8 +265,9 @@ def replace_database(folder: Path, backup: Path) -> None:
 # --- an example of a migration: the database of the next release ------------------------------------------------------
 
 NOW = newest_version()
-NEXT = Migration(
-    NOW + 1, ("ALTER TABLE runs ADD COLUMN note TEXT", "CREATE INDEX labels_by_author ON labels (author, time_ns)")
+NEXT: Migration = (
+    "ALTER TABLE runs ADD COLUMN note TEXT",
+    "CREATE INDEX labels_by_author ON labels (author, time_ns)",
 )
 
 

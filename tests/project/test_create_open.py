@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from functools import partial, partialmethod
 from pathlib import Path
 
 import pytest
-from store_samples import box_at, by_hand
+from store_samples import NOW, box_at, by_hand, state_of, use_next, version_of
 from time_limit import time_limit
 
 from annotator.files import lock_folder, read_file
@@ -27,8 +28,11 @@ from annotator.project import (
     list_projects,
     open_project,
 )
+from annotator.project.backup.repair import repair
+from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.config import not_in_use, read_config, rename_project
+from annotator.project.database.store import open_store, waiting_at_most
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, InUseError, ProjectError
 
@@ -162,21 +166,6 @@ def test_opening_a_damaged_project_raises_a_clear_error(
         open_project(tmp_path / "hands")
 
 
-def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: int) -> None:
-    project.labels.create(frame, [NewLabel("hand", box_at()) for _ in range(20)], by_hand())
-    project.close()
-    path = project.path / "project.db"
-    content = bytearray(path.read_bytes())
-    for page in range(1, len(content) // 4096):
-        content[page * 4096 : page * 4096 + 64] = b"\xff" * 64
-    path.write_bytes(bytes(content))
-    with (
-        pytest.raises(ProjectError, match=r"project\.db: is damaged; restore it"),
-        open_project(project.path) as broken,
-    ):
-        broken.labels.of_frame(frame)
-
-
 @pytest.mark.parametrize("name", ["project.json", "project.db", "project.db-journal"])
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
 def test_a_pipe_or_device_in_place_of_a_file_is_an_error(project: Project, name: str, make: Callable[[Path], object]):
@@ -193,7 +182,8 @@ def test_a_lock_that_outlasts_the_timeout_is_reported(project: Project, frame: i
     other.execute("BEGIN IMMEDIATE")
     try:
         with (
-            open_project(project.path, busy_timeout_s=0.1) as waiting,
+            open_project(project.path) as waiting,
+            waiting_at_most(0.1),
             pytest.raises(ProjectError, match="locked by another process"),
         ):
             waiting.frames.finalise(frame, by_hand())
@@ -362,3 +352,78 @@ def test_a_model_knows_renames_since_its_labels_were_read(cars: Path) -> None:
             created_ns=read_ns,
         )
         assert own_model(project, stored).names == (("car", "lorry"),)
+
+
+# --- older databases are upgraded completely or not at all; newer ones are refused ------------------------------------
+
+
+def test_an_upgraded_database_keeps_its_content_and_has_the_tables_of_a_new_one(
+    full: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_project(full) as project:
+        before = state_of(project)
+    use_next(monkeypatch)
+    with open_project(full) as project:
+        assert state_of(project) == before
+        project.log.rebuild()
+        assert state_of(project) == before
+        assert project.problems() == []
+    assert version_of(full / "project.db") == NOW + 1
+    assert verify(full, deep=True).problems == ()
+    create_project(full.parent, "new", ["hand"]).close()
+    schemas = []
+    for folder in (full, full.parent / "new"):
+        with closing(sqlite3.connect(folder / "project.db")) as connection:
+            schemas.append(connection.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall())
+    assert schemas[0] == schemas[1]
+
+
+def test_a_newer_database_is_refused_and_not_changed(full: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        use_next(patch)
+        open_project(full).close()
+    with pytest.raises(
+        ProjectError, match=rf"newer annotator \(database version {NOW + 1}, this one supports up to {NOW}\)"
+    ):
+        open_project(full)
+    assert version_of(full / "project.db") == NOW + 1
+
+
+def test_a_project_from_before_the_first_release_is_refused_with_the_way_out(full: Path) -> None:
+    database = full / "project.db"
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute(f"PRAGMA application_id = {int.from_bytes(b'Anno')}")
+        connection.execute("PRAGMA user_version = 19")
+    before = database.read_bytes()
+    refusal = "from before the first release of annotator.* export its labels with the version that made it"
+    for refused in (open_project, repair):
+        with pytest.raises(ProjectError, match=refusal):
+            refused(full)
+    assert [path.name for path in full.parent.iterdir()] == ["hands"]
+    (problem,) = verify(full).problems
+    assert "before the first release" in problem
+    assert database.read_bytes() == before
+
+
+def test_an_upgrade_that_is_killed_afterwards_leaves_a_database_that_opens(
+    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_next(monkeypatch)
+    left = tmp_path / "left"
+    store = open_store(full / "project.db")
+    shutil.copytree(full, left)  # as after a kill: with the `-wal`
+    store.close()
+    assert (left / "project.db-wal").stat().st_size > 0
+    open_store(left / "project.db").close()
+
+
+def test_a_migration_that_fails_leaves_the_database_as_it_was(full: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        use_next(patch, ("CREATE TABLE half (a)", "CREATE TABLE frames (a)"))
+        with pytest.raises(ProjectError, match=r"its tables are not those of its version; .* already exists"):
+            open_store(full / "project.db")
+    assert version_of(full / "project.db") == NOW
+    with open_project(full) as project, project.store.read() as connection:
+        names = connection.exec_driver_sql("SELECT name FROM sqlite_master").scalars().all()
+        assert "half" not in names
+        project.frames.finalise(2, by_hand(project.frames.get(2).revision))

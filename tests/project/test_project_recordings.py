@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import select
 from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, sorted_state, state_of
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
@@ -19,7 +16,6 @@ from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.database.schema import moves
 from annotator.project.overview import list_frames, read_page
 from annotator.types import BoxKind, Correction
 from annotator.types.errors import NotFoundError, ProjectError
@@ -29,10 +25,8 @@ def _keys(project: Project) -> list[tuple[str, int | None]]:
     return [(frame.key, frame.index) for frame in project.frames.of()]
 
 
-def _moves(project: Project) -> list[tuple[str, str, str]]:
-    with project.store.read() as connection:
-        rows = connection.execute(select(moves).order_by(moves.c.id)).all()
-    return [(Path(row.path_before).name, Path(row.path_after).name, row.author) for row in rows]
+def moved_to(project: Project, recording: StoredRecording, path: Path, keys: list[str]) -> StoredRecording:
+    return project.recordings.move({recording.id: (path, keys)})[0]
 
 
 def test_a_recording_is_registered_with_its_frames(project: Project, tmp_path: Path) -> None:
@@ -107,33 +101,32 @@ def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: 
     (uid,) = project.labels.create(project.frames.of()[1].id, [NewLabel("hand", box_at())], by_hand()).uids
     before = (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist())
     there, keys = recording.path.parent / "x" / ".." / "there", [str(n) for n in range(5)]
-    moved = project.recordings.move(recording.id, there, keys, "ann")
+    moved = moved_to(project, recording, there, keys)
     assert moved == replace(recording, path=recording.path.parent / "there")
     assert (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist()) == before
-    back = project.recordings.move(recording.id, recording.path, keys, "bob")
-    assert project.recordings.move(recording.id, recording.path, keys, "bob") == back == recording
-    assert _moves(project) == [("take", "there", "ann"), ("there", "take", "bob")]
+    back = moved_to(project, recording, recording.path, keys)
+    assert moved_to(project, recording, recording.path, keys) == back == recording
     project.log.rebuild()
     assert project.recordings.get(recording.id) == recording
     other = project.recordings.add(recording.path.parent / "other", "rgbd", "other", keys, True)
     with pytest.raises(ProjectError, match="is in the project already, as recording other"):
-        project.recordings.move(recording.id, other.path, keys, "ann")
+        moved_to(project, recording, other.path, keys)
 
 
 def test_recordings_are_moved_together_or_not_at_all(project: Project, recording: StoredRecording) -> None:
     other = project.recordings.add(recording.path, "rgbd", "other", ["0", "1"], True, options='{"camera":"left"}')
     there, keys = recording.path.parent / "there", [str(n) for n in range(5)]
     with pytest.raises(ProjectError, match="there is not other: it lacks frame 1"):
-        project.recordings.move_together({recording.id: (there, keys), other.id: (there, ["0"])}, "ann")
-    assert {each.path for each in project.recordings.all()} == {recording.path} and _moves(project) == []
-    moved = project.recordings.move_together({recording.id: (there, keys), other.id: (there, ["0", "1"])}, "ann")
+        project.recordings.move({recording.id: (there, keys), other.id: (there, ["0"])})
+    assert {each.path for each in project.recordings.all()} == {recording.path}
+    moved = project.recordings.move({recording.id: (there, keys), other.id: (there, ["0", "1"])})
     assert [each.path for each in moved] == [there, there]
 
 
 def test_a_moved_recording_may_have_more_frames(project: Project, recording: StoredRecording) -> None:
     before = project.frames.of()
     keys = ["early", *[str(n) for n in range(5)], "late"]
-    moved = project.recordings.move(recording.id, recording.path / "there", keys, "ann")
+    moved = moved_to(project, recording, recording.path / "there", keys)
     assert moved.frames == 7 and [key for key, _ in _keys(project)] == keys
     assert [project.frames.find(recording.id, frame.key).id for frame in before] == [frame.id for frame in before]
 
@@ -153,18 +146,8 @@ def test_a_move_to_another_recording_is_refused(
 ) -> None:
     before = project.frames.of()
     with pytest.raises(ProjectError, match=re.escape(problem)):
-        project.recordings.move(recording.id, recording.path / "there", keys, "ann")
+        moved_to(project, recording, recording.path / "there", keys)
     assert (project.recordings.get(recording.id), project.frames.of()) == (recording, before)
-    assert _moves(project) == []
-
-
-@pytest.mark.parametrize("statement", ["UPDATE moves SET author = 'eve'", "DELETE FROM moves"])
-def test_moves_are_append_only(project: Project, recording: StoredRecording, statement: str) -> None:
-    project.recordings.move(recording.id, recording.path / "there", [str(n) for n in range(5)], "ann")
-    with closing(sqlite3.connect(project.path / "project.db")) as connection:
-        with pytest.raises(sqlite3.IntegrityError, match="append-only"):
-            connection.execute(statement)
-        connection.rollback()
 
 
 # --- recordings that are removed, and come back with their labels -----------------------------------------------------
@@ -294,9 +277,9 @@ def test_a_removed_recording_that_has_moved_comes_back_at_its_new_place(
     before = sorted_state(project)
     project.recordings.remove(recording.id, "ann")
     with pytest.raises(ProjectError, match="it lacks frames 0, 1"):
-        project.recordings.move(recording.id, tmp_path / "new", KEYS[2:], "ann")
+        moved_to(project, recording, tmp_path / "new", KEYS[2:])
     assert project.recordings.all() == (other,)
-    assert project.recordings.move(recording.id, tmp_path / "new", KEYS, "ann").path == tmp_path / "new"
+    assert moved_to(project, recording, tmp_path / "new", KEYS).path == tmp_path / "new"
     assert sorted_state(project) == before
 
 
@@ -304,10 +287,10 @@ def test_a_removed_recording_gives_up_its_place_to_one_that_moves_there(
     project: Project, recording: StoredRecording, other: StoredRecording
 ) -> None:
     with pytest.raises(ProjectError, match="first run `annotator project remove PROJECT take`"):
-        project.recordings.move(other.id, recording.path, ["a", "b"], "ann")
+        moved_to(project, other, recording.path, ["a", "b"])
     project.recordings.remove(recording.id, "ann")
-    assert project.recordings.move(other.id, recording.path, ["a", "b"], "ann").path == recording.path
-    assert project.recordings.move(recording.id, other.path, KEYS, "ann").path == other.path
+    assert moved_to(project, other, recording.path, ["a", "b"]).path == recording.path
+    assert moved_to(project, recording, other.path, KEYS).path == other.path
 
 
 def test_a_project_that_is_saved_from_its_events_has_no_removed_labels(

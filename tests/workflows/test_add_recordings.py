@@ -111,13 +111,13 @@ def test_a_moved_recording_can_be_given_its_new_path(
     with pytest.raises(RecordingError, match=rf"annotator project move {project.path.name} people PATH"):
         FrameSource(project).read(frame)
     with pytest.raises(RecordingError, match="no known recording format"):
-        move_recording(project, recording.id, there.parent, "ann")
-    moved = move_recording(project, recording.id, there, "ann")
+        move_recording(project, recording.id, there.parent)
+    moved = move_recording(project, recording.id, there)
     assert (moved.path, moved.name, moved.frames) == (there, "people", 5)
     np.testing.assert_array_equal(FrameSource(project).read(frame).rgb, before.rgb)
     remove_frame(there, "000002")
     with pytest.raises(ProjectError, match="it lacks frame 000002"):
-        move_recording(project, recording.id, there, "ann")
+        move_recording(project, recording.id, there)
 
 
 def test_a_recording_of_another_format_is_not_accepted_as_the_moved_one(people: Project, tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_a_recording_of_another_format_is_not_accepted_as_the_moved_one(people: 
         (kitti / name).mkdir(parents=True)
     (kitti / "image_2" / "000000.png").touch()
     with pytest.raises(RecordingError, match="of the format kitti_object, but people is of the format rgbd_folder"):
-        move_recording(people, recording.id, kitti, "ann")
+        move_recording(people, recording.id, kitti)
 
 
 # --- labels of recordings --------------------------------------------------------------------------------------------
@@ -337,7 +337,7 @@ def test_a_new_recording_without_its_broken_frames(
     # a moved folder keeps what was left out, as far as it is still broken
     moved = Path(shutil.move(damaged, tmp_path / "moved"))
     mend(moved, generated, "color/000004.jpg")
-    move_recording(project, added.recording.id, moved, "ada")
+    move_recording(project, added.recording.id, moved)
     assert present(project) == {"000000": 0, "000002": 2, "000004": 4}
     # a recording that was removed comes back whole
     project.recordings.remove(added.recording.id, "ada")

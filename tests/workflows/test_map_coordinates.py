@@ -111,7 +111,7 @@ def test_a_moved_recording_in_map_coordinates_is_recognised(cars: Callable[[], P
     np.save(new / "+first.npy", XYZ + UTM_M + [50, 0, 0])
     with pytest.raises(MovedError, match="is the recording drive"):
         add_recordings(project, [new])
-    assert move_recording(project, added.recording.id, new, "me").options == added.recording.options
+    assert move_recording(project, added.recording.id, new).options == added.recording.options
 
 
 def test_a_recording_with_a_camera_is_not_one_that_has_moved_and_had_none(cars: Callable[[], Project], tmp_path: Path):

@@ -268,12 +268,12 @@ def test_frames_of_a_moved_recording_are_read_at_their_new_place(
     drawn: Project, own_copy: Callable[[str], Path]
 ) -> None:
     caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
-    move_recording(drawn, recording, here, "Ann")
+    move_recording(drawn, recording, here)
     first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
     offers = caches.whole_boxes(drawn)
     assert offers._objects(first)
     there = here.rename(here.with_name("there"))
-    move_recording(drawn, recording, there, "Ann")
+    move_recording(drawn, recording, there)
     caches.frames.forget(drawn)  # as the server does
     assert offers._objects(second)
     caches.close()

@@ -15,8 +15,9 @@ from sqlalchemy import ColumnElement, Connection, Select, case, select
 from sqlalchemy.exc import IntegrityError
 
 from annotator.project.database.schema import AUDITED, NOT_AUDITED, AnyRow, columns_of, events, frames, packed
+from annotator.project.database.store import driver_of
 from annotator.project.records import parsed
-from annotator.project.rows import Row, driver_of
+from annotator.project.rows import Row
 from annotator.types import Source
 from annotator.types.errors import ProjectError
 

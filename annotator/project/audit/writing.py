@@ -25,8 +25,8 @@ from annotator.project.audit.events import (
 from annotator.project.classes.values import is_kept
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import columns_of, packed
-from annotator.project.database.store import Store
-from annotator.project.rows import Row, Terms, driver_of
+from annotator.project.database.store import Store, driver_of
+from annotator.project.rows import Row, Terms
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError, TrackTakenError
 from annotator.types.messages import alternatives

@@ -1,32 +1,31 @@
-"""Backup files: a zip of a project's files, with a manifest of their sizes and SHA-256 hashes as its last entry."""
+"""Backup files: a zip of a project's files, with a manifest as its last entry."""
 
 from __future__ import annotations
 
-import hashlib
-import os
 import re
 import shutil
 import sqlite3
 import stat
 import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.files import ARCHIVE_ERRORS, CHUNK_BYTES, link_out, open_file
 from annotator.project.config import CONFIG_FILE
-from annotator.project.database.store import DATABASE_FILE
+from annotator.project.database.store import DATABASE_FILE, explained
 from annotator.types.errors import FormatError, ProjectError
+from annotator.types.messages import amount, first_problem
 
 # --- the files of a project -------------------------------------------------------------------------------------------
 
 MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
-VIEW_FILE = re.compile(r"([0-9a-f]{64})\.png")
+_VIEW = re.compile(r"[0-9a-f]{64}\.png")
 # Files of a trained detector: weights, records, and pictures in subfolders; no hidden ones.
 _PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 # A training set, which the next training replaces, and networks converted for this machine.
@@ -48,7 +47,7 @@ def is_content(name: str) -> bool:
         return True
     parts = name.split("/")
     if parts[0] == VIEWS_FOLDER:
-        return len(parts) == 2 and VIEW_FILE.fullmatch(parts[1]) is not None
+        return len(parts) == 2 and _VIEW.fullmatch(parts[1]) is not None
     if parts[0] != MODELS_FOLDER or not 2 <= len(parts) <= _MOST_PARTS:
         return False
     return all(_PART.fullmatch(part) and not _REMADE.fullmatch(part) for part in parts)
@@ -56,67 +55,51 @@ def is_content(name: str) -> bool:
 
 @dataclass(frozen=True)
 class StoredFiles:
-    """Files that a database refers to, relative to the project's folder, with slashes.
+    """Files that a database refers to.
 
     Attributes:
-        views: images of pseudo-views.
-        models: by id, the weights, and the manifest where it has one.
-        outside: paths of model files that are not in the project's folder.
-        hashes: SHA-256 of weights, by their path.
+        names: images of pseudo-views, weights and manifests of detectors, relative to the project's folder.
+        outside: paths that are not those of a project's files.
+        hashes: SHA-256 of images and weights, by their names.
     """
 
-    views: tuple[str, ...]
-    models: dict[int, tuple[str, ...]]
+    names: tuple[str, ...]
     outside: tuple[str, ...]
     hashes: dict[str, str]
-
-    def not_in(self, found: Collection[str]) -> tuple[str, ...]:
-        """Those files of the project that are not among the found ones."""
-        named = [*self.views, *(name for names in self.models.values() for name in names)]
-        return tuple(name for name in dict.fromkeys(named) if name not in found)
 
 
 def stored_files(connection: sqlite3.Connection) -> StoredFiles:
     """The files that a database refers to."""
     # changes of the classes have an id of no view
     of_views = "SELECT DISTINCT view_id FROM events WHERE view_id IS NOT NULL AND view_id <> 'classes' ORDER BY view_id"
-    ids = connection.execute(of_views)
-    views = tuple(f"{VIEWS_FOLDER}/{row[0]}.png" for row in ids)
-    models: dict[int, tuple[str, ...]] = {}
-    outside = []
-    hashes: dict[str, str] = {}
-    for model_id, sha256, path, manifest in connection.execute(
-        "SELECT id, sha256, path, manifest FROM models ORDER BY id"
-    ):
-        names = [str(name) for name in (path, manifest) if name is not None]
-        models[model_id] = tuple(filter(is_content, names))
-        outside += [name for name in names if not is_content(name)]
+    hashes = {f"{VIEWS_FOLDER}/{row[0]}.png": str(row[0]) for row in connection.execute(of_views)}
+    names = list(hashes)
+    for sha256, *paths in connection.execute("SELECT sha256, path, manifest FROM models ORDER BY id"):
+        names += [str(path) for path in paths if path is not None]
         # a training may have replaced the weights of an earlier one: the newest row counts
-        hashes[str(path)] = str(sha256)
-    return StoredFiles(views, models, tuple(outside), hashes)
+        hashes[str(paths[0])] = str(sha256)
+    outside = tuple(name for name in names if not is_content(name))
+    return StoredFiles(tuple(name for name in dict.fromkeys(names) if is_content(name)), outside, hashes)
 
 
 def keep_models(database: Path, choice: ModelChoice) -> None:
     """Removes the other detectors from a copy of a database."""
     if choice is ModelChoice.ALL:
         return
-    with closing(sqlite3.connect(database, isolation_level=None)) as connection:
+    with explained(database), closing(sqlite3.connect(database, isolation_level=None)) as connection:
         connection.execute("DELETE FROM models" + (" WHERE active = 0" if choice is ModelChoice.ACTIVE else ""))
 
 
-def folder_files(folder: Path, stored: StoredFiles) -> Iterator[str]:
-    """Yields the paths of all files of the project that exist: settings, views, and the folders of its models.
+def folder_files(folder: Path, stored: StoredFiles) -> list[str]:
+    """The paths of all files of the project that exist: settings, views, and the folders of its models.
 
     Links, devices and files that do not belong to a project are left out.
     """
-    yield CONFIG_FILE
-    yield from (name for name in stored.views if is_content(name) and is_regular(folder, name))
-    named = {name for names in stored.models.values() for name in names}
-    found = {name for name in named if is_regular(folder, name)}
+    found = {name for name in stored.names if is_regular(folder, name)}
     # a training's folder is models/ROLE/RUN
-    for run in {str(PurePosixPath(name).parent) for name in named if name.count("/") >= 3}:
+    for run in {str(PurePosixPath(name).parent) for name in stored.names if name.count("/") >= 3}:
         found.update(_files_in(folder, run))
-    yield from sorted(found)
+    return [CONFIG_FILE, *sorted(found)]
 
 
 def require_own_files(project: Path) -> None:
@@ -157,24 +140,14 @@ def _files_in(folder: Path, run: str) -> Iterator[str]:
             yield name
 
 
+# --- the zip file -----------------------------------------------------------------------------------------------------
+
 MANIFEST = "manifest.json"
 VERSION = 1
-MOST_FILES = 2_000_000
-_MANIFEST_BYTES = 2**29
-_HASH = r"^[0-9a-f]{64}$"
+_MANIFEST_BYTES = 2**20
 
 Progress = Callable[[int, int], None]
 """Called with (files done, files)."""
-
-
-class BackupFile(BaseModel):
-    """A file in a backup: its path in the project's folder, its size, and its SHA-256 hash (hex)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    path: str
-    bytes: int = Field(ge=0)
-    sha256: str = Field(pattern=_HASH)
 
 
 class BackupManifest(BaseModel):
@@ -189,10 +162,10 @@ class BackupManifest(BaseModel):
         last_event: id of the newest event; 0 = none.
         events, labels: numbers of rows.
         models: the detectors in it.
-        files: all files but this one.
+        count: number of files, without this one.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True)
 
     format: Literal["annotator-backup"] = "annotator-backup"
     version: int = Field(VERSION, ge=1)
@@ -204,35 +177,32 @@ class BackupManifest(BaseModel):
     events: int = Field(ge=0)
     labels: int = Field(ge=0)
     models: ModelChoice
-    files: Annotated[tuple[BackupFile, ...], Field(max_length=MOST_FILES)]
-
-    @property
-    def bytes(self) -> int:
-        """Size of all files, unpacked."""
-        return sum(file.bytes for file in self.files)
+    count: int = Field(ge=0)
 
 
-def add_file(archive: zipfile.ZipFile, name: str, path: Path, *, packed: bool = False) -> BackupFile:
+def add_file(archive: zipfile.ZipFile, name: str, path: Path, *, packed: bool = False) -> None:
     """Adds a file to an archive that is being written."""
-    info = zipfile.ZipInfo(name)
-    info.compress_type = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+    info = _entry(name, packed)
     info._compresslevel = 1  # type: ignore[attr-defined] # `ZipFile.open` has no argument for it
-    info.external_attr = (stat.S_IFREG | 0o600) << 16
     with open_file(path) as source, archive.open(info, "w", force_zip64=True) as target:
-        size, sha256 = _copy(source.read, target.write)
-    return BackupFile(path=name, bytes=size, sha256=sha256)
+        shutil.copyfileobj(source, target, CHUNK_BYTES)
 
 
 def add_manifest(archive: zipfile.ZipFile, manifest: BackupManifest) -> None:
     """Adds the manifest, which completes the archive."""
-    info = zipfile.ZipInfo(MANIFEST)
-    info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, (stat.S_IFREG | 0o600) << 16
-    archive.writestr(info, manifest.model_dump_json(indent=1))
+    archive.writestr(_entry(MANIFEST, True), manifest.model_dump_json(indent=1))
+
+
+def _entry(name: str, packed: bool) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name)
+    info.compress_type = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+    info.external_attr = (stat.S_IFREG | 0o600) << 16
+    return info
 
 
 @contextmanager
 def open_backup(path: Path) -> Iterator[tuple[zipfile.ZipFile, BackupManifest]]:
-    """Opens a backup and checks the names, kinds and sizes of all entries."""
+    """Opens a backup and checks the names and kinds of all entries."""
     if not path.is_file():
         if path.is_dir():
             raise FormatError(path, "is a folder; `annotator project copy` takes in a project's folder")
@@ -252,40 +222,18 @@ def read_manifest(path: Path) -> BackupManifest:
         return manifest
 
 
-def unpack(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest, folder: Path, progress: Progress) -> None:
-    """Unpacks a backup into an empty folder; each file's size and hash must be right."""
-    free = shutil.disk_usage(folder).free
-    if manifest.bytes > free:
-        raise FormatError(path, f"needs {manifest.bytes >> 20} MiB, but {folder.parent} has {free >> 20} MiB left")
-    for number, file in enumerate(manifest.files, 1):
-        target = folder / file.path
+def unpack(path: Path, archive: zipfile.ZipFile, folder: Path, progress: Progress) -> None:
+    """Unpacks a backup into an empty folder; each file's checksum must be right."""
+    infos = [info for info in archive.infolist() if info.filename != MANIFEST]
+    needed, free = sum(info.file_size for info in infos), shutil.disk_usage(folder).free
+    if needed > free:
+        raise FormatError(path, f"needs {needed >> 20} MiB, but {folder.parent} has {free >> 20} MiB left")
+    for number, info in enumerate(infos, 1):
+        target = folder / info.filename
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _reported(path), archive.open(file.path) as source, target.open("xb") as out:
-            size, sha256 = _copy(source.read, out.write, file.bytes)
-        if (size, sha256) != (file.bytes, file.sha256):
-            raise FormatError(path, f"{file.path} is damaged: its size or hash differs from the manifest")
-        progress(number, len(manifest.files))
-
-
-def sync_files(folder: Path) -> None:
-    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
-    if hasattr(os, "sync"):
-        os.sync()
-        return
-    for path in folder.rglob("*"):
-        if path.is_file():
-            with path.open("rb+") as file:
-                os.fsync(file.fileno())
-
-
-def _copy(read: Callable[[int], bytes], write: Callable[[bytes], object], limit: int | None = None) -> tuple[int, str]:
-    """Copies at most a little more than `limit` bytes; returns their number and hash."""
-    size, digest = 0, hashlib.sha256()
-    while (limit is None or size <= limit) and (chunk := read(CHUNK_BYTES)):
-        write(chunk)
-        digest.update(chunk)
-        size += len(chunk)
-    return size, digest.hexdigest()
+        with _reported(path), archive.open(info) as source, target.open("xb") as out:
+            shutil.copyfileobj(source, out, CHUNK_BYTES)
+        progress(number, len(infos))
 
 
 def _read_manifest(path: Path, archive: zipfile.ZipFile) -> BackupManifest:
@@ -293,41 +241,30 @@ def _read_manifest(path: Path, archive: zipfile.ZipFile) -> BackupManifest:
     if not infos or infos[0].file_size > _MANIFEST_BYTES:
         raise FormatError(path, f"is not a backup of a project: it has no {MANIFEST}")
     with archive.open(infos[0]) as file:
-        content = file.read(_MANIFEST_BYTES)
+        content = file.read()
     try:
-        version = _Version.model_validate_json(content).version
-        if version > VERSION:
-            raise FormatError(path, f"has backup version {version}; this annotator reads up to {VERSION}; update it")
-        return BackupManifest.model_validate_json(content)
+        manifest = BackupManifest.model_validate_json(content)
     except ValidationError as error:
-        detail = error.errors()[0]
-        raise FormatError(path, f"{MANIFEST} is not that of a backup: {detail['loc']}: {detail['msg']}") from error
-
-
-class _Version(BaseModel):
-    version: int
+        raise FormatError(path, f"{MANIFEST} is not that of a backup: {first_problem(error)}") from error
+    if manifest.version > VERSION:
+        raise FormatError(path, f"has version {manifest.version}; this annotator reads up to {VERSION}; update it")
+    return manifest
 
 
 def _check_entries(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest) -> None:
-    """Refuses every entry that is not one of the manifest's regular files of its size."""
-    sizes = {file.path: file.bytes for file in manifest.files}
-    infos = {info.filename: info for info in archive.infolist()}
-    if len(infos) != len(archive.infolist()) or len(sizes) != len(manifest.files):
+    """Refuses every entry that is not a regular file of a project."""
+    infos = {info.filename: info for info in archive.infolist() if info.filename != MANIFEST}
+    if len(infos) + 1 != len(archive.infolist()):
         raise FormatError(path, "contains a file twice")
-    for name in sizes:
+    for name, info in infos.items():
         if not is_content(name):
             raise FormatError(path, f"contains {name[:80]!r}, which is no file of a project")
-    if missing := sorted({CONFIG_FILE, DATABASE_FILE} - sizes.keys()):
+        if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
+            raise FormatError(path, f"contains {name[:80]!r}, which is a link or a device")
+    if missing := sorted({CONFIG_FILE, DATABASE_FILE} - infos.keys()):
         raise FormatError(path, f"contains no {missing[0]}")
-    for name, info in infos.items():
-        if name != MANIFEST and name not in sizes:
-            raise FormatError(path, f"contains {name[:80]!r}, which its manifest does not list")
-        if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG) or info.is_dir():
-            raise FormatError(path, f"contains {name[:80]!r}, which is a link, a device or a folder")
-        if name != MANIFEST and info.file_size != sizes[name]:
-            raise FormatError(path, f"{name[:80]!r} has another size than its manifest says")
-    if lacking := sorted(sizes.keys() - infos.keys()):
-        raise FormatError(path, f"lacks {lacking[0]!r}, which its manifest lists")
+    if len(infos) != manifest.count:
+        raise FormatError(path, f"contains {amount(len(infos), 'file')}, but should have {manifest.count}")
 
 
 @contextmanager

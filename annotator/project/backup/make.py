@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import sqlite3
 import time
 import zipfile
-from contextlib import closing
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -17,23 +16,21 @@ from pathlib import Path
 from sqlalchemy import func, select
 
 from annotator import __version__
-from annotator.files import sync_folder
+from annotator.files import sync_folder, unfinished_folder
 from annotator.project.backup.archive import (
     BackupManifest,
     ModelChoice,
     Progress,
     add_file,
     add_manifest,
-    folder_files,
     keep_models,
     read_manifest,
-    stored_files,
 )
-from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
+from annotator.project.backup.snapshot import copied_files, reading, write_snapshot
 from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read_config
 from annotator.project.database.schema import events
-from annotator.project.database.store import DATABASE_FILE, Clock, Store, explained
-from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
+from annotator.project.database.store import DATABASE_FILE, Store, explained
+from annotator.types.errors import AnnotatorError, ProjectError
 from annotator.types.messages import first_few
 
 # What a backup leaves free on the disk, bytes.
@@ -54,7 +51,6 @@ def back_up(
     out: Path,
     models: ModelChoice = ModelChoice.ALL,
     *,
-    clock: Clock = time.time_ns,
     progress: Progress = lambda done, total: None,
 ) -> Backup:
     """Writes the state of one moment of the project in the folder `project` to the new file `out`.
@@ -80,14 +76,9 @@ def back_up(
                 # the copy of the database, and the same in the archive
                 _require_space(place, 2 * (project / DATABASE_FILE).stat().st_size)
             write_snapshot(project / DATABASE_FILE, database)
-            if problems := database_problems(database):
-                raise ProjectError(
-                    f"{project / DATABASE_FILE}: {problems[0]}; a damaged project is not backed up; {RESTORE}, "
-                    "or repair it with `annotator project repair`"
-                )
-            with explained(database):
-                keep_models(database, models)
-            manifest, missing = _write(project, database, part, models, clock(), progress)
+            keep_models(database, models)
+            names, missing = copied_files(project, database)
+            manifest = _write(project, database, part, names, models, progress)
             if out.exists():
                 raise ProjectError(f"{out} exists already; choose another file")
             part.replace(out)
@@ -98,36 +89,42 @@ def back_up(
 
 
 def _write(
-    project: Path, database: Path, part: Path, models: ModelChoice, created_ns: int, progress: Progress
-) -> tuple[BackupManifest, tuple[str, ...]]:
-    with explained(database), reading(database) as connection:
-        stored = stored_files(connection)
-        version, events, last, labels = _counts(connection)
-    names = list(folder_files(project, stored))
-    files = []
+    project: Path,
+    database: Path,
+    part: Path,
+    names: Sequence[str],
+    models: ModelChoice,
+    progress: Progress,
+) -> BackupManifest:
     _require_space(part.parent, database.stat().st_size + sum((project / name).stat().st_size for name in names))
+    with explained(database), reading(database) as connection:
+        counts = (
+            "SELECT user_version, (SELECT count(*) FROM events), (SELECT coalesce(max(id), 0) FROM events), "
+            "(SELECT count(*) FROM labels WHERE behind IS NULL) FROM pragma_user_version"
+        )
+        version, events, last, labels = connection.execute(counts).fetchone()
+    manifest = BackupManifest(
+        project=project.resolve().name,
+        annotator=__version__,
+        created_ns=time.time_ns(),
+        database_version=version,
+        last_event=last,
+        events=events,
+        labels=labels,
+        models=models,
+        count=1 + len(names),
+    )
     part.touch(mode=0o600, exist_ok=False)  # the database in it is for its owner only
     with part.open("wb") as target:
         with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
-            files.append(add_file(archive, DATABASE_FILE, database, packed=True))
+            add_file(archive, DATABASE_FILE, database, packed=True)
             for number, name in enumerate(names, 1):
-                files.append(add_file(archive, name, project / name, packed=name == CONFIG_FILE))
+                add_file(archive, name, project / name, packed=name == CONFIG_FILE)
                 progress(number, len(names))
-            manifest = BackupManifest(
-                project=project.resolve().name,
-                annotator=__version__,
-                created_ns=created_ns,
-                database_version=version,
-                last_event=last,
-                events=events,
-                labels=labels,
-                models=models,
-                files=tuple(files),
-            )
             add_manifest(archive, manifest)
         target.flush()
         os.fsync(target.fileno())
-    return manifest, stored.not_in(set(names))
+    return manifest
 
 
 def _require_space(folder: Path, needed: int) -> None:
@@ -138,18 +135,8 @@ def _require_space(folder: Path, needed: int) -> None:
         raise OSError(f"it may take {needs} MiB, with some to spare, and the disk has {has} MiB; free some space")
 
 
-def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
-    """Version of the database, number of events, id of the newest one, and number of labels."""
-    with closing(connection.cursor()) as cursor:
-        return (
-            cursor.execute("PRAGMA user_version").fetchone()[0],
-            *cursor.execute("SELECT count(*), coalesce(max(id), 0) FROM events").fetchone(),
-            cursor.execute("SELECT count(*) FROM labels WHERE behind IS NULL").fetchone()[0],
-        )
-
-
 # --- automatic backups ------------------------------------------------------------------------------------------------
-# Before a database is upgraded or repaired, before classes or values are merged or removed, and after some hours of
+# Before a database is upgraded, before classes or values are merged or removed, and after some hours of
 # changes while a server runs. They are files in `.backups/PROJECT` beside the project's folder, so they outlive it.
 # Only the last few of each kind are kept. They contain the active detectors, not all.
 
@@ -164,7 +151,6 @@ class Reason(StrEnum):
 
     CHANGES = "changes"
     UPGRADE = "before-upgrade"
-    REPAIR = "before-repair"
     CLASSES = "before-classes"
 
 

@@ -1,22 +1,23 @@
-"""Repair: the present state is made anew from the events; of a damaged database, all that is readable is salvaged."""
+"""Repair: a new project is made of the events that can be read, and where events are lost, of the tables."""
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import gettempdir
+from types import SimpleNamespace
 from typing import Any
 
 from sqlalchemy import Connection, func, insert, select, update
 from sqlalchemy.exc import DBAPIError
 
-from annotator.files import open_file
+from annotator.files import unfinished_folder
 from annotator.project.audit.events import (
     CLASSES,
     UNFIT,
@@ -28,27 +29,31 @@ from annotator.project.audit.events import (
     hide_removed,
     insert_event,
     read_row,
-    rebuild,
     without_track_index,
 )
-from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
-from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
-from annotator.project.backup.take_in import copy_regular, new_project
-from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.generation import has_foreign_wal, wal_of
-from annotator.project.database.migrations import UNRELEASED, application_problem
+from annotator.project.backup.archive import is_content, is_regular
+from annotator.project.backup.make import automatic_backups
+from annotator.project.backup.snapshot import (
+    copied_files,
+    copy_files,
+    database_problems,
+    given_id,
+    new_project,
+    reading,
+    sync_files,
+    write_snapshot,
+)
+from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
+from annotator.project.database.file import has_foreign_wal, wal_of
+from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
-_PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models", "class_changes")
-_BATCH = 200
-# Largest end of a truncated database that is replaced by empty pages.
-MOST_FILLED = 1 << 30
+_PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "class_changes")
 
 Row = dict[str, Any]
 
@@ -58,9 +63,7 @@ class Repaired:
     """The result of a repair.
 
     Attributes:
-        path: the repaired project: the same, or a new one with what was readable.
-        is_new: True for a new one; the damaged project is unchanged.
-        backup: of the project before its repair; None for a new one.
+        path: the new project; the damaged one is unchanged.
         events: number of events that were replayed.
         lost: number of rows that could not be read or used, by table.
         restored: number of states that were taken from the damaged project's tables, because their events are lost.
@@ -68,22 +71,19 @@ class Repaired:
     """
 
     path: Path
-    is_new: bool
-    backup: Path | None = None
     events: int = 0
-    lost: dict[str, int] = field(default_factory=dict)
+    lost: Counter[str] = field(default_factory=Counter)
     restored: int = 0
     missing: tuple[str, ...] = ()
 
 
 def repair(project: Path, new_name: str | None = None) -> Repaired:
-    """Repairs the project in a folder.
+    """Makes a new project, beside the one in a folder, of all that can be read of it.
 
-    If its database is sound, the tables of the present state are made anew from the events, after a backup. Otherwise,
-    or if the events contradict each other, all that can be read goes into a new project beside it.
+    Its state is made anew from the events, and where events are lost, from the tables.
 
     Args:
-        new_name: of the new project, if one is needed; default: the old name with `-repaired`.
+        new_name: default: the old name with `-repaired`.
 
     Raises:
         ConfigError: an invalid name.
@@ -92,90 +92,92 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
-    is_sound = _has_config(project) and not has_foreign_wal(database) and not database_problems(database)
-    # where events are missing, the tables know more than the events
-    if is_sound and not _lacks_events(database):
-        backup = back_up_automatically(project, Reason.REPAIR)
-        with closing(open_store(database)) as store:
-            try:
-                with store.write() as connection:
-                    return Repaired(project, False, backup.path, rebuild(connection), missing=backup.missing)
-            except ProjectError:
-                pass  # contradicting events: the salvage leaves them out
-    return _salvage(project, new_name or f"{project.resolve().name}-repaired")
-
-
-def _has_config(project: Path) -> bool:
-    try:
-        read_config(project)
-    except ProjectError:
-        return False
-    return True
-
-
-def _lacks_events(database: Path) -> bool:
-    with reading(database) as connection:
-        return missing_events(connection) > 0
-
-
-def _salvage(project: Path, name: str) -> Repaired:
-    root = project.resolve().parent
+    root, name = project.resolve().parent, new_name or f"{project.resolve().name}-repaired"
     with ExitStack() as stack:
         place = stack.enter_context(new_project(root, name))
         # SQLite works on a copy: opening a damaged database may write to it
         folder = stack.enter_context(unfinished_folder(Path(gettempdir()), "annotator-repair"))
         copy = folder / DATABASE_FILE
-        shutil.copyfile(project / DATABASE_FILE, copy)
-        _fill_up(copy)
-        wal = wal_of(Path(DATABASE_FILE)).name
-        if is_regular(project, wal) and not has_foreign_wal(project / DATABASE_FILE):
-            shutil.copyfile(project / wal, folder / wal)
-        repaired = Repaired(root / name, True)
+        is_foreign = has_foreign_wal(database)
+        if is_foreign or database_problems(database):
+            shutil.copyfile(database, copy)
+            if is_regular(project, wal_of(database).name) and not is_foreign:
+                shutil.copyfile(wal_of(database), wal_of(copy))
+        else:  # others may be writing to it
+            write_snapshot(database, copy)
+        repaired = Repaired(root / name)
         store = create_store(place / DATABASE_FILE)
         stack.callback(store.close)
         try:
-            with reading(copy) as source:
-                source.execute("SELECT count(*) FROM sqlite_master").fetchone()
-                if application_problem(source.execute("PRAGMA application_id").fetchone()[0]) == UNRELEASED:
-                    raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
-                _copy_plain(source, store, repaired, _PLAIN)
+            with _damaged(copy) as source:
+                if version_problem(source) == UNRELEASED:
+                    raise ProjectError(f"{database}: {UNRELEASED}")
+                _copy_plain(source, store, repaired.lost, _PLAIN)
                 _replay(source, store, repaired)
-                _copy_plain(source, store, repaired, ("passes",))  # which refer to events
+                _copy_plain(source, store, repaired.lost, ("passes",))  # which refer to events
                 config = _config(project, name, source)
         except sqlite3.Error as error:
-            raise ProjectError(
-                f"{project / DATABASE_FILE}: nothing can be read ({error}); {_advice(project)}"
-            ) from error
-        if any(repaired.lost.values()):
+            newest = "".join(f"; the newest automatic one is {path}" for path in automatic_backups(project)[-1:])
+            raise ProjectError(f"{database}: nothing can be read ({error}); {RESTORE}{newest}") from error
+        if repaired.lost.total():
             _restore_states(copy, store, repaired)
         write_config(place, config)
         store.close()
-        repaired.missing = _copy_files(project, place)
+        names, repaired.missing = copied_files(project, place / DATABASE_FILE)
+        copy_files(project, place, [name for name in names if name != CONFIG_FILE], lambda done, total: None)
+        sync_files(place)
     return repaired
 
 
-def _fill_up(database: Path) -> None:
-    """Appends the pages that a truncated database has lost: SQLite refuses to read a shorter file than it expects."""
-    with open_file(database) as file:
-        header = file.read(32)
-    if len(header) < 32 or not header.startswith(b"SQLite format 3\0"):
-        return
-    page = int.from_bytes(header[16:18], "big")
-    size = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
-    length = database.stat().st_size
-    # a damaged header may name any size; the file remains sparse
-    if length < size <= length + MOST_FILLED:
-        os.truncate(database, size)
+@contextmanager
+def _damaged(copy: Path) -> Iterator[sqlite3.Connection]:
+    """As `reading`; of a truncated database, what is left is read."""
+    with reading(copy) as source:
+        # else SQLite refuses a file that is shorter than its first page says
+        source.execute("PRAGMA writable_schema = ON")
+        yield source
 
 
-def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired, tables: Sequence[str]) -> None:
+def remove_labels(database: Path) -> None:
+    """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
+
+    Removed recordings and frames that are no longer there are left out. Ids stay.
+
+    Raises:
+        ProjectError: it is damaged, or the disk is full.
+        OSError: the file cannot be written.
+    """
+    empty = database.with_name(f"{database.name}.unlabelled")
+    with explained(database), closing(create_store(empty)) as new, reading(database) as source:
+        # changes of classes: detectors that were trained before a class was renamed need them
+        _copy_plain(source, new, Counter(), ("recordings", "frames", "models", "class_changes"))
+        with new.write() as connection:
+            of_present = "recording_id IN (SELECT id FROM recordings WHERE removed_ns IS NULL)"
+            _keep(connection, "frames", "moment_id", f"position IS NOT NULL AND {of_present}")
+            _keep(connection, "recordings", "rig_id", "removed_ns IS NULL")
+            for row in _rows(source, "adjustments", Counter()):
+                _restore(connection, new, "adjustments", row)
+    empty.replace(database)
+
+
+def _keep(connection: Connection, table: str, first_of: str, kept: str) -> None:
+    """Deletes the other rows of a table; of those that name the first of several, the first that is kept is named."""
+    firsts = dict[int, int]()
+    query = f"SELECT id, {first_of} FROM {table} WHERE {kept} ORDER BY id"
+    for id, first in connection.exec_driver_sql(query).all():
+        if firsts.setdefault(first, id) != first:
+            connection.exec_driver_sql(f"UPDATE {table} SET {first_of} = ? WHERE id = ?", (firsts[first], id))
+    connection.exec_driver_sql(f"DELETE FROM {table} WHERE NOT ({kept})")
+
+
+def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], tables: Sequence[str]) -> None:
     with store.write() as connection:
         for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
-            for row in _rows(source, table, repaired):
+            for row in _rows(source, table, lost):
                 kept = {key: value for key, value in row.items() if key in known}
                 if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
-                    _count_lost(repaired, table)
+                    lost[table] += 1
                     continue
                 if table == "frames":
                     kept |= {"revision": 0, "finalised": 0, "attributes": None}
@@ -187,34 +189,33 @@ def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired, ta
                             f"INSERT INTO {table} ({columns}) VALUES ({marks})", tuple(kept.values())
                         )
                 except DBAPIError:
-                    _count_lost(repaired, table)
+                    lost[table] += 1
 
 
 def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
     """Appends all events that can be read and applied; the others are left out."""
     with store.write() as connection:
         with without_track_index(connection):
-            for row in _rows(source, "events", repaired):
+            for row in _rows(source, "events", repaired.lost):
                 values: Row = {column.name: None for column in events.c} | row
                 try:
                     values["rows"] = unpacked(values["rows"])
                     values["revision"] = max(values["revision"], _revision(connection, values) + 1)
                     with connection.begin_nested():
                         connection.execute(insert(events), values)
-                        event = event_of(_Attributes(values))
+                        event = event_of(SimpleNamespace(**values))
                         _require_applicable(connection, event)
                         apply_events(connection, [event])
                         _set_revision(connection, event.frame_id, event.revision)
                 except (AnnotatorError, DBAPIError, sqlite3.Error, *UNFIT):
-                    _count_lost(repaired, "events")
+                    repaired.lost["events"] += 1
                 else:
                     repaired.events += 1
-            if any(repaired.lost.values()):
+            if repaired.lost.total():
                 _free_tracks(connection, store)
         hide_removed(connection)
-    missing = max(0, given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
-    if missing:
-        repaired.lost["events"] = repaired.lost.get("events", 0) + missing
+    if (gone := given_id(source, "events") - repaired.events) > repaired.lost["events"]:
+        repaired.lost["events"] = gone
 
 
 def _require_applicable(connection: Connection, event: Event) -> None:
@@ -236,19 +237,6 @@ def _free_tracks(connection: Connection, store: Store) -> None:
         _append(connection, store, frame_id, change)
 
 
-def _advice(project: Path) -> str:
-    backups = automatic_backups(project)
-    newest = f"; the newest automatic one is {backups[-1]}" if backups else ""
-    return f"{RESTORE}{newest}"
-
-
-class _Attributes:
-    """A row whose columns are attributes."""
-
-    def __init__(self, values: Row) -> None:
-        self.__dict__.update(values)
-
-
 def _set_revision(connection: Connection, frame_id: int | None, revision: int) -> None:
     at = frames.alias()
     moment = select(at.c.moment_id).where(at.c.id == frame_id).scalar_subquery()
@@ -267,14 +255,14 @@ def _revision(connection: Connection, values: Row) -> int:
 
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings the rows to the state that the damaged database shows, if it does."""
-    with reading(copy) as source, store.write() as connection:
+    with _damaged(copy) as source, store.write() as connection:
         for table in AUDITED:
-            for row in _rows(source, table, Repaired(Path(), True)):
+            for row in _rows(source, table, Counter()):
                 try:
                     with connection.begin_nested():
                         repaired.restored += _restore(connection, store, table, row)
                 except (AnnotatorError, DBAPIError, sqlite3.Error, ValueError, KeyError):
-                    _count_lost(repaired, "states")
+                    repaired.lost["states"] += 1
         hide_removed(connection)
 
 
@@ -291,7 +279,8 @@ def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool
     frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
     if table == "adjustments":
         query = select(func.min(frames.c.id)).where(frames.c.recording_id == key)
-        frame_id = connection.execute(query).scalar_one()
+        if (frame_id := connection.execute(query).scalar_one()) is None:
+            return False
     _append(connection, store, frame_id, change)
     return True
 
@@ -312,61 +301,33 @@ def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConf
     try:
         return read_config(project)
     except ProjectError:
-        rows = _rows(source, "classes", Repaired(Path(), True))
+        rows = _rows(source, "classes", Counter())
         classes = tuple(sorted({str(row["name"]) for row in rows})) or ("object",)
         return new_config(name, classes, ProjectSettings(), time.time_ns())
 
 
-def _copy_files(project: Path, place: Path) -> tuple[str, ...]:
-    """Copies views and detectors; returns those that the project refers to, and that are not there."""
-    with explained(place), reading(place / DATABASE_FILE) as connection:
-        stored = stored_files(connection)
-    names = list(folder_files(project, stored))
-    for name in names:
-        if not (place / name).exists():
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            copy_regular(project / name, place / name)
-    return stored.not_in(set(names))
-
-
-def _rows(source: sqlite3.Connection, table: str, repaired: Repaired) -> Iterator[Row]:
-    """Yields the readable rows of a table in order; pages that cannot be read are passed over row by row."""
+def _rows(source: sqlite3.Connection, table: str, lost: Counter[str]) -> Iterator[Row]:
+    """Yields the readable rows of a table in order; those on pages that cannot be read are passed over one by one."""
     try:
         if not source.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (table,)).fetchone():
             return
         last = _last_id(source, table)
     except sqlite3.Error:
-        _count_lost(repaired, table)
+        lost[table] += 1
         return
     after = -1
     while after < last:
         try:
-            cursor = source.execute(
-                f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT {_BATCH}", (after,)
-            )
-            found = cursor.fetchall()
-            if not found:
-                return
+            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid > ? ORDER BY rowid LIMIT 1", (after,))
+            values = cursor.fetchone()
         except (sqlite3.Error, UnicodeDecodeError):
-            yield from _one_by_one(source, table, after + 1, min(after + _BATCH, last), repaired)
-            after = min(after + _BATCH, last)
+            lost[table] += 1
+            after += 1
             continue
-        yield from (_row(cursor, values) for values in found)
-        after = found[-1][0]
-
-
-def _one_by_one(source: sqlite3.Connection, table: str, first: int, last: int, repaired: Repaired) -> Iterator[Row]:
-    for number in range(first, last + 1):
-        try:
-            cursor = source.execute(f"SELECT rowid, * FROM {table} WHERE rowid = ?", (number,))
-            if (values := cursor.fetchone()) is not None:
-                yield _row(cursor, values)
-        except (sqlite3.Error, UnicodeDecodeError):
-            _count_lost(repaired, table)
-
-
-def _row(cursor: sqlite3.Cursor, values: tuple[Any, ...]) -> Row:
-    return dict(zip((column[0] for column in cursor.description[1:]), values[1:], strict=True))
+        if values is None:
+            return
+        after = values[0]
+        yield dict(zip((column[0] for column in cursor.description[1:]), values[1:], strict=True))
 
 
 def _last_id(source: sqlite3.Connection, table: str) -> int:
@@ -377,7 +338,3 @@ def _last_id(source: sqlite3.Connection, table: str) -> int:
         if given := given_id(source, table):
             return given
         raise
-
-
-def _count_lost(repaired: Repaired, table: str) -> None:
-    repaired.lost[table] = repaired.lost.get(table, 0) + 1

@@ -1,21 +1,21 @@
-"""A copy of a database as of one moment, whether it is sound, and the hidden folder in which it is made."""
+"""A copy of a database as of one moment, whether it is sound, and the hidden folder that becomes a new project."""
 
 from __future__ import annotations
 
-import glob
 import os
 import shutil
 import sqlite3
-import uuid
-from collections.abc import Iterator
+import stat
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from annotator.files import lock_folder, locked_folder
-from annotator.project.database.file import database_file
-from annotator.project.database.generation import has_foreign_wal
-from annotator.project.database.migrations import application_problem, newest_version, schema_problems
-from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, foreign_wal, is_lock
+from annotator.files import CHUNK_BYTES, sync_folder, unfinished_folder
+from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, Progress, folder_files, stored_files
+from annotator.project.config import TAKEN, free_path, read_config, write_config
+from annotator.project.database.file import DatabaseFile, require_own_wal
+from annotator.project.database.migrations import schema_problems, version_problem
+from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
 
@@ -23,11 +23,13 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
+
+    Raises:
+        ProjectError: it is missing, locked or not sound.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
-    if has_foreign_wal(path):
-        raise ProjectError(foreign_wal(path))
+    require_own_wal(path)
     with explained(path), reading(path) as source, explained(out), closing(sqlite3.connect(out)) as target:
         # all pages in one step: SQLite begins again if another process writes between two steps
         source.backup(target, pages=-1)
@@ -36,13 +38,27 @@ def write_snapshot(path: Path, out: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+    if problems := database_problems(out):
+        raise ProjectError(f"{path}: {problems[0]}; {RESTORE}, or repair it with `annotator project repair`")
+
+
+def copied_files(folder: Path, database: Path) -> tuple[list[str], tuple[str, ...]]:
+    """The files beside the database that a copy of the project in `folder` has, and those that are not there.
+
+    Args:
+        database: a copy of the project's, which says what it refers to.
+    """
+    with explained(database), reading(database) as connection:
+        stored = stored_files(connection)
+    found = folder_files(folder, stored)
+    return found, tuple(name for name in stored.names if name not in set(found))
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection for one transaction that only reads, and that trusts nothing in the database's schema."""
     with closing(
-        sqlite3.connect(database_file(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        sqlite3.connect(DatabaseFile(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
     ) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA query_only = ON")
@@ -50,47 +66,62 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         yield connection
 
 
+# Windows has neither of the last two, nor links and pipes as others have them.
+_FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+
 # --- folders that are filled under a hidden name ----------------------------------------------------------------------
 
 
 @contextmanager
-def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
-    """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
+def new_project(root: Path, name: str) -> Iterator[Path]:
+    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
 
-    Also removes folders that killed processes have left for the same name.
+    Raises:
+        ProjectError: the name is taken, or the folder cannot be written.
     """
-    root.mkdir(parents=True, exist_ok=True)
-    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
-        remove_abandoned(left)
-
-    def make() -> Path:
-        folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
-        # no step follows its creation: another process may take it for a leftover until it is locked
-        folder.mkdir(mode=0o700)
-        return folder
-
-    folder, lock = locked_folder(make)
+    path = free_path(root, name)
     try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
+        with unfinished_folder(root, name) as place:
+            yield place
+            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
+                (place / folder).mkdir(exist_ok=True)
+            write_config(place, read_config(place).model_copy(update={"name": name}))
+            # never replaces a folder with content, which another process may have made meanwhile
+            place.rename(path)
+            sync_folder(root)
+    except OSError as error:
+        # another process may have made one of this name meanwhile
+        raise ProjectError(TAKEN.format(path) if path.exists() else f"{path}: cannot be created: {error}") from error
 
 
-def remove_abandoned(folder: Path) -> bool:
-    """Removes a folder if no process holds its lock; returns whether it is gone.
+def sync_files(folder: Path) -> None:
+    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
+    if hasattr(os, "sync"):
+        os.sync()
+        return
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
 
-    Without locks, as on Windows, it stays.
-    """
-    lock = lock_folder(folder)
-    if lock is None:
-        return False
-    try:
-        shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        os.close(lock)
-    return not folder.exists()
+
+def copy_files(source: Path, target: Path, names: Sequence[str], progress: Progress) -> None:
+    """Copies regular files of a project into the folder of a new one."""
+    for number, name in enumerate(names, 1):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        copy_regular(source / name, target / name)
+        progress(number, len(names))
+
+
+def copy_regular(source: Path, target: Path) -> None:
+    """Copies a regular file, else raises OSError."""
+    # it may have been replaced by a link or a pipe since it was listed
+    with os.fdopen(os.open(source, _FLAGS), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(f"{source} is not a regular file")
+        with target.open("xb") as out:
+            shutil.copyfileobj(file, out, CHUNK_BYTES)
 
 
 # --- checking a database ----------------------------------------------------------------------------------------------
@@ -113,11 +144,6 @@ def database_problems(path: Path) -> list[str]:
         return [f"cannot be read: {error}"]
 
 
-def missing_events(connection: sqlite3.Connection) -> int:
-    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
-    return given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
-
-
 def given_id(connection: sqlite3.Connection, table: str) -> int:
     """The last id that a table has given, whether or not its row is still there; 0 if none is known."""
     try:
@@ -128,14 +154,10 @@ def given_id(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _problems(connection: sqlite3.Connection) -> Iterator[str]:
-    if problem := application_problem(connection.execute("PRAGMA application_id").fetchone()[0]):
+    if problem := version_problem(connection):
         yield problem
         return
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if not 1 <= version <= newest_version():
-        yield f"has database version {version}; this annotator knows versions 1 to {newest_version()}"
-        return
-    differences = list(schema_problems(connection, version))
+    differences = list(schema_problems(connection))
     yield from differences
     lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
     yield from (line for line in lines if line != "ok")

@@ -2,96 +2,34 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import stat
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from pathlib import Path
 
-from sqlalchemy import insert, select, true
-
-from annotator.files import CHUNK_BYTES, sync_folder
-from annotator.project.adjustments import Adjustments
 from annotator.project.backup.archive import (
-    MODELS_FOLDER,
-    VIEWS_FOLDER,
     BackupManifest,
     ModelChoice,
     Progress,
-    folder_files,
     is_regular,
     keep_models,
     open_backup,
-    stored_files,
-    sync_files,
     unpack,
 )
-from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
+from annotator.project.backup.repair import remove_labels
+from annotator.project.backup.snapshot import (
+    copied_files,
+    copy_files,
+    copy_regular,
+    database_problems,
+    new_project,
+    sync_files,
+    write_snapshot,
+)
 from annotator.project.backup.verify import verify
-from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
-from annotator.project.database.generation import wal_of
-from annotator.project.database.schema import class_changes, frames, models, recordings
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.log import Writer
-from annotator.project.recordings import KEPT, Recordings
+from annotator.project.config import CONFIG_FILE, check_name, read_config
+from annotator.project.database.file import wal_of
+from annotator.project.database.store import DATABASE_FILE
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
-
-# --- a copy without labels --------------------------------------------------------------------------------------------
-
-AUTHOR = "annotator project copy"
-
-
-def remove_labels(database: Path) -> None:
-    """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
-
-    Removed recordings and frames that are no longer there are left out. Ids stay.
-
-    Raises:
-        ProjectError: it is damaged, or the disk is full.
-        OSError: the file cannot be written.
-    """
-    empty = database.with_name(f"{database.name}.unlabelled")
-    with closing(open_store(database)) as old, closing(create_store(empty)) as new:
-        _copy_rows(old, new)
-        _copy_adjustments(old, new)
-    empty.replace(database)
-
-
-def _copy_rows(old: Store, new: Store) -> None:
-    with old.read() as source, new.write() as target:
-        for table, there, first_of in (
-            (recordings, recordings.c.removed_ns.is_(None), "rig_id"),
-            (frames, KEPT & frames.c.position.is_not(None), "moment_id"),
-            (models, true(), None),
-            # detectors that were trained before a class was renamed need them
-            (class_changes, true(), None),
-        ):
-            unlabelled = {"revision": 0, "finalised": False, "attributes": None} if table is frames else {}
-            query = select(table).where(there).order_by(table.c.id)
-            rows, first = [{**row, **unlabelled} for row in source.execute(query).mappings()], dict[int, int]()
-            for row in rows if first_of else ():  # the first one may be left out
-                row[first_of] = first.setdefault(row[first_of], row["id"])
-            if rows:
-                target.execute(insert(table), rows)
-
-
-def _copy_adjustments(old: Store, new: Store) -> None:
-    """Makes each adjustment anew, as an event without the labels that the first one moved."""
-    adjustments = Adjustments(Writer(new, new.path.parent))
-    for recording in Recordings(old).all():
-        if not recording.adjusted or not recording.frames:
-            continue
-        adjustments.correct(recording.id, recording.correction, AUTHOR)
-        if Recordings(new).get(recording.id).up != recording.up:
-            adjustments.set_up(recording.id, recording.up, AUTHOR)
-
-
-# Bound of a foreign project's settings, bytes.
-_MOST_CONFIG = 2**20
-# Windows has neither of the last two, nor links and pipes as others have them.
-_FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def restore(
@@ -113,9 +51,10 @@ def restore(
     with open_backup(file) as (archive, manifest):
         name = check_name(manifest.project if name is None else name)
         with new_project(root, name) as place:
-            unpack(file, archive, manifest, place, progress)
+            unpack(file, archive, place, progress)
             if problems := database_problems(place / DATABASE_FILE):
                 raise FormatError(file, f"{DATABASE_FILE}: {problems[0]}")
+            sync_files(place)
     return root / name, manifest
 
 
@@ -148,29 +87,22 @@ def copy_project(
             raise ProjectError(
                 f"{folder} is not a project that can be copied: {required} is missing or no regular file"
             )
-    if (folder / CONFIG_FILE).stat().st_size > _MOST_CONFIG:
-        raise ProjectError(f"{folder / CONFIG_FILE}: is larger than {_MOST_CONFIG >> 20} MiB")
+    read_config(folder)  # which bounds its size
     with new_project(root, name) as place:
         database = place / DATABASE_FILE
         if sent:
             _take_database(folder, place)
         else:
             write_snapshot(folder / DATABASE_FILE, database)
-        if problems := database_problems(database):
-            raise ProjectError(f"{folder / DATABASE_FILE}: {problems[0]}")
         if not labels:
             remove_labels(database)
-        with explained(database):
-            keep_models(database, models)
-            with reading(database) as connection:
-                names = list(folder_files(folder, stored_files(connection)))
-        for number, each in enumerate(names, 1):
-            (place / each).parent.mkdir(parents=True, exist_ok=True)
-            copy_regular(folder / each, place / each)
-            progress(number, len(names))
+        keep_models(database, models)
+        names, _ = copied_files(folder, database)
+        copy_files(folder, place, names, progress)
         if found := verify(place, deep=True).problems:
             more = f" (and {amount(len(found) - 1, 'more problem')})" if len(found) > 1 else ""
             raise ProjectError(f"{folder}: {found[0]}{more}; nothing was copied")
+        sync_files(place)
     return root / name
 
 
@@ -183,39 +115,3 @@ def _take_database(folder: Path, place: Path) -> None:
             copy_regular(folder / part, copied / part)
     write_snapshot(copied / DATABASE_FILE, place / DATABASE_FILE)
     shutil.rmtree(copied)
-
-
-@contextmanager
-def new_project(root: Path, name: str) -> Iterator[Path]:
-    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
-
-    Raises:
-        ProjectError: the name is taken, or the folder cannot be written.
-    """
-    path = free_path(root, name)
-    try:
-        with unfinished_folder(root, name) as place:
-            yield place
-            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
-                (place / folder).mkdir(exist_ok=True)
-            write_config(place, read_config(place).model_copy(update={"name": name}))
-            sync_files(place)
-            # never replaces a folder with content, which another process may have made meanwhile
-            place.rename(path)
-            sync_folder(root)
-    except OSError as error:
-        raise ProjectError(f"{path}: cannot be created: {error}") from error
-
-
-def copy_regular(source: Path, target: Path) -> None:
-    """Copies a regular file.
-
-    Raises:
-        OSError: it is a link or no regular file, or cannot be read or written.
-    """
-    # it may have been replaced by a link or a pipe since it was listed
-    with os.fdopen(os.open(source, _FLAGS), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(f"{source} is not a regular file")
-        with target.open("xb") as out:
-            shutil.copyfileobj(file, out, CHUNK_BYTES)

@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 from tempfile import gettempdir
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection
 
-from annotator.files import sha256_of
+from annotator.files import sha256_of, unfinished_folder
 from annotator.project.audit.events import rebuild
-from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
-from annotator.project.backup.snapshot import (
-    database_problems,
-    given_id,
-    missing_events,
-    reading,
-    unfinished_folder,
-    write_snapshot,
-)
+from annotator.project.backup.archive import is_regular, require_own_files, stored_files
+from annotator.project.backup.snapshot import database_problems, reading, write_snapshot
 from annotator.project.config import CONFIG_FILE, read_config
-from annotator.project.database.generation import has_foreign_wal
+from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
-from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.project.database.store import DATABASE_FILE, explained, open_store
 from annotator.types.errors import ProjectError
-from annotator.types.messages import amount, first_few
+from annotator.types.messages import first_few
 
 MOST_NAMED = 3
 Rows = dict[object, tuple[object, ...]]
@@ -62,35 +54,16 @@ def _checked(project: Path, deep: bool) -> list[str]:
         if not is_regular(project, DATABASE_FILE):
             return [f"{DATABASE_FILE} is missing, or no regular file"]
         database = project / DATABASE_FILE
-        if has_foreign_wal(database):
-            return [foreign_wal(database)]
-        if not deep:
-            return [f"{DATABASE_FILE}: {problem}" for problem in database_problems(database)]
+        require_own_wal(database)
+        if (problems := database_problems(database)) or not deep:
+            return [f"{DATABASE_FILE}: {problem}" for problem in problems]
         # what a killed verification has left there is removed
         with unfinished_folder(Path(gettempdir()), "annotator-verify") as folder:
             copy = folder / DATABASE_FILE
             write_snapshot(database, copy)
-            if problems := database_problems(copy):
-                named = [f"{DATABASE_FILE}: {problem}" for problem in problems]
-                # the table of events may be damaged, too, which the others say
-                with suppress(ProjectError, sqlite3.Error):
-                    named = [*_event_problems(copy), *named]
-                return named
-            found = list(_state_problems(copy))
-            if found:  # a repaired project has gaps, too, but its state follows from the events that are left
-                found = [*_event_problems(copy), *found]
-            return [*found, *_file_problems(project, copy)]
+            return [*_state_problems(copy), *_file_problems(project, copy)]
     except ProjectError as error:
         return [str(error)]
-
-
-def _event_problems(copy: Path) -> Iterator[str]:
-    """Events that are gone: without this, only the rows that they gave would be named."""
-    with explained(copy), reading(copy) as connection:
-        missing = missing_events(connection)
-        number = given_id(connection, "events")
-    if missing > 0:
-        yield f"{missing} of {amount(number, 'event')} are missing"
 
 
 def _state_problems(copy: Path) -> Iterator[str]:
@@ -133,30 +106,21 @@ def _file_problems(project: Path, copy: Path) -> Iterator[str]:
     """Files that the database refers to, and that are missing, no regular files, or have another content."""
     with explained(copy), reading(copy) as connection:
         stored = stored_files(connection)
-    missing = [name for name in stored.views if not is_regular(project, name)]
-    damaged = [name for name in stored.views if name not in set(missing) and not _has_hash(project, name, _own(name))]
-    if missing:
-        yield f"images of pseudo-views are missing, or no regular files: {_named(missing)}"
-    if damaged:
-        yield f"images of pseudo-views are damaged: {_named(damaged)}"
-    lost = [name for names in stored.models.values() for name in names if not is_regular(project, name)]
-    if lost:
-        yield f"files of detectors are missing, or no regular files: {_named(lost)}"
-    kept = [name for name in stored.hashes if is_content(name) and name not in set(lost)]
-    changed = [name for name in kept if not _has_hash(project, name, stored.hashes[name])]
-    if changed:
-        yield f"weights of detectors are damaged: {_named(changed)}"
-    if stored.outside:
-        yield f"files of detectors are outside the project: {_named(stored.outside)}"
+    missing = {name for name in stored.names if not is_regular(project, name)}
+    kept = {name: stored.hashes[name] for name in stored.names if name in stored.hashes and name not in missing}
+    for what, names in (
+        ("images of pseudo-views or detectors are missing, or no regular files", sorted(missing)),
+        (
+            "images of pseudo-views or detectors are damaged",
+            [name for name, sha256 in kept.items() if not _has_hash(project, name, sha256)],
+        ),
+        ("the database refers to files outside the project", stored.outside),
+    ):
+        if names:
+            yield f"{what}: {_named(names)}"
 
 
-def _own(name: str) -> str | None:
-    """The hash that the name of a view's image contains."""
-    match = VIEW_FILE.fullmatch(name.rpartition("/")[2])
-    return None if match is None else match[1]
-
-
-def _has_hash(project: Path, name: str, sha256: str | None) -> bool:
+def _has_hash(project: Path, name: str, sha256: str) -> bool:
     try:
         return sha256_of(project / name) == sha256
     except OSError:
@@ -164,4 +128,4 @@ def _has_hash(project: Path, name: str, sha256: str | None) -> bool:
 
 
 def _named(keys: Sequence[object]) -> str:
-    return first_few([" ".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in keys], MOST_NAMED)
+    return first_few(list(map(str, keys)), MOST_NAMED)

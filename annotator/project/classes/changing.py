@@ -13,9 +13,10 @@ from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.classes.attributes import Relabelling
 from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
+from annotator.project.database.store import driver_of
 from annotator.project.log import Writer
 from annotator.project.records import parsed
-from annotator.project.rows import Row, Terms, box_2d_of, driver_of, said_with, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.project.sources import regroup
 from annotator.types import ReviewState, Source

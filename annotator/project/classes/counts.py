@@ -10,8 +10,9 @@ from sqlalchemy import Connection, func, select
 
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.project.database.schema import ALL_LABELS, frames, labels
+from annotator.project.database.store import driver_of
 from annotator.project.recordings import KEPT
-from annotator.project.rows import Terms, driver_of, values_of
+from annotator.project.rows import Terms, values_of
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import amount

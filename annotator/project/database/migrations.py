@@ -1,4 +1,4 @@
-"""The schema of a project's database, as numbered migrations: each upgrades a database by one version.
+"""The schema of a project's database, as migrations: each is SQL that upgrades a database by one version, from 0.
 
 A released migration is never changed, since databases of its version exist. The version is SQLite's `user_version`; it
 changes in the same transaction as the tables.
@@ -9,13 +9,13 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
+from itertools import chain
 
-from sqlalchemy import Connection
+from annotator.types.errors import RESTORE
 
-from annotator.types.errors import RESTORE, ProjectError
+Migration = tuple[str, ...]
+"""The statements of one migration, in order."""
 
 APPLICATION_ID = 0x416E6E50  # "AnnP": distinguishes project databases from other SQLite files
 # "Anno" and "Annt": databases from before the first release.
@@ -27,55 +27,36 @@ UNRELEASED = (
 )
 
 
-@dataclass(frozen=True)
-class Migration:
-    """One migration.
-
-    Attributes:
-        version: the version after it, from 1 without gaps.
-        statements: SQL, run in order.
-    """
-
-    version: int
-    statements: tuple[str, ...]
-
-
-def application_problem(application_id: int) -> str | None:
-    """Why a database with this SQLite `application_id` is not that of a project; None if it is one."""
-    if application_id == APPLICATION_ID:
-        return None
-    if application_id in _UNRELEASED_IDS:
-        return UNRELEASED
-    return f"is an SQLite database, but not a project database; {RESTORE}"
-
-
 def newest_version() -> int:
     """The version of new databases."""
-    return MIGRATIONS[-1].version
+    return len(MIGRATIONS)
 
 
-def require_known(version: int, path: Path) -> None:
-    """Refuses a database of an impossible or a newer version; `path` is for messages."""
+def version_problem(connection: sqlite3.Connection) -> str | None:
+    """Why a database is none that this annotator can read; None if it is one."""
+    application_id, version = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+    )
+    if application_id in _UNRELEASED_IDS:
+        return UNRELEASED
+    if application_id != APPLICATION_ID:
+        return f"is an SQLite database, but not a project database; {RESTORE}"
     if version < 1:
-        raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
+        return f"is damaged: its version is {version}; {RESTORE}"
     if version > newest_version():
-        raise ProjectError(
-            f"{path}: was written by a newer annotator (database version {version}, this one supports up to "
+        return (
+            f"was written by a newer annotator (database version {version}, this one supports up to "
             f"{newest_version()}); update annotator"
         )
+    return None
 
 
-def upgrade(connection: Connection) -> None:
+def upgrade(connection: sqlite3.Connection) -> None:
     """Runs the missing migrations, within the caller's write transaction."""
-    # without SQLAlchemy, which takes longer for a statement than SQLite
-    driver = connection.connection.driver_connection
-    assert isinstance(driver, sqlite3.Connection)
-    (version,) = driver.execute("PRAGMA user_version").fetchone()
-    for migration in MIGRATIONS:
-        if migration.version > version:
-            for statement in migration.statements:
-                driver.execute(statement)
-            driver.execute(f"PRAGMA user_version = {migration.version}")
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    for statement in chain.from_iterable(MIGRATIONS[version:]):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version = {newest_version()}")
 
 
 # --- comparing a schema, as text --------------------------------------------------------------------------------------
@@ -87,20 +68,18 @@ Schema = dict[tuple[str, str], tuple[str, str]]
 _STATISTICS = ("sqlite_stat1", "sqlite_stat4")
 
 
-def schema_problems(connection: sqlite3.Connection, version: int, *, serious: bool = False) -> Iterator[str]:
+def schema_problems(connection: sqlite3.Connection) -> Iterator[str]:
     """How the schema of a database differs from that of its version, in words.
 
     Nothing in a database is trusted: a trigger or a view of a stranger would run with each change.
-
-    Args:
-        serious: only what prevents that the database is used; not a lacking index or trigger, or a further table.
     """
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
     found, expected = _read_schema(connection), _schema_of(MIGRATIONS[:version])
-    for kind, name in sorted(expected.keys() - found.keys()):
-        if kind == "table" or not serious:
-            yield f"lacks the {kind} {name}"
+    # the tables first: others lack with them
+    for kind, name in sorted(expected.keys() - found.keys(), key=lambda each: (each[0] != "table", each)):
+        yield f"lacks the {kind} {name}"
     for kind, name in sorted(found.keys() - expected.keys()):
-        if kind in ("trigger", "view") or not (serious or name in _STATISTICS):
+        if name not in _STATISTICS:
             yield f"has the {kind} {name!r}, which does not belong to a project"
     for kind, name in sorted(found.keys() & expected.keys()):
         if found[kind, name] != expected[kind, name]:
@@ -123,24 +102,20 @@ def in_memory(migrations: Sequence[Migration]) -> Iterator[sqlite3.Connection]:
     """A new database that these migrations have made."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
         connection.execute("BEGIN")
-        for migration in migrations:
-            for statement in migration.statements:
-                connection.execute(statement)
+        for statement in chain.from_iterable(migrations):
+            connection.execute(statement)
         yield connection
 
 
 # --- version 1 --------------------------------------------------------------------------------------------------------
 
 
-def _append_only(table: str, is_taken: str) -> tuple[str, ...]:
-    """Triggers that protect the rows of a table; `is_taken`: the condition of a row that NEW would replace."""
+def _append_only(table: str) -> tuple[str, ...]:
+    """Triggers that protect the rows of a table; with `recursive_triggers`, REPLACE deletes rows, too."""
     abort = f"BEGIN SELECT RAISE (ABORT, '{table} are append-only'); END"
     return (
         f"CREATE TRIGGER {table}_are_not_updated BEFORE UPDATE ON {table} {abort}",
         f"CREATE TRIGGER {table}_are_not_deleted BEFORE DELETE ON {table} {abort}",
-        # REPLACE deletes a conflicting row without firing the trigger above (unless recursive_triggers is on)
-        f"CREATE TRIGGER {table}_are_not_replaced BEFORE INSERT ON {table} "
-        f"WHEN EXISTS (SELECT 1 FROM {table} WHERE {is_taken}) {abort}",
     )
 
 
@@ -162,17 +137,6 @@ CREATE TABLE recordings (
     fingerprint TEXT,
     rig_id INTEGER NOT NULL REFERENCES recordings (id),
     UNIQUE (path, options)
-)
-"""
-# A log of the moves of recording folders.
-_MOVES = """
-CREATE TABLE moves (
-    id INTEGER PRIMARY KEY AUTOINCREMENT,
-    recording_id INTEGER NOT NULL REFERENCES recordings (id),
-    path_before TEXT NOT NULL,
-    path_after TEXT NOT NULL,
-    author TEXT NOT NULL CHECK (author <> ''),
-    time_ns INTEGER NOT NULL
 )
 """
 # A frame is what one camera sees of a moment, that is of one cloud. moment_id: the first frame of the moment.
@@ -378,7 +342,7 @@ CREATE TABLE models (
     sha256 TEXT NOT NULL
 )
 """
-# The chain of write transactions (`generation.py`). One row of fixed length: a mark, the token of the transaction
+# The chain of write transactions (`file.py`). One row of fixed length: a mark, the token of the transaction
 # before the last, and that of the last one.
 _GENERATION = "CREATE TABLE generation (id INTEGER PRIMARY KEY CHECK (id = 1), chain TEXT NOT NULL)"
 _FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 32} {'0' * 32}')"
@@ -405,38 +369,28 @@ _INDEXES = (
     "CREATE UNIQUE INDEX one_active_model_a_role ON models (role) WHERE active = 1",
 )
 
-_SAME_EVENT = (
-    "id = NEW.id OR (frame_id = NEW.frame_id AND revision = NEW.revision) "
-    "OR (frame_id IS NULL AND NEW.frame_id IS NULL AND view_id = NEW.view_id AND revision = NEW.revision)"
-)
-
 MIGRATIONS: tuple[Migration, ...] = (
-    Migration(
-        1,
-        (
-            _RECORDINGS,
-            _MOVES,
-            _FRAMES,
-            _CLASSES,
-            _CLASS_CHANGES,
-            _EVENTS,
-            _LABELS,
-            _IMAGE_LABELS,
-            _VIEW_LABELS,
-            _ADJUSTMENTS,
-            _PASSES,
-            _SHOWN_LABELS,
-            _SHOWN_IMAGE_LABELS,
-            _SHOWN_VIEW_LABELS,
-            _RUNS,
-            _FRAME_RESULTS,
-            _MODELS,
-            _GENERATION,
-            _FIRST_TOKEN,
-            *_append_only("events", _SAME_EVENT),
-            *_append_only("moves", "id = NEW.id"),
-            *_append_only("class_changes", "id = NEW.id"),
-            *_INDEXES,
-        ),
+    (
+        _RECORDINGS,
+        _FRAMES,
+        _CLASSES,
+        _CLASS_CHANGES,
+        _EVENTS,
+        _LABELS,
+        _IMAGE_LABELS,
+        _VIEW_LABELS,
+        _ADJUSTMENTS,
+        _PASSES,
+        _SHOWN_LABELS,
+        _SHOWN_IMAGE_LABELS,
+        _SHOWN_VIEW_LABELS,
+        _RUNS,
+        _FRAME_RESULTS,
+        _MODELS,
+        _GENERATION,
+        _FIRST_TOKEN,
+        *_append_only("events"),
+        *_append_only("class_changes"),
+        *_INDEXES,
     ),
 )

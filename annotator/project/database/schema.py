@@ -101,7 +101,6 @@ def _tables() -> MetaData:
 
 _FOUND = _tables().tables
 recordings = _FOUND["recordings"]
-moves = _FOUND["moves"]
 frames = _FOUND["frames"]
 classes = _FOUND["classes"]
 class_changes = _FOUND["class_changes"]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import closing, contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,15 +18,13 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 from sqlalchemy.util import LRUCache
 
-from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
-from annotator.project.database.generation import advance, has_foreign_wal, wal_of
+from annotator.project.database.file import DatabaseFile, advance, require_own_wal
 from annotator.project.database.migrations import (
     APPLICATION_ID,
-    application_problem,
     newest_version,
-    require_known,
     schema_problems,
     upgrade,
+    version_problem,
 )
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
@@ -55,18 +51,12 @@ def patience_s(usual_s: float) -> float:
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
-# How long closing waits for a connection that another thread uses: one that reads is soon done.
-KEEP_WAIT_S = 5.0
 # The web server uses about this many threads at once, each with its own connection.
 THREADS = 20
 
 Clock = Callable[[], int]
 
-LOG = logging.getLogger("annotator.project")
-
-_READ_ONLY = "is on a read-only disk, or you have no right to write it"
-_COPY_IT = "copy its folder to a place where you may write"
-_BEGIN, _WAITS_MS = "annotator_begin", "annotator_waits_ms"
+_BEGIN = "annotator_begin"
 
 # SQLite's messages about statements that do not fit the tables; all have the general code SQLITE_ERROR.
 _MISFITS = ("no such table", "no such column", "has no column", "already exists", "duplicate column")
@@ -85,38 +75,50 @@ _PROBLEMS: dict[int | None, str] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
 class Store:
     """One open database. Thread-safe, but not fork-safe: each process opens its own.
 
     Attributes:
         file: the database file, as it was when it was opened.
         engine: SQLAlchemy's pool of connections.
-        busy_timeout_s: how long to wait while another process has locked it, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
         write_lock: held by the thread that writes.
     """
 
-    file: DatabaseFile
-    engine: Engine
-    busy_timeout_s: float = BUSY_TIMEOUT_S
-    clock: Clock = time.time_ns
-    write_lock: threading.Lock = field(default_factory=threading.Lock)
-    _begun: threading.Event = field(default_factory=threading.Event)
-    # `connection`: of the thread's `snapshot`
-    _thread: threading.local = field(default_factory=threading.local)
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self.path, self.file, self.clock = path, DatabaseFile(path), clock
+        shared = _shared_engine()
+        pool = QueuePool(self._connect, THREADS, THREADS, BUSY_TIMEOUT_S, dialect=shared.dialect)
+        self.engine = Engine(pool, shared.dialect, shared.url, execution_options={"compiled_cache": _COMPILED})
+        event.listen(self.engine, "begin", _begin)
+        self.write_lock = threading.Lock()
+        # `connection`: of the thread's `snapshot`
+        self._thread = threading.local()
 
-    @property
-    def path(self) -> Path:
-        """The database file."""
-        return self.file.path
-
-    @property
-    def pool(self) -> QueuePool:
-        """The open connections."""
-        pool = self.engine.pool
-        assert isinstance(pool, QueuePool)
-        return pool
+    def _connect(self) -> Any:  # typed as sqlite3.Connection, it is none of SQLAlchemy's
+        self.file.require_current()
+        connection = sqlite3.connect(
+            self.file.address,
+            uri=True,
+            timeout=patience_s(BUSY_TIMEOUT_S),
+            isolation_level=None,  # `_begin` starts transactions, not the sqlite3 module
+            check_same_thread=False,  # the pool hands a connection to one thread at a time
+        )
+        try:
+            # the file may have been replaced before SQLite opened it
+            self.file.require_current()
+            connection.execute("PRAGMA foreign_keys = ON")
+            # views and triggers of a stranger's database may call no function with side effects
+            connection.execute("PRAGMA trusted_schema = OFF")
+            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
+            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
+            connection.execute("PRAGMA synchronous = FULL")
+            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
+            connection.execute("PRAGMA recursive_triggers = ON")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -129,7 +131,7 @@ class Store:
         if (shared := getattr(self._thread, "connection", None)) is not None:
             yield shared
             return
-        with self._transaction("BEGIN", patience_s(self.busy_timeout_s)) as connection:
+        with self._transaction("BEGIN", patience_s(BUSY_TIMEOUT_S)) as connection:
             yield connection
 
     @contextmanager
@@ -158,95 +160,54 @@ class Store:
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
         self._require_writable()
-        ends_s = time.monotonic() + patience_s(self.busy_timeout_s)
+        ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
         # after the timeout, SQLite itself reports the problem
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
-            if not self._begun.is_set():
-                self._begin_writing(ends_s)
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
                 token = advance(connection)
                 yield connection
-            self.file.lineage.written(token)
+            self.file.written(token)
             # the file may have been replaced since; only now it is sure that the change is in it
             self.file.require_current()
         finally:
             if has_lock:
                 self.write_lock.release()
 
-    def _require_writable(self) -> None:
-        if not self.file.is_writable:
-            raise ProjectError(f"{self.path}: {_READ_ONLY}, so nothing was saved; to change this project, {_COPY_IT}")
-
-    def upgrade(self, *, is_new: bool = False) -> None:
-        """Runs the missing migrations; errors as in `write`."""
+    def _require_writable(self, why: str = "") -> None:
         if not self.file.is_writable:
             raise ProjectError(
-                f"{self.path}: was written by an older annotator and must be upgraded before it is used, but it "
-                f"{_READ_ONLY}; {_COPY_IT}"
+                f"{self.path}: {why}is on a read-only disk, or you have no right to write it, so nothing was saved; to "
+                "change this project, copy its folder to a place where you may write"
             )
-        with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
-            if is_new:
-                connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-            upgrade(connection)
-            if not is_new:  # version 1 has stored the first token
-                advance(connection)
 
-    def _begin_writing(self, ends_s: float) -> None:
-        """Changes the database file itself, so that it differs from every copy made before (`generation.py`)."""
-        with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
+    def upgrade(self) -> None:
+        """Runs the missing migrations; errors as in `write`."""
+        self._require_writable("is upgraded before it is used, but ")
+        with self._transaction("BEGIN IMMEDIATE", BUSY_TIMEOUT_S) as connection:
+            upgrade(driver_of(connection))
             advance(connection)
-        with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
-            _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-        # a reader of an older state can prevent it; the next write then tries again
-        if logged == moved:
-            self._begun.set()
 
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
         with explained(self.path, self.file), self.engine.connect() as connection:
-            _wait_at_most(connection, wait_s)
-            connection = connection.execution_options(**{_BEGIN: begin})
+            connection = connection.execution_options(**{_BEGIN: (begin, round(wait_s * 1000))})
             with connection.begin():
                 # after it has begun: it may have waited long for the lock
                 self.file.require_current()
                 yield connection
 
-    def problems(self) -> list[str]:
-        """Problems that SQLite finds in the whole file; empty for a sound database.
-
-        Raises:
-            ProjectError: the file cannot be read at all.
-        """
-        with self.read() as connection:
-            lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
-            orphans = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-        return [line for line in lines if line != "ok"] + [
-            f"row that refers to a missing row: {tuple(row)}" for row in orphans
-        ]
-
     def close(self) -> None:
-        """Closes all connections; what a replaced database held is kept first."""
-        # without a connection it is closed already; and who removes or replaces a whole project means it
-        if self._has_connection() and self.file.is_same_folder() and not self.file.is_current():
-            self._keep()
+        """Closes all connections."""
+        self.file.closing()
         self.engine.dispose()
 
-    def _has_connection(self) -> bool:
-        """Whether a connection is free, after waiting a little for those that others use."""
-        ends_s = time.monotonic() + KEEP_WAIT_S
-        while not self.pool.checkedin() and self.pool.checkedout() and time.monotonic() < ends_s:
-            time.sleep(0.01)
-        return self.pool.checkedin() > 0
 
-    def _keep(self) -> None:
-        try:
-            # a connection of the pool, since a new one would open the other file
-            with closing(self.engine.raw_connection()) as connection:
-                assert isinstance(connection.driver_connection, sqlite3.Connection)
-                keep_replaced(connection.driver_connection, self.file)
-        except (ProjectError, DBAPIError, NoConnectionError) as error:
-            LOG.error("%s: was replaced, and what it held could not be kept: %s", self.path, error)
+def driver_of(connection: Connection) -> sqlite3.Connection:
+    """SQLite's own connection, which is several times as fast for small statements."""
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, sqlite3.Connection)
+    return driver
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
@@ -261,19 +222,19 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
         path.touch(mode=0o600, exist_ok=False)
     except FileExistsError as error:
         raise ProjectError(f"{path}: exists already") from error
-    store = _store(database_file(path), BUSY_TIMEOUT_S, clock)
+    store = Store(path, clock)
     with _closed_on_error(store), explained(path, store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:
-            # stored in the file, so it applies to every later connection
+            # stored in the file, so they apply to every later connection
+            outside_transactions.cursor().execute(f"PRAGMA application_id = {APPLICATION_ID}")
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
-        store.upgrade(is_new=True)
+        store.upgrade()
     return store
 
 
 def open_store(
     path: Path,
     *,
-    busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     before_upgrade: Callable[[], None] | None = None,
 ) -> Store:
@@ -288,25 +249,19 @@ def open_store(
             or views than its version; or the file `-wal` beside it belongs to another database.
     """
     _require_file(path)
-    if has_foreign_wal(path):
-        raise ProjectError(foreign_wal(path))
-    store = _store(database_file(path), busy_timeout_s, clock)
+    require_own_wal(path)
+    store = Store(path, clock)
     with _closed_on_error(store):
         with store.read() as connection:
-            application_id = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
-            version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
-            # reading the schema detects a truncated or overwritten file at once
-            connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
-        if problem := application_problem(application_id):
-            raise ProjectError(f"{path}: {problem}")
-        require_known(version, path)
-        with explained(path), closing(store.engine.raw_connection()) as raw:
-            assert isinstance(raw.driver_connection, sqlite3.Connection)
-            if found := next(schema_problems(raw.driver_connection, version, serious=True), None):
-                raise ProjectError(
-                    f"{path}: {found}, so it was not opened. `annotator project repair` makes a new project of what "
-                    f"can be read of it; or {RESTORE}"
+            driver = driver_of(connection)
+            if (problem := version_problem(driver)) is None and (found := next(schema_problems(driver), None)):
+                problem = (
+                    f"{found}, so it was not opened. `annotator project repair` makes a new project of what can be "
+                    f"read of it; or {RESTORE}"
                 )
+            (version,) = driver.execute("PRAGMA user_version").fetchone()
+        if problem is not None:
+            raise ProjectError(f"{path}: {problem}")
         if version < newest_version():
             if before_upgrade is not None and store.file.is_writable:
                 before_upgrade()
@@ -315,24 +270,13 @@ def open_store(
     return store
 
 
-def foreign_wal(path: Path) -> str:
-    """The problem that `has_foreign_wal` finds, in words."""
-    return (
-        f"{path}: does not belong to the file {wal_of(path).name} beside it; probably it is a copy that was put there "
-        "by hand, and the other file is left from a newer state; nothing was changed. `annotator project repair` makes "
-        "a new project of it without that file"
-    )
-
-
 def _require_file(path: Path) -> None:
     try:
         is_file = path.is_file()
     except OSError as error:
         raise ProjectError(f"{path}: cannot be read: {error.strerror}; check the permissions of its folder") from error
     if not is_file:
-        kept = kept_copies(path.parent.absolute())
-        remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
-        raise ReplacedError(f"{path}: is missing; {remedy}{RESTORE}")
+        raise ReplacedError(f"{path}: is missing; {RESTORE}")
 
 
 @contextmanager
@@ -381,16 +325,6 @@ def _primary(error: BaseException | None) -> int | None:
     return None if code is None else code & 0xFF
 
 
-def _wait_at_most(connection: Connection, seconds: float) -> None:
-    """Sets how long the connection waits for locks, if it differs from before."""
-    milliseconds = round(seconds * 1000)
-    if connection.info.get(_WAITS_MS) != milliseconds:
-        driver = connection.connection.driver_connection
-        assert isinstance(driver, sqlite3.Connection)
-        driver.execute(f"PRAGMA busy_timeout = {milliseconds}")
-        connection.info[_WAITS_MS] = milliseconds
-
-
 @contextmanager
 def _closed_on_error(store: Store) -> Iterator[None]:
     try:
@@ -412,38 +346,7 @@ def _shared_engine() -> Engine:
     return engine
 
 
-def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
-    def connect() -> Any:  # typed as sqlite3.Connection, it is none of SQLAlchemy's
-        file.require_current()
-        connection = sqlite3.connect(
-            file.address,
-            uri=True,
-            timeout=patience_s(busy_timeout_s),
-            isolation_level=None,  # the begin event below starts transactions, not the sqlite3 module
-            check_same_thread=False,  # the pool hands a connection to one thread at a time
-        )
-        try:
-            # the file may have been replaced before SQLite opened it
-            file.require_current()
-            connection.execute("PRAGMA foreign_keys = ON")
-            # views and triggers of a stranger's database may call no function with side effects
-            connection.execute("PRAGMA trusted_schema = OFF")
-            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
-            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
-            connection.execute("PRAGMA synchronous = FULL")
-            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
-            connection.execute("PRAGMA recursive_triggers = ON")
-        except BaseException:
-            connection.close()
-            raise
-        return connection
-
-    shared = _shared_engine()
-    pool = QueuePool(connect, THREADS, THREADS, busy_timeout_s, dialect=shared.dialect)
-    engine = Engine(pool, shared.dialect, shared.url, execution_options={"compiled_cache": _COMPILED})
-
-    @event.listens_for(engine, "begin")
-    def begin(connection: Connection) -> None:
-        connection.exec_driver_sql(connection.get_execution_options().get(_BEGIN, "BEGIN"))
-
-    return Store(file, engine, busy_timeout_s, clock)
+def _begin(connection: Connection) -> None:
+    statement, wait_ms = connection.get_execution_options()[_BEGIN]
+    connection.exec_driver_sql(f"PRAGMA busy_timeout = {wait_ms}")
+    connection.exec_driver_sql(statement)

@@ -217,7 +217,7 @@ def add(at: AtProject, body: NewRecording) -> AddedRecordings | JSONResponse:
 @router.patch("/api/projects/{name}/recordings/{recording}")
 def move(at: AtProject, recording: RowId, body: RecordingPath) -> RecordingInfo:
     """Set the new path of a moved recording; all its frames must be there."""
-    moved = move_recording(at.project, recording, at.ctx.folders.find(body.path), at.operator)
+    moved = move_recording(at.project, recording, at.ctx.folders.find(body.path))
     at.ctx.caches.frames.forget(at.project)
     return recording_info(moved)
 

@@ -158,7 +158,7 @@ def remove_leftovers(project: Project, role: DetectorKind) -> None:
     """Removes what killed trainings of a role left: incomplete training sets, and timed runs without a model."""
     folder = project.models_folder / role.value
     registered = {model.path.parent.resolve() for model in project.models.all(role)}
-    leftovers = list(folder.glob(f".{DATASET}.part-*"))
+    leftovers = list(folder.glob(f".{DATASET}.*.unfinished"))
     for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
         with suppress(FormatError):  # reported by a training that would continue it
             record = read_run(run)

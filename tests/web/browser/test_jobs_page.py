@@ -98,7 +98,7 @@ def test_a_dataset_is_exported_and_downloaded(
 ) -> None:
     """The unreadable frame is left out, as chosen, and the page names it."""
     page, recording, room = shared_page, own_copy("people"), shop.new_project()
-    room.recordings.move(1, recording, [frame.key for frame in room.frames.of()], "Ada")
+    room.recordings.move({1: (recording, [frame.key for frame in room.frames.of()])})
     page.goto(f"/#/{room.path.name}/export")
     expect(page.get_by_test_id("export-start")).to_be_disabled()
     expect(page.get_by_text("No boxes are accepted yet")).to_be_visible()

@@ -112,7 +112,7 @@ def test_frames_that_cannot_be_read_are_left_out_and_a_moved_recording_is_locate
 
     def lose() -> None:
         shutil.copytree(generated / "people", there)
-        room.recordings.move(1, there, keys, "Ada")
+        room.recordings.move({1: (there, keys)})
         shutil.rmtree(there)
         start.reload()
 

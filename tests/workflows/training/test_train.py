@@ -210,11 +210,11 @@ def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
         (folder / name).mkdir(exist_ok=True)
         record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
         record.write(folder / name)
-    (folder / ".dataset.part-x1").mkdir()
+    (folder / ".dataset.x1.unfinished").mkdir()
     workflow.remove_leftovers(labelled, DetectorKind.VIEW)
     assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
     assert not (folder / "timed").exists()
-    assert not (folder / ".dataset.part-x1").exists()
+    assert not (folder / ".dataset.x1.unfinished").exists()
 
 
 # with a low score, too
