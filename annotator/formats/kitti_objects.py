@@ -17,7 +17,7 @@ need a file for every frame; it is empty for a frame without detections.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
 from annotator.formats.losses import Lost
-from annotator.formats.reading import MOST, read_text, text_files, text_rows
+from annotator.formats.reading import MOST, text_files, text_rows
 from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import straightened
@@ -39,9 +39,6 @@ from annotator.types import Camera, Frame, Label, PointCloud, Truth
 from annotator.types.errors import ConfigError, FormatError
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
-
-Frames = dict[str, tuple[Truth, ...]]
-"""The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
 
 
 @dataclass
@@ -56,34 +53,41 @@ class KittiRows:
     angles: Angles = field(default_factory=Angles)
     flat: Counter[str] = field(default_factory=Counter)
 
-    def truth(self, name: str, row: kitti_rows.KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
-        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box."""
-        self.flat[name] += row.label != kitti_rows.DONT_CARE and row.is_flat
-        return kitti_rows.row_truth(row, track_id, None, file, line, self.angles) if kitti_rows.has_solid(row) else None
+    def add(
+        self, frames: dict[str, list[Truth]], name: str, row: kitti_rows.KittiLabel, file: Path, names: DatasetNames
+    ) -> None:
+        """Adds the object of a row of the frame `name`, in rectified camera 0, unless it has no 3D box."""
+        self.flat[name] += row.is_flat
+        objects = frames.setdefault(name, [])
+        if row.is_solid:
+            truth = kitti_rows.row_truth(row, None, file, self.angles)
+            objects.append(replace(truth, label=names.label(truth.label)))
 
 
-def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[Truth, ...]]]:
+def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, Sequence[Truth]]]:
     """Yields the 3D boxes of each frame, in file order.
 
     Args:
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
-            file `label_02.txt`, where every frame with a row counts as labelled.
+            file `label_02.txt`, where every frame with a row counts as labelled, by its number with six digits.
         found: collects what the rows show beside that.
     """
-    place = label_place(path)
+    place, frames = label_place(path), dict[str, list[Truth]]()
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (kitti_rows.FIELDS, kitti_rows.FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
-        yield from _tracked(place, found).items()
-        found.angles.require()
-        return
-    dataset_names = DatasetNames.of(place)
-    for stem, file, text in text_files(place, within=LABELS):
-        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
-        rows = ((line, kitti_rows.parse_fields(fields, file, line)) for line, fields in lines)
-        name = dataset_names.frame(stem)
-        truths = (found.truth(name, row, None, file, line) for line, row in rows)
-        yield name, tuple(replace(each, label=dataset_names.label(each.label)) for each in truths if each is not None)
+        for row in kitti_rows.read_rows(place, tracking=True):
+            found.add(frames, f"{row.frame:06d}", row, place, DatasetNames())
+        if not frames:
+            raise FormatError(place, "has no label row")
+        yield from frames.items()
+    else:
+        names = DatasetNames.of(place)
+        for stem, file, text in text_files(place, within=LABELS):
+            name, frames = names.frame(stem), {}
+            for row in kitti_rows.read_rows(file, text):
+                found.add(frames, name, row, file, names)
+            yield name, frames.get(name, ())
     found.angles.require()
 
 
@@ -104,20 +108,6 @@ def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
 def label_place(path: Path) -> Path:
     """The folder or file of labels in a KITTI dataset; the path itself if it is none."""
     return next((path / name for name in PLACES if (path / name).exists()), path)
-
-
-def _tracked(file: Path, found: KittiRows) -> Frames:
-    """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
-    frames: dict[str, list[Truth]] = {}
-    for line, fields in text_rows(file):
-        number, track_id, row = kitti_rows.parse_tracking_fields(fields, file, line)
-        name = f"{number:06d}"
-        objects = frames.setdefault(name, [])
-        if (truth := found.truth(name, row, track_id, file, line)) is not None:
-            objects.append(truth)
-    if not frames:
-        raise FormatError(file, "has no label row")
-    return {name: tuple(objects) for name, objects in frames.items()}
 
 
 LABELS, CALIBRATIONS = "label_2", "calib"
@@ -164,42 +154,31 @@ def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[kitti_rows
         path: a folder, or a zip archive, of `KEY.txt` files.
         scored: True for results: every row must have a score.
     """
-    return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
+    return {key: read_kitti_file(file, text, scored=scored) for key, file, text in text_files(path)}
 
 
-def read_kitti_file(path: Path, *, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
-    """Returns the rows of one frame; arguments and errors as in `read_kitti_folder`."""
-    return _rows(read_text(path), path, scored)
-
-
-def _rows(text: str, file: Path, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
-    lines, angles = enumerate(text.splitlines(), 1), Angles()
-    rows = tuple(_row(line, file, number, scored, angles) for number, line in lines if line.strip())
+def read_kitti_file(file: Path, text: str | None = None, *, scored: bool = False) -> tuple[kitti_rows.KittiLabel, ...]:
+    """Returns the rows of one frame; arguments as in `read_rows` and `read_kitti_folder`."""
+    rows, angles = tuple(kitti_rows.read_rows(file, text)), Angles()
+    for row in rows:
+        if scored and row.score is None:
+            raise FormatError(
+                file,
+                "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
+                "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
+                row.line,
+            )
+        if row.right < row.left or row.bottom < row.top:
+            edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
+            problem = f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}"
+            raise FormatError(file, problem, row.line)
+        if row.is_solid and min(row.height, row.width, row.length) <= 0:
+            sizes = f"{row.height:g} {row.width:g} {row.length:g}"
+            raise FormatError(file, f"height width length must be positive, not {sizes}", row.line)
+        if row.is_solid:
+            angles.radians(row.rotation_y, file, row.line)
     angles.require()
     return rows
-
-
-def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> kitti_rows.KittiLabel:
-    row = kitti_rows.parse_label_line(text, file, line)
-    if scored and row.score is None:
-        raise FormatError(
-            file,
-            "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
-            "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
-            line,
-        )
-    if row.right < row.left or row.bottom < row.top:
-        edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
-        raise FormatError(
-            file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
-        )
-    size = (row.height, row.width, row.length)
-    if min(size) <= 0 and size not in kitti_rows.UNKNOWN_SIZES and row.label != kitti_rows.DONT_CARE:
-        height, width, length = size
-        raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
-    if kitti_rows.has_solid(row):
-        angles.radians(row.rotation_y, file, line)
-    return row
 
 
 PARTS = ("image_2", "velodyne", "calib", "label_2")

@@ -8,7 +8,7 @@ as in `kitti_objects.py`, but a truncation is one of three levels. Track ids are
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,8 @@ from jaxtyping import Float64
 
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.frame_names import ClassWords, DatasetNames
-from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, Frames, KittiRows, KittiWriter, read_shift
-from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line, parse_tracking_fields
+from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, KittiRows, KittiWriter, read_shift
+from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line, read_rows
 from annotator.formats.reading import text_files
 from annotator.text import spelled
 from annotator.types import Label, Truth
@@ -125,7 +125,9 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     return ids
 
 
-def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, Float64[np.ndarray, "3"]]]:
+def read_kitti_tracks(
+    path: Path, found: KittiRows
+) -> tuple[dict[str, list[Truth]], dict[str, Float64[np.ndarray, "3"]]]:
     """Returns the objects of all labelled frames, without DontCare, and the shifts to the colour camera from calib/.
 
     Args:
@@ -137,25 +139,15 @@ def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, F
         frames.csv lists it. Boxes are in rectified camera 0; see `read_kitti_shifts`.
     """
     place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
-    dataset_names, frames, shifts = (
-        DatasetNames.of(place),
-        dict[str, list[Truth]](),
-        dict[str, Float64[np.ndarray, "3"]](),
-    )
-    for origin in dataset_names.frames.values():
-        frames[origin.name] = []
+    names, shifts = DatasetNames.of(place), dict[str, Float64[np.ndarray, "3"]]()
+    frames: dict[str, list[Truth]] = {origin.name: [] for origin in names.frames.values()}
     for sequence, file, text in text_files(place, within=LABELS):
         calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
-        for line, row in enumerate(text.splitlines(), 1):
-            if not row.strip():
-                continue
-            number, track_id, label = parse_tracking_fields(row.split(), file, line)
-            name = dataset_names.frame(f"{sequence}/{number:06d}")
-            objects = frames.setdefault(name, [])
+        for row in read_rows(file, text, tracking=True):
+            name = names.frame(f"{sequence}/{row.frame:06d}")
+            found.add(frames, name, row, file, names)
             if shift is not None:
                 shifts[name] = shift
-            if (truth := found.truth(name, label, track_id, file, line)) is not None:
-                objects.append(replace(truth, label=dataset_names.label(truth.label)))
     found.angles.require()
-    return {name: tuple(objects) for name, objects in frames.items()}, shifts
+    return frames, shifts

@@ -353,12 +353,12 @@ def read_labelcloud(
     return frames
 
 
-def read_labelcloud_file(file: Path) -> LabelCloudFrame:
+def read_labelcloud_file(file: Path) -> list[Truth]:
     """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
     content = reading.read_model(file, LabelFile)
     degrees = _degrees(file.parent, {file: content})
     try:
-        return LabelCloudFrame(tuple(Truth(entry.name, box_of(entry, degrees)) for entry in content.objects), None)
+        return [Truth(entry.name, box_of(entry, degrees)) for entry in content.objects]
     except ValueError as error:
         raise FormatError(file, str(error)) from error
 

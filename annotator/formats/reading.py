@@ -128,9 +128,10 @@ def read_text(file: Path) -> str:
     return _text(file, content)
 
 
-def text_rows(file: Path) -> list[tuple[int, list[str]]]:
-    """Returns the words of each non-blank line of a text file, with its 1-based line number."""
-    return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
+def text_rows(file: Path, text: str | None = None) -> list[tuple[int, list[str]]]:
+    """Returns the words of each non-blank line of a text file, or of `text`, with its 1-based line number."""
+    text = read_text(file) if text is None else text
+    return [(line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip()]
 
 
 def _of_archive(path: Path, within: str | None) -> Iterator[tuple[str, Path, str]]:

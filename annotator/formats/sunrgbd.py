@@ -399,13 +399,14 @@ class SceneAnnotation(FileRecord):
     objects: tuple[SceneObject | None, ...] = ()
 
 
-def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None, text: str | None = None) -> list[Truth]:
     """Returns the objects of one `label/KEY.txt`, in file order; an empty file has none.
 
     Args:
         T_camera_label: from upright depth to the camera frame (`Frame.T_camera_label`); None for identity.
+        text: the content of the file; None: it is read.
     """
-    return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path)]
+    return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path, text)]
 
 
 def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, path: Path, line: int) -> Truth:
@@ -500,8 +501,7 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
     dataset_names = DatasetNames.of(place)
     frames = {}
     for stem, file, text in text_files(place):
-        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
-        truths = [extracted_truth(fields, None, file, line) for line, fields in lines]
+        truths = read_extracted_labels(file, None, text)
         named = tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
         calibration = spelled(place.parent / "calib", f"{stem}.txt") if place.is_dir() else None
         frames[dataset_names.frame(stem)] = ExtractedFrame(named, calibration)

@@ -30,13 +30,13 @@ from annotator.formats.kitti_rows import (
     dump_label_line,
     heading_rotation,
     kitti_row,
-    read_object_labels,
-    read_tracking_areas,
-    read_tracking_labels,
+    read_rows,
+    row_truth,
 )
 from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.losses import Losses, Lost
+from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import pixel_rays
@@ -53,23 +53,24 @@ def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path, word: str, si
     path = tmp_path / "a.txt"
     area = DONT_CARE.replace("DontCare", word).replace("-1 -1 -1 -1000", f"{sizes} -1000")
     path.write_text(f"{area}\n\n{CAR}\n")
-    assert [truth.label for truth in read_object_labels(path, None)] == ["Car"]
     found = KittiRows()
     ((name, truths),) = each_kitti_frame(tmp_path, found)
     assert (name, [truth.label for truth in truths], found.flat[name]) == ("a", ["Car"], 0)
-    assert [row.label for row in read_kitti_file(path, scored=False)] == ["DontCare", "Car"]
-    (tmp_path / "label_02.txt").write_text(f"0 -1 {area}\n0 7 {CAR}\n")
-    assert {k: len(rows) for k, rows in read_tracking_areas(tmp_path / "label_02.txt").items()} == {0: 1}
-    assert {k: len(rows) for k, rows in read_tracking_labels(tmp_path / "label_02.txt", None).items()} == {0: 1}
-    path.write_text("")
-    assert read_object_labels(path, None) == []
+    assert [row.label for row in read_kitti_file(path)] == ["DontCare", "Car"]
+    tracking = tmp_path / "label_02.txt"
+    tracking.write_text(f"0 -1 {area}\n0 7 {CAR}\n")
+    assert [(row.frame, row.track, row.is_solid) for row in read_rows(tracking, tracking=True)] == [
+        (0, -1, False),
+        (0, 7, True),
+    ]
 
 
 @pytest.mark.parametrize(("written", "read"), [("0", 0.0), ("2", None), ("1.00", 1.0)])
 def test_levels_of_truncation_in_tracking_files_are_no_fractions(tmp_path: Path, written: str, read: float | None):
     path = tmp_path / "label_02.txt"
     path.write_text(f"0 7 {CAR.replace('0.25', written, 1)}\n")
-    ((truth,),) = read_tracking_labels(path, None).values()
+    (row,) = read_rows(path, tracking=True)
+    truth = row_truth(row, None, path, Angles())
     assert truth.attributes.get("truncation") == read
 
 
@@ -79,7 +80,8 @@ def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path) -> None:
         P2 = np.array(golden["P2"]).reshape(3, 4)
         shift = np.linalg.solve(P2[:, :3], P2[:, 3])
         (tmp_path / "a.txt").write_text(golden["label"] + "\n")
-        (truth,) = read_object_labels(tmp_path / "a.txt", RigidTransform.from_translation(shift))
+        (row,) = read_rows(tmp_path / "a.txt")
+        truth = row_truth(row, RigidTransform.from_translation(shift), tmp_path / "a.txt", Angles())
         expected, center = np.array(golden["expected"]["corners_rect"]), truth.box.center_m - shift
         gaps = np.linalg.norm((box_corners(truth.box) - shift)[:, None] - expected, axis=2)
         assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-6

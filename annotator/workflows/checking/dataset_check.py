@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from annotator.formats.rcv import MANIFEST
 from annotator.formats.units import Angles
 from annotator.geometry.oriented_box import contains
-from annotator.types import Frame, OrientedBox
+from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
@@ -36,10 +36,18 @@ from annotator.workflows.checking.frame_rules import (
     rules_in_frame,
     rules_of_labels,
 )
-from annotator.workflows.checking.label_files import FoundLabel, stray_names
+from annotator.workflows.checking.label_files import stray_names
 from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources
 from annotator.workflows.importing.report import SizeDoubts
-from annotator.workflows.recorded.reading import has_masks, load_mask
+from annotator.workflows.recorded.reading import (
+    FoundLabel,
+    FrameLabels,
+    found_labels,
+    has_masks,
+    is_labelled,
+    label_file,
+    load_mask,
+)
 
 RULE_OF = {
     UnitKind.ANGLE: rules.ANGLE_UNIT,
@@ -161,72 +169,76 @@ class DatasetCheck:
         Args:
             progress: called with (frames checked, frames).
         """
-        keys = self.source.keys
+        recording, source = self.source.recording, self.source
+        keys, has_labels = recording.keys, source.has_labels
         chosen = set(np.linspace(0, len(keys) - 1, min(len(keys), FRAMES)).astype(int).tolist())
         for index, key in enumerate(keys):
             frame = self._read(index, key)
             if frame is not None:
                 self._camera(index, key, frame)
                 self._time(index, key, frame)
-                if index in chosen and self.source.has_pictures:
+                if index in chosen and source.has_pictures:
                     self.alignment.add(frame)
-            self._labels(index, key, frame)
+            if has_labels:
+                self._labels(index, key, frame)
             if progress is not None:
                 progress(index + 1, len(keys))
         self._whole_files()
         self._whole_dataset()
-        return DatasetFacts(
-            path=str(self.source.path), format=self.source.format, frames=len(keys), labels=len(self.sizes)
-        )
+        return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.sizes))
 
     def _read(self, index: int, key: str) -> Frame | None:
         try:
-            return self.source.read(index)
+            return self.source.recording.frame(index)
         except AnnotatorError as error:
-            file = getattr(error, "path", self.source.path)
+            file = getattr(error, "path", self.source.recording.path)
             rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
-            self.findings.add_error(rule, error, self.source.path, frame=key)
+            self.findings.add_error(rule, error, self.source.recording.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
-            self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
+            self.findings.add(rules.UNREADABLE_FILE, self.source.recording.path, message, frame=key)
         return None
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
         file = self.source.calibration(index)
-        of_cloud = cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted")
+        of_cloud = cloud_rules(frame, of_depth_camera=self.source.recording.format == "sunrgbd_extracted")
         for rule, message in (*camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
         recording = self.source.recording
         try:
-            if recording is not None and has_masks(recording):
+            if has_masks(recording):
                 load_mask(recording, frame)
         except AnnotatorError as error:
             self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
-        if not self.source.in_time_order or frame.timestamp_ns is None:
+        if not self.source.recording.is_sequence or frame.timestamp_ns is None:
             return
         if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
             message = (
                 f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
             )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
+            self.findings.add(rules.TIME_BACKWARDS, self.source.recording.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
-        files = self.source.labels
-        if files is None:
+        recording = self.source.recording
+        file = label_file(recording, key)
+        if file is None or not file.exists():
+            missing = recording.path if file is None else file
+            self.findings.add(rules.MISSING_LABELS, missing, f"frame {key} has no label file", frame=key)
+            self.wrong_files += 1
             return
-        labels = files.of(index, key, frame)
-        if labels.missing is not None:
-            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
-        for error in labels.problems:
-            self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
+        labels = found_labels(recording, index, frame) if is_labelled(recording, key) else FrameLabels()
+        for error in labels.of_file:
+            self.findings.add_error(rule_of(error), error, recording.path)
+        for error in labels.faults:
+            self.findings.add_error(rule_of(error), error, recording.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
         self._add_all(key, labels.objects, rules_of_labels(labels.objects))
         objects = [each for each in labels.objects if is_plausible(each)]
-        valid = [each for each in objects if not each.rejected]
+        valid = [each for each in objects if each.state is not ReviewState.REJECTED]
         self._add_all(key, valid, rules_among_labels(valid))
         if frame is not None:
             self.seen += len(objects)
@@ -238,9 +250,9 @@ class DatasetCheck:
             self._add_all(key, valid, self._since_before(index, valid))
         for each in labels.objects:
             self.boxes.add(each)
-        self.flat += labels.flat
+        self.flat += sum(row.is_flat for row in labels.rows)
         self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
-        self.wrong_files += bool(labels.problems) or labels.missing is not None
+        self.wrong_files += bool(labels.faults)
 
     def _add_all(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
         for rule, number, message in breaches:
@@ -255,8 +267,8 @@ class DatasetCheck:
         if before is None or place is None or before[0] != (place[0], place[1] - 1):
             return
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
-        if self.source.in_time_order or self.source.format == "rcv":
-            for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.in_time_order):
+        if self.source.recording.is_sequence or self.source.recording.format == "rcv":
+            for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.recording.is_sequence):
                 yield rules.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
@@ -266,17 +278,11 @@ class DatasetCheck:
                 yield rules.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
-        files = self.source.labels
-        for error in files.problems if files is not None else ():
-            self.findings.add_error(rule_of(error), error, self.source.path)
-        of_labels = files.strays() if files is not None else iter(())
-        of_recording = iter(()) if self.source.recording is None else stray_names(self.source.recording)
-        for strays in (of_labels, of_recording):
-            try:
-                for file, line, name in strays:
-                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
-            except FormatError as error:  # a list that is not text
-                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
+        try:
+            for file, line, name in stray_names(self.source.recording):
+                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+        except FormatError as error:  # a list that is not text
+            self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.recording.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
@@ -284,7 +290,7 @@ class DatasetCheck:
             if each.label in usual and usual[each.label].odd(each.size_m):
                 message = odd_size_message(each.label, each.size_m, usual[each.label])
                 self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
-        path = self.source.path
+        path = self.source.recording.path
         self.boxes.report(self.findings, path)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
@@ -298,7 +304,8 @@ class DatasetCheck:
         if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
             message = "2D boxes do not match their 3D boxes; check that the calibration is the right one"
             self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
-        declared = self.source.declared_objects
+        dataset = self.source.dataset
+        declared = None if dataset is None else dataset.manifest.counts.objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
             message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)

@@ -29,11 +29,10 @@ from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
-from annotator.workflows.checking.label_files import LabelFiles, label_files, rcv_files
 from annotator.workflows.importing.pictures import read_pictures
 from annotator.workflows.importing.readers import READERS
+from annotator.workflows.recorded.reading import label_file
 
 # Formats of labels that open as a recording with their images and clouds.
 OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
@@ -156,68 +155,37 @@ CALIBRATIONS = (
 
 @dataclass(frozen=True)
 class Source:
-    """A dataset: frames that are read one at a time, and labels.
+    """A dataset: a recording whose frames are read one at a time, and its labels.
 
     Attributes:
-        path: the path that was opened.
-        format: the recording's format, or "rcv".
-        keys: the frames' names.
-        labels: the label files; None without labels.
-        read: reads a frame by its number; raises an AnnotatorError if it cannot be read.
-        calibration: returns the file of a frame's camera, by the frame's number.
-        place: returns the original recording of a frame, and its number there.
-        in_time_order: True if the frames' numbers are known to be in time order.
-        has_pictures: False if the images are rendered from the clouds.
-        declared_objects: the number of objects in the dataset's manifest; None without a manifest.
-        recording: None for an `rcv` dataset.
+        dataset: what the recording is as an `rcv` dataset, whose frames may come from several recordings.
     """
 
-    path: Path
-    format: str
-    keys: Sequence[str]
-    labels: LabelFiles | None
-    read: Callable[[int], Frame]
-    calibration: Callable[[int], Path]
-    place: Callable[[int], tuple[str, int]]
-    in_time_order: bool = False
-    has_pictures: bool = True
-    declared_objects: int | None = None
-    recording: Recording | None = None
+    recording: Recording
+    dataset: RcvDataset | None = None
 
-
-def _of_recording(recording: Recording) -> Source:
-    def calibration(index: int) -> Path:
+    def calibration(self, index: int) -> Path:
+        """Returns the file of a frame's camera."""
+        recording = self.recording
+        if self.dataset is not None:
+            return self.dataset.label_path(index)
         if isinstance(recording, SunRgbdScenes):
             return recording.scenes[index] / "intrinsics.txt"
         places = (spelled(recording.root, name.format(key=recording.keys[index])) for name in CALIBRATIONS)
         return next((place for place in places if place.is_file()), recording.path)
 
-    return Source(
-        recording.path,
-        recording.format,
-        recording.keys,
-        label_files(recording),
-        recording.frame,
-        calibration,
-        lambda index: (recording.name, index),
-        in_time_order=recording.is_sequence,
-        has_pictures=not (isinstance(recording, CloudFolder) and recording.images is None),
-        recording=recording,
-    )
+    def place(self, index: int) -> tuple[str, int]:
+        """Returns the original recording of a frame, and its number there."""
+        return (self.recording.name, index) if self.dataset is None else self.dataset.place(index)
 
+    @property
+    def has_labels(self) -> bool:
+        return bool(self.recording.keys) and label_file(self.recording, self.recording.keys[0]) is not None
 
-def _of_rcv(dataset: RcvDataset, recording: Recording) -> Source:
-    """Its frames may come from several recordings, which need not be sequences."""
-    return Source(
-        dataset.path,
-        "rcv",
-        dataset.manifest.frames,
-        rcv_files(dataset),
-        recording.frame,
-        dataset.label_path,
-        dataset.place,
-        declared_objects=dataset.manifest.counts.objects,
-    )
+    @property
+    def has_pictures(self) -> bool:
+        """False if the images are rendered from the clouds."""
+        return not (isinstance(self.recording, CloudFolder) and self.recording.images is None)
 
 
 SourceOrError = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
@@ -268,7 +236,7 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
         source = _open(path) if dataset.opened_as is not None else None
     except AnnotatorError:
         return None
-    if source is None or source.format != dataset.opened_as or source.labels is None:
+    if source is None or source.recording.format != dataset.opened_as or not source.has_labels:
         return None
     for _ in dataset.frames(faults.append):
         pass
@@ -276,8 +244,5 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
 
 
 def _open(path: Path) -> Source:
-    return (
-        _of_rcv(read_rcv(path), open_recording(path))
-        if (path / MANIFEST).is_file()
-        else _of_recording(open_recording(path))
-    )
+    dataset = read_rcv(path) if (path / MANIFEST).is_file() else None
+    return Source(open_recording(path), dataset)

@@ -14,13 +14,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
-from annotator.formats.attributes import Values
 from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import boxes_file, each_frame
 from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_shifts
 from annotator.formats.kitti_rows import label_frame
 from annotator.formats.kitti_tracking import read_kitti_tracks
-from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
+from annotator.formats.labelcloud import read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results, read_world_poses
 from annotator.formats.openlabel import read_openlabel
 from annotator.formats.packed_truths import PackedTruths
@@ -113,12 +112,10 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
 
 
 def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a labelCloud project."""
-    return of_labelcloud(path, read_labelcloud(path, on_fault, angles))
-
-
-def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBoxes:
-    """Boxes in the frames of their clouds; transformed to the camera by the dataset's calibration, else the frame's."""
+    """Reads a labelCloud project, boxes in the frames of their clouds; transformed to the camera by the dataset's
+    calibration, else the frame's.
+    """
+    frames = read_labelcloud(path, on_fault, angles)
     poses = {name: each.T_camera_cloud for name, each in frames.items()}
 
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
@@ -246,30 +243,18 @@ def rcv_labels(path: Path) -> PlacedBoxes:
     """Reads an `rcv` dataset."""
     dataset = read_rcv(path)
     frames = [dataset.named_labels(i) for i in range(len(dataset))]
-    values = {name: values for name, _, values, _ in frames}
     poses = {name: pose for name, *_, pose in frames}
-    return _reviewed(
+    return PlacedBoxes(
         path,
-        {name: labels for name, labels, *_ in frames},
+        PackedTruths((name, [truth_of(each) for each in labels]) for name, labels, *_ in frames),
         lambda name, read: moved_in_world(poses[name], read),
-        values,
+        states={name: tuple(each.state for each in labels) for name, labels, *_ in frames},
+        values={name: values for name, _, values, _ in frames},
     )
 
 
-def of_rcv(path: Path, key: str, labels: Sequence[Label]) -> PlacedBoxes:
-    """The labels of one frame of an `rcv` dataset, in its camera frame."""
-    return _reviewed(path, {key: labels}, None, {})
-
-
-def _reviewed(
-    path: Path, frames: Mapping[str, Sequence[Label]], pose: Pose | None, values: Mapping[str, Values]
-) -> PlacedBoxes:
-    objects = ((name, [_truth(each) for each in labels]) for name, labels in frames.items())
-    states = {name: tuple(each.state for each in labels) for name, labels in frames.items()}
-    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)
-
-
-def _truth(label: Label) -> Truth:
+def truth_of(label: Label) -> Truth:
+    """Returns a label as the object that it is."""
     return Truth(
         label.label,
         label.box,
