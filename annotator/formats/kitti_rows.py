@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +87,7 @@ class KittiLabel:
     z: float
     rotation_y: float
     score: float | None = None
+    _: KW_ONLY
     frame: int | None = None
     track: int | None = None
     line: int | None = field(default=None, compare=False)
@@ -201,9 +202,8 @@ def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = Fals
         truncated = -1.0
     # the devkit ignores the case of this type
     label = DONT_CARE if label.lower() == DONT_CARE.lower() else label
-    frame, track = numbers or (None, None)
-    row = KittiLabel(label, truncated, _integer(rest[1], path, line), *values)
-    return replace(row, frame=frame, track=track, line=line)
+    row = KittiLabel(label, truncated, _integer(rest[1], path, line), *values, line=line)
+    return replace(row, frame=numbers[0], track=numbers[1]) if tracking else row
 
 
 def _integer(field: str, path: Path, line: int) -> int:

@@ -36,8 +36,7 @@ from annotator.workflows.checking.frame_rules import (
     rules_in_frame,
     rules_of_labels,
 )
-from annotator.workflows.checking.label_files import stray_names
-from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources
+from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources, stray_names
 from annotator.workflows.importing.report import SizeDoubts
 from annotator.workflows.recorded.reading import (
     FoundLabel,

@@ -24,7 +24,7 @@ from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.checking.findings import RULES, Findings, Severity
-from annotator.workflows.checking.label_files import stray_names
+from annotator.workflows.checking.sources import stray_names
 from annotator.workflows.importing.report import SizeOrders
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
