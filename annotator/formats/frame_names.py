@@ -13,12 +13,16 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.attributes import Values
 from annotator.formats.reading import read_text
 from annotator.text import normal
+from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import FormatError
 
 FRAMES_CSV = "frames.csv"
@@ -210,3 +214,50 @@ class DatasetNames:
     def label(self, word: str) -> str:
         """Returns the class name of a word."""
         return self.classes.get(word, word)
+
+
+Pose = Callable[[Frame], RigidTransform | None]
+"""The transform from the frame of reference of a dataset's boxes to the camera of the project's frame; None: the boxes
+are in its frame already."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """The objects of one frame of a dataset.
+
+    Attributes:
+        truths: in file order, with their scores as in the file.
+        pose: from their frame of reference to the camera, as the dataset says it, else as the project's frame, whose
+            reading takes long; None: they are in the camera frame.
+        states: of each object, for formats with review states; None: accepted.
+        values: attributes of the frame.
+        flat: number of 2D boxes without a 3D box.
+    """
+
+    truths: Sequence[Truth]
+    pose: RigidTransform | Pose | None = None
+    states: Sequence[ReviewState | None] | None = None
+    values: Values = field(default_factory=dict)
+    flat: int = 0
+
+    def T_camera(self, read: Callable[[], Frame]) -> RigidTransform | None:
+        """Returns the transform to the camera of the project's frame, which is read only if that is necessary."""
+        return self.pose if self.pose is None or isinstance(self.pose, RigidTransform) else self.pose(read())
+
+
+def of_recording(frame: Frame) -> RigidTransform | None:
+    """The pose of boxes in the frame of the recording's own labels."""
+    return frame.T_camera_label
+
+
+def in_world(T_world_there: RigidTransform | None) -> Pose | None:
+    """The pose of boxes relative to the camera of an exported frame.
+
+    Its place in the map is another than that of the project's frame if the recording was added with another origin.
+
+    Args:
+        T_world_there: where the dataset says that its camera is; None if it does not.
+    """
+    if T_world_there is None:
+        return None
+    return lambda frame: None if frame.T_world_camera is None else frame.T_world_camera.inv() * T_world_there

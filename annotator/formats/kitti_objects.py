@@ -16,9 +16,9 @@ need a file for every frame; it is empty for a frame without detections.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,81 +28,87 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats import kitti_rows
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
-from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
+from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
 from annotator.formats.reading import MOST, text_files, text_rows
-from annotator.formats.units import Angles
+from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import straightened
 from annotator.text import spelled, to_number
-from annotator.types import Camera, Frame, Label, PointCloud, Truth
+from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
 
 
-@dataclass
-class KittiRows:
-    """What the rows of a set show beside their 3D boxes.
-
-    Attributes:
-        angles: of all 3D boxes.
-        flat: number of 2D boxes without a 3D box, by frame name; they are left out.
-    """
-
-    angles: Angles = field(default_factory=Angles)
-    flat: Counter[str] = field(default_factory=Counter)
-
-    def add(
-        self, frames: dict[str, list[Truth]], name: str, row: kitti_rows.KittiLabel, file: Path, names: DatasetNames
-    ) -> None:
-        """Adds the object of a row of the frame `name`, in rectified camera 0, unless it has no 3D box."""
-        self.flat[name] += row.is_flat
-        objects = frames.setdefault(name, [])
-        if row.is_solid:
-            truth = kitti_rows.row_truth(row, None, file, self.angles)
-            objects.append(replace(truth, label=names.label(truth.label)))
+NO_NAMES = DatasetNames()
 
 
-def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, Sequence[Truth]]]:
-    """Yields the 3D boxes of each frame, in file order.
+def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the 3D boxes of each frame, by `RECORDING/KEY` or only `KEY`.
 
     Args:
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
             file `label_02.txt`, where every frame with a row counts as labelled, by its number with six digits.
-        found: collects what the rows show beside that.
+        unit: of the angles; None: radians, as the format says.
     """
-    place, frames = label_place(path), dict[str, list[Truth]]()
+    place, angles = label_place(path), Angles(unit)
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (kitti_rows.FIELDS, kitti_rows.FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
-        for row in kitti_rows.read_rows(place, tracking=True):
-            found.add(frames, f"{row.frame:06d}", row, place, DatasetNames())
+        frames = tracked_frames(place, None, angles, "{:06d}".format)
         if not frames:
             raise FormatError(place, "has no label row")
-        yield from frames.items()
     else:
-        names = DatasetNames.of(place)
+        names, frames = DatasetNames.of(place), dict[str, LabelledFrame]()
         for stem, file, text in text_files(place, within=LABELS):
-            name, frames = names.frame(stem), {}
-            for row in kitti_rows.read_rows(file, text):
-                found.add(frames, name, row, file, names)
-            yield name, frames.get(name, ())
-    found.angles.require()
+            calibration = calibration_beside(file) if place.is_dir() else None
+            shift = None if calibration is None else read_shift(calibration)
+            frames[names.frame(stem)] = frame_of(kitti_rows.read_rows(file, text), file, angles, names, shift)
+    angles.require()
+    return frames
 
 
-def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
-    """Returns the shift from rectified camera 0 to the colour camera, metres, of each frame with a calibration.
+def tracked_frames(
+    file: Path,
+    text: str | None,
+    angles: Angles,
+    name: Callable[[int], str],
+    names: DatasetNames = NO_NAMES,
+    shift: Float64[np.ndarray, "3"] | None = None,
+) -> dict[str, LabelledFrame]:
+    """Returns the frames of a tracking file.
 
     Args:
-        path: as in `each_kitti_frame`; archives and tracking files have no calibrations.
+        text, names, shift: as in `read_rows` and `frame_of`.
+        name: of a frame, by its number.
     """
-    place = label_place(path)
-    if not place.is_dir():
-        return {}
-    dataset_names = DatasetNames.of(place)
-    files = {file.stem: calibration_beside(file) for file in sorted(place.glob("*.txt")) if file.name[0] != "."}
-    return {dataset_names.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
+    rows = defaultdict[str, list[kitti_rows.KittiLabel]](list)
+    for row in kitti_rows.read_rows(file, text, tracking=True):
+        rows[name(row.frame or 0)].append(row)
+    return {frame: frame_of(each, file, angles, names, shift) for frame, each in rows.items()}
+
+
+def frame_of(
+    rows: Iterable[kitti_rows.KittiLabel],
+    file: Path,
+    angles: Angles,
+    names: DatasetNames,
+    shift: Float64[np.ndarray, "3"] | None,
+) -> LabelledFrame:
+    """Returns the objects of a frame's rows.
+
+    Args:
+        angles: those of all rows that belong together.
+        names: of the dataset.
+        shift: from rectified camera 0 to the colour camera, metres, by the dataset's calibration; None: that of the
+            frame's recording, and without either, the labels are taken as being in the camera frame.
+    """
+    rows = list(rows)
+    truths = [kitti_rows.row_truth(row, None, file, angles) for row in rows if row.is_solid]
+    pose = kitti_rows.label_frame if shift is None else RigidTransform.from_translation(shift)
+    named = [replace(truth, label=names.label(truth.label)) for truth in truths]
+    return LabelledFrame(named, pose, flat=sum(row.is_flat for row in rows))
 
 
 def label_place(path: Path) -> Path:

@@ -24,7 +24,7 @@ import colorsys
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -35,7 +35,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
-from annotator.formats.frame_names import read_frames
+from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
@@ -319,22 +319,9 @@ def _color(number: int) -> str:
     return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
 
 
-@dataclass(frozen=True, eq=False)
-class LabelCloudFrame:
-    """The boxes of one cloud.
-
-    Attributes:
-        objects: in the cloud's frame.
-        T_camera_cloud: from the cloud's frame to the camera; None without a calibration.
-    """
-
-    objects: tuple[Truth, ...]
-    T_camera_cloud: RigidTransform | None
-
-
 def read_labelcloud(
     path: Path, on_fault: reading.OnFault = reading.raise_fault, angles: AngleUnit | None = None
-) -> dict[str, LabelCloudFrame]:
+) -> dict[str, LabelledFrame]:
     """Returns the labels of a project folder with all its parts, or of a folder of label files, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
@@ -342,7 +329,7 @@ def read_labelcloud(
     Args:
         angles: their unit; None: as `_classes.json` says, else as their range shows.
     """
-    frames: dict[str, LabelCloudFrame] = {}
+    frames: dict[str, LabelledFrame] = {}
     for folder in _label_folders(path):
         origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
         for stem, frame in _read_folder(folder, angles, on_fault):
@@ -379,7 +366,7 @@ def _label_files(folder: Path) -> Iterator[Path]:
 
 def _read_folder(
     folder: Path, angles: AngleUnit | None, on_fault: reading.OnFault
-) -> Iterator[tuple[str, LabelCloudFrame]]:
+) -> Iterator[tuple[str, LabelledFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
         try:
@@ -400,7 +387,7 @@ def _read_folder(
         except FormatError as fault:
             on_fault(fault)
             continue
-        yield normal(file.stem), LabelCloudFrame(tuple(objects), T_camera_cloud)
+        yield normal(file.stem), LabelledFrame(objects, of_recording if T_camera_cloud is None else T_camera_cloud)
 
 
 def _pose_for(objects: Sequence[Truth], file: Path) -> RigidTransform:

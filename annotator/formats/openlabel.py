@@ -25,7 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
-from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
+from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
 from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
@@ -285,57 +285,29 @@ def is_document(file: Path) -> bool:
     return False
 
 
-@dataclass(frozen=True, eq=False)
-class OpenLabelBox(Truth):
-    """A cuboid, in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
+def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the frames of a document, or of all documents in a folder and its subfolders.
 
-    Its track is the attribute `track_id`, else the object's number; None for UUIDs.
-
-    Attributes:
-        state: the review state from the attribute `state`, if any.
-    """
-
-    state: ReviewState | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class OpenLabelFrame:
-    """One frame of a document, for one of its sensors.
-
-    Attributes:
-        name: "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number.
-        boxes: in the sensor's coordinates.
-        of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
-        attributes: of the frame, from contexts.
-        T_world_sensor: pose of the sensor in map coordinates, from annotator's own documents of recordings in such.
-    """
-
-    name: str
-    boxes: tuple[OpenLabelBox, ...]
-    of_camera: bool
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    T_world_sensor: RigidTransform | None = None
-
-
-def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, OpenLabelFrame]:
-    """Returns the frames of a document, or of all documents in a folder and its subfolders, by name.
+    Names are "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number. Boxes are in
+    the coordinates of the camera, or of the LiDAR in a document without one. The track of an object is the attribute
+    `track_id`, else its number; None for UUIDs.
 
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
     """
     all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
-    frames: dict[str, OpenLabelFrame] = {}
+    frames: dict[str, LabelledFrame] = {}
     source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
         document = read_model(file, doc.Document, unique_keys)
         _collect(file, document.openlabel, all_angles, quaternions)
-        for frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
-            if frame.name in frames:
-                where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
-                raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
-            frames[frame.name], source[frame.name] = frame, file
+        for name, frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
+            if name in frames:
+                where = f"here and in {source[name].name}" if source[name] != file else "for two sensors"
+                raise FormatError(file, f"the frame {name} has labels {where}; import one of them at a time")
+            frames[name], source[name] = frame, file
     all_angles.require()
     quaternions.require(path)
     return frames
@@ -356,8 +328,8 @@ def _collect(file: Path, content: doc.Content, angles: Angles, quaternions: Quat
 
 def parse(
     path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
-) -> Iterator[OpenLabelFrame]:
-    """Yields the frames of one document, once for each of its cameras.
+) -> Iterator[tuple[str, LabelledFrame]]:
+    """Yields the names and frames of one document, once for each of its cameras.
 
     Args:
         origins: origins of frames, by the stem of their files.
@@ -380,17 +352,19 @@ def parse(
             # paths may come from Windows; only the file name is used, the file is not opened
             stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
-            boxes = tuple(
+            boxes = [
                 _box(path, place, each, cuboid, uid, coordinates, sensor, degrees)
                 for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
                 # null means "no cuboid" in the standard
                 if cuboid.val is not None
-            )
+            ]
             contexts = (frame.contexts or {}).values()
             values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
             is_placed = stem in origins and PLACE in (properties.transforms or {})
             world = coordinates.transform(WORLD, sensor) if is_placed else None
-            yield OpenLabelFrame(name, boxes, of_camera, values, world)
+            states = [state for _, state in boxes]
+            pose = in_world(world) if of_camera else of_recording
+            yield name, LabelledFrame([truth for truth, _ in boxes], pose, states, values)
 
 
 def _documents(path: Path) -> list[Path]:
@@ -443,7 +417,7 @@ def _box(
     coordinates: doc.Coordinates,
     sensor: str,
     degrees: bool,
-) -> OpenLabelBox:
+) -> tuple[Truth, ReviewState | None]:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
         raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
@@ -463,7 +437,7 @@ def _box(
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
     values = doc.values_of(attributes)
     score = numbers.get("score")
-    return OpenLabelBox(each.type, box, track_id, score, None, box_kind, values, said, review)
+    return Truth(each.type, box, track_id, score, None, box_kind, values, said), review
 
 
 def _track(attribute: float | None, uid: str) -> int | None:

@@ -26,10 +26,11 @@ from annotator.formats.dataset_writing import (
     encoded_image,
     write_ply,
 )
+from annotator.formats.frame_names import LabelledFrame, in_world
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
-from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion
+from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.types.messages import amount
@@ -480,6 +481,29 @@ def read_rcv(path: Path) -> RcvDataset:
         if frame_id != Path(frame_id).name:
             raise FormatError(path / MANIFEST, f"the id {frame_id[:NAME_SHOWN]!r} is not a valid file name")
     return RcvDataset(path, manifest)
+
+
+def labelled_frames(path: Path) -> dict[str, LabelledFrame]:
+    """Returns the labels of a dataset by `RECORDING/KEY`."""
+    dataset, frames = read_rcv(path), dict[str, LabelledFrame]()
+    for index in range(len(dataset)):
+        name, labels, values, pose = dataset.named_labels(index)
+        states = tuple(each.state for each in labels)
+        frames[name] = LabelledFrame([truth_of(each) for each in labels], in_world(pose), states, values)
+    return frames
+
+
+def truth_of(label: Label) -> Truth:
+    """Returns a label as the object that it is."""
+    return Truth(
+        label.label,
+        label.box,
+        label.track_id,
+        label.score,
+        box_kind=label.box_kind,
+        attributes=label.attributes,
+        said=label.said,
+    )
 
 
 def _inside(folder: Path, name: str, listed_in: Path) -> Path:

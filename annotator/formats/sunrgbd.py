@@ -37,8 +37,8 @@ others it follows from gravity: y is the levelled viewing direction. A camera's 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,7 +48,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
-from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
+from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
 from annotator.formats.reading import FileRecord, finite_number, read_model, text_files, text_rows
 from annotator.formats.units import rotation_problem
@@ -109,21 +109,6 @@ MOST_TABLE_BYTES = 2**28
 MetaRow = tuple[Any, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class MetaFrame:
-    """One frame of the table.
-
-    Attributes:
-        name: `RECORDING/KEY`, or a scene's path in the data set joined by `KEY_SEPARATOR`.
-        T_camera_upright: from upright depth to the camera.
-        truths: the objects, in upright depth.
-    """
-
-    name: str
-    T_camera_upright: RigidTransform
-    truths: tuple[Truth, ...]
-
-
 def meta_frame(
     name: str,
     files: tuple[str, str],
@@ -158,19 +143,22 @@ def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
     return {VARIABLE: table}
 
 
-def read_meta(path: Path) -> list[MetaFrame]:
-    """Returns the frames of a `SUNRGBDMeta*.mat`."""
+def read_meta(path: Path) -> dict[str, LabelledFrame]:
+    """Returns the frames of a `SUNRGBDMeta*.mat`, by `RECORDING/KEY`, or a scene's path in the data set joined by
+    `KEY_SEPARATOR`.
+    """
     try:
         table = read_mat(path, VARIABLE, MOST_TABLE_BYTES)
     except MatFileError as error:
         raise FormatError(path, f"{error}; copy the file again") from error
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    frames = [_frame(path, f"frame {n}", each) for n, each in enumerate(_records(path, VARIABLE, table), 1)]
-    names = [frame.name for frame in frames]
-    if len(set(names)) < len(names):
-        repeated = next(name for number, name in enumerate(names) if name in names[:number])
-        raise FormatError(path, f"the frame {repeated} occurs twice; keep one of its elements")
+    frames: dict[str, LabelledFrame] = {}
+    for number, each in enumerate(_records(path, VARIABLE, table), 1):
+        name, frame = _frame(path, f"frame {number}", each)
+        if name in frames:
+            raise FormatError(path, f"the frame {name} occurs twice; keep one of its elements")
+        frames[name] = frame
     return frames
 
 
@@ -193,13 +181,13 @@ def _records(path: Path, where: str, value: object) -> list[dict[str, Any]]:
     return value
 
 
-def _frame(path: Path, where: str, entry: dict[str, Any]) -> MetaFrame:
+def _frame(path: Path, where: str, entry: dict[str, Any]) -> tuple[str, LabelledFrame]:
     name = _text(path, where, entry, "sequenceName")
     Rtilt = _numbers(path, where, entry, "Rtilt", 9).reshape(3, 3)
     T = RigidTransform.from_rotation(Rotation.from_matrix(_rotation(path, f"{where}, Rtilt", Rtilt @ SWAPPED).T))
     objects = _records(path, f"{where}, groundtruth3DBB", _field(path, where, entry, "groundtruth3DBB"))
     truths = [_table_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects, 1)]
-    return MetaFrame(_key(name), T, tuple(truths))
+    return _key(name), LabelledFrame(truths, T)
 
 
 def _key(name: str) -> str:
@@ -472,24 +460,12 @@ def _truth(
         raise FormatError(path, f"{label}: {error}", line) from error
 
 
-@dataclass(frozen=True)
-class ExtractedFrame:
-    """The labels of one frame.
-
-    Attributes:
-        truths: the objects, in upright depth.
-        calibration: the path of the frame's calibration, which may be missing; None for labels in an archive.
-    """
-
-    truths: tuple[Truth, ...]
-    calibration: Path | None
-
-
-def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
+def read_extracted_folder(path: Path, read_pose: Callable[[Path], RigidTransform]) -> dict[str, LabelledFrame]:
     """Returns the labelled frames, by `RECORDING/KEY` from frames.csv, else by the label file's stem.
 
     Args:
         path: a folder in VoteNet's layout, its folder `label`, or a zip archive of that.
+        read_pose: reads T_camera_upright from a frame's calibration; without one it follows from the frame.
     """
     place = path / "label" if (path / "label").is_dir() else path
     if place == path and (path / "image").is_dir():
@@ -503,6 +479,7 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
     for stem, file, text in text_files(place):
         truths = read_extracted_labels(file, None, text)
         named = tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
-        calibration = spelled(place.parent / "calib", f"{stem}.txt") if place.is_dir() else None
-        frames[dataset_names.frame(stem)] = ExtractedFrame(named, calibration)
+        calibration = spelled(place.parent / "calib", f"{stem}.txt")
+        pose = read_pose(calibration) if place.is_dir() and calibration.is_file() else upright_frame
+        frames[dataset_names.frame(stem)] = LabelledFrame(named, pose)
     return frames

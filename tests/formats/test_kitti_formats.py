@@ -17,13 +17,12 @@ from dataset_samples import write
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_objects import (
-    KittiRows,
     calibration_text,
-    each_kitti_frame,
+    read_kitti,
     read_kitti_file,
     read_kitti_folder,
-    read_kitti_shifts,
 )
 from annotator.formats.kitti_rows import (
     derived_box,
@@ -47,15 +46,18 @@ CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48
 DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
 
 
+def labels_of(found: LabelledFrame) -> list[str]:
+    return [truth.label for truth in found.truths]
+
+
 @pytest.mark.parametrize(("word", "sizes"), [("DontCare", "-1 -1 -1"), ("dontcare", "1.5 1.6 3.9")])
 def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path, word: str, sizes: str):
     """In any case, as in the devkit, and whatever stands in the fields of a 3D box."""
     path = tmp_path / "a.txt"
     area = DONT_CARE.replace("DontCare", word).replace("-1 -1 -1 -1000", f"{sizes} -1000")
     path.write_text(f"{area}\n\n{CAR}\n")
-    found = KittiRows()
-    ((name, truths),) = each_kitti_frame(tmp_path, found)
-    assert (name, [truth.label for truth in truths], found.flat[name]) == ("a", ["Car"], 0)
+    ((name, found),) = read_kitti(tmp_path).items()
+    assert (name, labels_of(found), found.flat) == ("a", ["Car"], 0)
     assert [row.label for row in read_kitti_file(path)] == ["DontCare", "Car"]
     tracking = tmp_path / "label_02.txt"
     tracking.write_text(f"0 -1 {area}\n0 7 {CAR}\n")
@@ -99,17 +101,18 @@ def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path):
     ):  # fmt: skip
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    assert [frame for frame, _ in each_kitti_frame(tmp_path, KittiRows())] == [composed]
-    np.testing.assert_allclose(read_kitti_shifts(tmp_path)[composed], [0.06, 0, 0])
-    frames, shifts = read_kitti_tracks(tmp_path, KittiRows())
-    assert list(frames) == list(shifts) == [f"{composed}/000003"]
+    for frames, name in ((read_kitti(tmp_path), composed), (read_kitti_tracks(tmp_path), f"{composed}/000003")):
+        assert list(frames) == [name]
+        T = frames[name].T_camera(frame)
+        assert T is not None
+        np.testing.assert_allclose(T.translation, [0.06, 0, 0])
 
 
 def test_a_name_in_both_unicode_forms_is_refused(tmp_path: Path):
     for form in ("NFC", "NFD"):
         (tmp_path / f"{unicodedata.normalize(form, 'Bü')}.txt").write_text(CAR)
     with pytest.raises(FormatError, match=r"has two files called Bü\.txt; keep one"):
-        list(each_kitti_frame(tmp_path, KittiRows()))
+        read_kitti(tmp_path)
 
 
 LABEL = "Car 0.00 0 -1.57 100.00 120.00 200.00 180.00 1.50 1.60 4.00 0.50 1.60 20.00 -1.55"
@@ -284,8 +287,7 @@ def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "training" / "label_2" / "000001.txt").read_text() == ""
     assert (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:] == ["000000,room,7,val", "000001,room,8,test"]
     for path in (tmp_path / "out", tmp_path / "out" / "training" / "label_2"):
-        found = dict(each_kitti_frame(path, KittiRows()))
-        assert {name: [t.label for t in truths] for name, truths in found.items()} == {
+        assert {name: labels_of(found) for name, found in read_kitti(path).items()} == {
             "room/7": ["traffic light", "DontCare"],
             "room/8": [],
         }
@@ -352,12 +354,11 @@ def test_files_that_do_not_fit_their_frames_are_errors(tmp_path: Path, name: str
     folder = tmp_path / "label_2"
     folder_of(folder, {"000000.txt": ROW, "000001.txt": ""})
     (tmp_path / "frames.csv").write_text("id,raw_drive\n000000,2011\n")  # KITTI subsets have such a file, too
-    found = dict(each_kitti_frame(folder, KittiRows()))
-    assert {frame: len(truths) for frame, truths in found.items()} == {"000000": 1, "000001": 0}
+    assert {frame: len(found.truths) for frame, found in read_kitti(folder).items()} == {"000000": 1, "000001": 0}
     (tmp_path / "frames.csv").write_text(f"{ORIGINS}000001,room,8,\n")
     (tmp_path / name).write_text(text)
     with pytest.raises(FormatError, match=problem):
-        dict(each_kitti_frame(folder, KittiRows()))
+        read_kitti(folder)
 
 
 def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:
@@ -366,8 +367,7 @@ def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:
         f"0 5 {ROW}0 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n3 5 {ROW}4 -1 DontCare" + " -1" * 14
     )
     for path in (tmp_path, file):
-        found = dict(each_kitti_frame(path, KittiRows()))
-        assert {name: [t.track_id for t in truths] for name, truths in found.items()} == {
+        assert {name: [t.track_id for t in found.truths] for name, found in read_kitti(path).items()} == {
             "000000": [5],
             "000003": [5],
             "000004": [],

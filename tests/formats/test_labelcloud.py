@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import XYZ
+from annotator.formats.frame_names import of_recording
 from annotator.formats.labelcloud import (
     read_labelcloud,
     vertices_object,
@@ -80,8 +81,8 @@ def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:
     points = np.stack([rows[name] for name in XYZ], axis=1)
     np.testing.assert_allclose(points, T.apply(item.frame.cloud.xyz_m), atol=1e-6)
     (frame,) = read_labelcloud(tmp_path / "out").values()
-    assert frame.T_camera_cloud is not None
-    assert_same_box(frame.objects[0].box.transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
+    assert isinstance(frame.pose, RigidTransform)
+    assert_same_box(frame.truths[0].box.transformed(frame.pose), UPRIGHT_X, 1e-7)
 
 
 def entry(x: float, y: float, z: float) -> dict[str, Any]:
@@ -117,9 +118,9 @@ def test_the_unit_of_the_angles_is_detected(
 ) -> None:
     found = read_labelcloud(foreign(tmp_path, form, *(entry(*each) for each in angles)))
     for number, each in enumerate(angles):
-        (truth,) = found[f"00000{number}"].objects
+        (truth,) = found[f"00000{number}"].truths
         want = Rotation.from_euler("ZYX", each[::-1], degrees=degrees)
-        assert truth.label == "cart" and found[f"00000{number}"].T_camera_cloud is None
+        assert truth.label == "cart" and found[f"00000{number}"].pose is of_recording
         np.testing.assert_allclose(truth.box.rotation, want.as_matrix(), atol=1e-12)
 
 

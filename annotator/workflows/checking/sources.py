@@ -34,7 +34,7 @@ from annotator.recordings.sunrgbd import SunRgbdExtracted, SunRgbdScenes
 from annotator.text import normal, spelled
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.importing.pictures import read_pictures
-from annotator.workflows.importing.readers import READERS
+from annotator.workflows.importing.readers import placed_boxes
 from annotator.workflows.recorded.reading import NO_FRAME, label_file, labels_by_frame
 
 # Formats of labels that open as a recording with their images and clouds.
@@ -108,8 +108,8 @@ def _boxes(format: AnyFormat, path: Path, on_fault: OnFault) -> Iterator[Sequenc
         for picture in read_pictures(format, path, on_fault=on_fault).pictures:
             yield [(label, None) for label in picture.labels]
     else:
-        for truths in READERS[format](path, None, on_fault).objects.values():
-            yield [(truth.label, truth.box.size_m) for truth in truths]
+        for frame in placed_boxes(format, path, on_fault=on_fault).labelled.values():
+            yield [(truth.label, truth.box.size_m) for truth in frame.truths]
 
 
 def _is_labelcloud(path: Path) -> bool:

@@ -23,9 +23,10 @@ from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
-from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
+from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
 from annotator.formats.reading import read_mask, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
+from annotator.formats.table import BoxFormat
 from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
@@ -42,7 +43,7 @@ from annotator.text import normal, spelled
 from annotator.types import Frame, OrientedBox, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError
 from annotator.workflows.importing.label_set import LabelSet, transformed
-from annotator.workflows.importing.readers import openlabel_labels, truth_of
+from annotator.workflows.importing.readers import placed_boxes
 
 Read = TypeVar("Read")
 # Generated recordings have their truth in a separate folder.
@@ -404,7 +405,7 @@ def _of_openlabel(_recording: Recording, key: str, path: Path, frame: Frame) -> 
 def _openlabel(path: Path) -> tuple[LabelSet, dict[str, str]]:
     """A document, and the frames' names in it, by key."""
     origins = read_frames(path.parent) or read_frames(path.parent.parent)
-    return openlabel_labels(path), {key: origin.name for key, origin in origins.items()}
+    return placed_boxes(BoxFormat.OPENLABEL, path), {key: origin.name for key, origin in origins.items()}
 
 
 def _looked_for(recording: Recording) -> str:
