@@ -69,7 +69,7 @@ class Scene:
     recording: str
     generator: str
     comment: str | None = None
-    _camera: doc.Pinhole | None = None
+    _camera: dict[str, object] | None = None
     _frames: dict[int, doc.Frame] = field(default_factory=dict)
     _tracks: dict[str, _Track] = field(default_factory=dict)
 
@@ -79,14 +79,12 @@ class Scene:
         camera = doc.pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
-        sync = doc.Sync(frame_stream=number) if time is None else doc.Sync(timestamp=time)
+        sync: dict[str, object] = {"frame_stream": number} if time is None else {"timestamp": time}
         # a frame has intrinsics only if they differ from those of the stream
-        intrinsics = None if camera == self._camera else camera
+        intrinsics = {} if camera == self._camera else {"intrinsics_pinhole": camera}
         streams = {
-            CAMERA: doc.FrameStream(
-                uri=image, stream_properties=doc.StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
-            ),
-            CLOUD: doc.FrameStream(uri=cloud, stream_properties=doc.StreamProperties(sync=sync)),
+            CAMERA: doc.FrameStream(uri=image, stream_properties={**intrinsics, "sync": sync}),
+            CLOUD: doc.FrameStream(uri=cloud, stream_properties={"sync": sync}),
         }
         self._frames[number] = doc.Frame(
             frame_properties=doc.FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
@@ -122,7 +120,7 @@ class Scene:
                     CAMERA: doc.Stream(
                         type="camera",
                         uri="images",
-                        stream_properties=doc.StreamProperties(intrinsics_pinhole=self._camera),
+                        stream_properties={"intrinsics_pinhole": self._camera},
                     ),
                     CLOUD: doc.Stream(type="lidar", uri="clouds"),
                 },
@@ -137,9 +135,10 @@ class Scene:
     def _context(self) -> str:
         return _uuid(self.recording, doc.FRAME_CONTEXT)
 
-    def _contexts(self) -> dict[str, doc.Context] | None:
+    def _contexts(self) -> dict[str, object] | None:
         numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
-        context = doc.Context(name=doc.FRAME_CONTEXT, type=doc.FRAME_CONTEXT, frame_intervals=_intervals(numbers))
+        intervals = [each.model_dump() for each in _intervals(numbers)]
+        context = {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
         return {self._context: context} if numbers else None
 
     def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.FrameObject]:
@@ -217,7 +216,11 @@ def _kinds(cuboid: doc.Cuboid) -> dict[str, doc.AttributeKind]:
 
 def _object(track: _Track) -> doc.Object:
     intervals = _intervals(sorted(track.frames))
-    pointer = doc.DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
+    pointer = {
+        "type": "cuboid",
+        "frame_intervals": [each.model_dump() for each in intervals],
+        "attribute_pointers": track.attributes,
+    }
     return doc.Object(
         name=track.name,
         type=track.type,
