@@ -132,25 +132,43 @@ def calibration_beside(label_file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
+def read_matrices(path: Path, shapes: Mapping[str, tuple[int, int]]) -> dict[str, Float64[np.ndarray, "r c"]]:
+    """Returns the matrices of these names in a calibration file."""
+    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
+    for line, (head, *words) in text_rows(path):
+        name = head.rstrip(":")
+        if name not in shapes or name in matrices:
+            continue
+        rows, columns = shapes[name]
+        try:
+            matrix = np.array([to_number(word) for word in words]).reshape(rows, columns)
+        except ValueError as error:
+            raise FormatError(path, f"{name} needs {rows * columns} numbers: {error}", line) from error
+        if not (np.abs(matrix) <= MOST).all():
+            raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
+        matrices[name] = matrix
+    if missing := [name for name in shapes if name not in matrices]:
+        raise FormatError(path, f"has no {' and no '.join(missing)}")
+    return matrices
+
+
+P2_SHAPE = {"P2": (3, 4)}
+
+
+def shift_of(path: Path, P2: Float64[np.ndarray, "3 4"]) -> Float64[np.ndarray, "3"]:
+    """Returns t of P2 = K [I | t], metres."""
+    try:
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+    except np.linalg.LinAlgError as error:
+        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
+    if not (np.abs(shift) <= MOST_SHIFT_M).all():
+        raise FormatError(path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column")
+    return shift
+
+
 def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
     """Returns t of a calibration file, metres."""
-    for line, (head, *words) in text_rows(path):
-        if head.rstrip(":") != "P2":
-            continue
-        try:
-            P2 = np.array([to_number(word) for word in words]).reshape(3, 4)
-            if not (np.abs(P2) <= MOST).all():
-                raise ValueError(f"a number beyond {MOST:g}")
-            shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-        except (ValueError, np.linalg.LinAlgError) as error:
-            problem = f"P2 must be an invertible 3x4 camera matrix (twelve numbers): {error}"
-            raise FormatError(path, problem, line) from error
-        if not (np.abs(shift) <= MOST_SHIFT_M).all():
-            raise FormatError(
-                path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column", line
-            )
-        return shift
-    raise FormatError(path, "has no P2")
+    return shift_of(path, read_matrices(path, P2_SHAPE)["P2"])
 
 
 def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[kitti_rows.KittiLabel, ...]]:
@@ -300,17 +318,20 @@ def calibration_text(camera: Camera, T_camera_label: RigidTransform | None) -> s
     """
     shift = np.zeros(3) if T_camera_label is None else T_camera_label.translation
     K, still = camera.matrix, np.zeros((3, 1))
-    P0, P2 = np.hstack([K, still]), np.column_stack([K, K @ shift])
+    return matrices_text(np.hstack([K, still]), np.column_stack([K, K @ shift]), np.hstack([CAMERA_LIDAR, still]))
+
+
+def matrices_text(P0: np.ndarray, P2: np.ndarray, Tr_velo_to_cam: np.ndarray) -> str:
+    """Returns the text of a calibration file, unrounded; R0_rect and the IMU's matrix are the identity."""
     matrices = {
         "P0": P0,
         "P1": P0,
         "P2": P2,
         "P3": P2,
         "R0_rect": np.eye(3),
-        "Tr_velo_to_cam": np.hstack([CAMERA_LIDAR, still]),
+        "Tr_velo_to_cam": Tr_velo_to_cam,
         "Tr_imu_to_velo": np.eye(3, 4),
     }
     # + 0.0: no negative zeros
-    return "".join(
-        f"{name}: {' '.join(f'{value + 0.0:.12e}' for value in matrix.ravel())}\n" for name, matrix in matrices.items()
-    )
+    rows = {name: map(repr, (matrix + 0.0).ravel().tolist()) for name, matrix in matrices.items()}
+    return "".join(f"{name}: {' '.join(numbers)}\n" for name, numbers in rows.items())

@@ -36,10 +36,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
+from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.text import normal, spelled, to_number
+from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -213,51 +214,25 @@ def _rounded(value: float) -> float:
     return round(value, DECIMALS) + 0.0
 
 
-SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
+SHAPES = P2_SHAPE | {"R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 # Tolerance for R^T R = identity; matrices in files are rounded.
 MOST_OFF_ROTATION = 1e-2
 
 
 def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """Returns the text for an ideal camera, unrounded; P0 to P3 are that camera, the IMU's matrix is the identity."""
+    """Returns the text for an ideal camera, which is also rectified camera 0."""
     P = np.hstack([camera.matrix, np.zeros((3, 1))])
-    matrices = {f"P{number}": P for number in range(4)} | {
-        "R0_rect": np.eye(3),
-        "Tr_velo_to_cam": T_camera_cloud.as_matrix()[:3],
-        "Tr_imu_to_velo": np.eye(3, 4),
-    }
-    return "".join(
-        f"{name}: {' '.join(repr(value + 0.0) for value in matrix.ravel().tolist())}\n"
-        for name, matrix in matrices.items()
-    )
+    return matrices_text(P, P, T_camera_cloud.as_matrix()[:3])
 
 
 def read_calibration_pose(path: Path) -> RigidTransform:
     """Returns T_camera_cloud of a file."""
-    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
-    for line, (head, *words) in reading.text_rows(path):
-        name = head.rstrip(":")
-        shape = SHAPES.get(name)
-        if shape is None:
-            continue
-        try:
-            matrix = np.array([to_number(word) for word in words]).reshape(shape)
-        except ValueError as error:
-            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers: {error}", line) from error
-        if not (np.abs(matrix) <= reading.MOST).all():
-            raise FormatError(path, f"{name} must be finite and at most {reading.MOST:g}", line)
-        matrices[name] = matrix
-    if missing := [name for name in SHAPES if name not in matrices]:
-        raise FormatError(path, f"has no {' and no '.join(missing)}")
-    P2, pose = matrices["P2"], matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
+    matrices = read_matrices(path, SHAPES)
+    pose = matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
     R = pose[:, :3]
     if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
         raise FormatError(path, f"R0_rect * Tr_velo_to_cam {problem}")
-    try:
-        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-    except np.linalg.LinAlgError as error:
-        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
-    return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))
+    return RigidTransform.from_components(pose[:, 3] + shift_of(path, matrices["P2"]), Rotation.from_matrix(R))
 
 
 CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"

@@ -297,9 +297,6 @@ class Coordinates:
         for name, each in (of_frame or {}).items():
             self._connect(f"transform {name}", each.dst, each.src, each.transform_src_to_dst)
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._edges
-
     def transform(self, dst: str, src: str) -> RigidTransform:
         """Returns T_dst_src.
 

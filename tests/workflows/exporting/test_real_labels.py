@@ -101,7 +101,7 @@ def test_imported_labels_are_shifted_by_the_calibration_beside_them(
     for text, problem in (
         ("P0: 1", "has no P2"),
         ("P2: 1 0 0 1e9 0 1 0 0 0 0 1 0", "by more than"),
-        ("P2: 1", "twelve"),
+        ("P2: 1", "12 numbers"),
     ):
         calibration.write_text(text)
         with pytest.raises(FormatError, match=rf"calib/000000\.txt.*{problem}"):
