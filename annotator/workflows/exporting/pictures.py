@@ -32,7 +32,7 @@ from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
-from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.frame_source import Rigs
 from annotator.workflows.views import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.
@@ -63,8 +63,8 @@ def write_pictures(job: ExportJob) -> ExportReport:
             write_frames(folder, tally.origins)
             tally.write_places(folders)
     is_whole = job.format is ExportFormat.YOLO and not parts
-    report = job.report(dict(tally.by_class), (UNDIVIDED,) if is_whole else ())
-    return report.model_copy(update={"frames": tally.written, "splits": {part: tally.by_part[part] for part in parts}})
+    report = job.report(dict(tally.by_class), tally.parts_written, (UNDIVIDED,) if is_whole else ())
+    return report.model_copy(update={"splits": {part: tally.parts_written.count(part) for part in parts}})
 
 
 @dataclass
@@ -78,21 +78,19 @@ class _Tally:
     origins: list[FrameOrigin] = field(default_factory=list)
     places: dict[str | None, list[ViewPlace]] = field(default_factory=lambda: defaultdict(list))
     by_class: Counter[str] = field(default_factory=Counter)
-    by_part: Counter[str | None] = field(default_factory=Counter)
-    written: int = 0
+    parts_written: list[str | None] = field(default_factory=list)
 
     def add(self, picture: LabelledPicture) -> None:
         self.by_class.update(box.label for box in picture.boxes)
-        self.by_part[picture.part] += 1
-        self.written += 1
+        self.parts_written.append(picture.part)
 
     def pictures(self) -> Iterator[LabelledPicture]:
-        job, source = self.job, FrameSource(self.job.project)
-        rigs = Rigs(job.project, source)
+        job = self.job
+        rigs = Rigs(job.project, job.source)
         for number, chosen in enumerate(job.chosen, 1):
             assert isinstance(chosen, ChosenPictures)  # formats of 2D boxes use `choose_pictures`
-            if chosen.image:
-                frame = source.read(chosen.stored)
+            frame = job.read(chosen) if chosen.image else None
+            if frame is not None:
                 yield self._image(chosen, frame, self._of_other_cameras(rigs, chosen, frame))
             for view in chosen.views:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))

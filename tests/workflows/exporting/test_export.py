@@ -169,11 +169,8 @@ def test_unreadable_frames_are_left_out_on_request(
     depth = folder / "depth" / "000000.png"
     depth.write_bytes(depth.read_bytes()[:500])
     skip = ExportFilter(skip_unreadable=True)
-    told: list[tuple[int, int]] = []
-    progress = lambda done, total: told.append((done, total))  # noqa: E731
-    report = export_project(project, tmp_path / "out", format, choose=skip, progress=progress)
+    report = export_project(project, tmp_path / "out", format, choose=skip)
     assert (report.frames, report.objects) == (1, 2)
-    assert told == [(1, 4), (2, 4), (2, 2)], "two frames are read, and one is written"
     (left_out,) = report.unreadable
     assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
     assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]
