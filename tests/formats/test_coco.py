@@ -154,13 +154,6 @@ def test_an_annotation_without_box_and_polygons_is_an_error(tmp_path: Path, segm
         read_coco(put(tmp_path, turned(0, None, segmentation=segmentation)))
 
 
-@pytest.mark.shared
-def test_the_rectangle_around_a_turned_box_of_cvat(shared: Path) -> None:
-    (box,) = read_coco(shared / "cases/08_coco_fields/rotation.json")[0].boxes
-    assert (round(box.width_px), round(box.height_px)) == (61, 61)
-    assert (box.x_min + box.x_max, box.y_min + box.y_max) == pytest.approx((2 * 302.0, 2 * 102.0))
-
-
 SHOWN = (640, 480)
 # upper left and lower right corners, well spread over the image
 CORNERS = np.array(

@@ -5,7 +5,6 @@ tests/benchmarks/test_golden.py has the reference numbers.
 
 from __future__ import annotations
 
-import json
 import unicodedata
 import zipfile
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import write
+from dataset_samples import make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem
@@ -39,7 +38,7 @@ from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import pixel_rays
-from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types import Camera, Frame, OrientedBox, PointCloud
 from annotator.types.errors import FormatError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
@@ -74,23 +73,6 @@ def test_levels_of_truncation_in_tracking_files_are_no_fractions(tmp_path: Path,
     (row,) = read_rows(path, tracking=True)
     truth = row_truth(row, None, path, Angles())
     assert truth.attributes.get("truncation") == read
-
-
-@pytest.mark.shared
-def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path) -> None:
-    for golden in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
-        P2 = np.array(golden["P2"]).reshape(3, 4)
-        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-        (tmp_path / "a.txt").write_text(golden["label"] + "\n")
-        (row,) = read_rows(tmp_path / "a.txt")
-        truth = row_truth(row, RigidTransform.from_translation(shift), tmp_path / "a.txt", Angles())
-        expected, center = np.array(golden["expected"]["corners_rect"]), truth.box.center_m - shift
-        gaps = np.linalg.norm((box_corners(truth.box) - shift)[:, None] - expected, axis=2)
-        assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-6
-        # the devkit's corners 0 to 3 are at the bottom, 0 and 1 at the front
-        bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
-        np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
-        np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
 
 
 def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path):
@@ -141,14 +123,8 @@ def test_a_folder_and_its_archive_give_the_same_rows(tmp_path: Path, make) -> No
     found = read_kitti_folder(make(tmp_path / "found", FILES), scored=True)
     assert {key: len(rows) for key, rows in found.items()} == {"000000": 0, "000001": 2}
     row = found["000001"][0]
-    assert (row.label, row.occluded, row.left, row.length, row.rotation_y, row.score) == (
-        "Car",
-        0,
-        100,
-        4,
-        -1.55,
-        0.875,
-    )
+    numbers = (row.occluded, row.left, row.length, row.rotation_y, row.score)
+    assert (row.label, *numbers) == ("Car", 0, 100, 4, -1.55, 0.875)
 
 
 def changed(**fields: str) -> str:
@@ -198,12 +174,6 @@ def cube(x: float, z: float, size: float = 1.0) -> OrientedBox:
     return OrientedBox.from_parts(np.array([x, 0.0, z]), heading_rotation(0.0), np.full(3, size))
 
 
-def test_the_2d_box_is_shifted_with_the_colour_camera() -> None:
-    beside = derived_box(CAMERA, cube(0.0, 5.5), RigidTransform.from_translation([0.5, 0.0, 0.0]))
-    assert beside is not None
-    assert beside.clipped == pytest.approx((99.5, 39.5, 119.5, 59.5))
-
-
 def test_a_box_behind_the_camera_has_no_2d_box() -> None:
     assert derived_box(CAMERA, cube(0.0, -5.0), None) is None
     around = derived_box(CAMERA, cube(0.0, 0.0), None)
@@ -225,11 +195,6 @@ def frame(key: str = "a", T: RigidTransform | None = None, wall_m: float = 20.0,
     xyz = np.column_stack([plane, np.ones(len(plane))]).astype(np.float32) * np.float32(wall_m)
     cloud = PointCloud(xyz, reflectance=np.full(len(xyz), 0.25, np.float32))
     return Frame(key, 0, CAMERA, np.zeros((100, 200, 3), np.uint8), cloud, T_camera_label=T, **more)  # type: ignore[arg-type]
-
-
-def label(box: OrientedBox, name: str = "car", **more: object) -> Label:
-    given: dict[str, object] = {"score": None, "source": Source.MANUAL, "state": ReviewState.ACCEPTED, **more}
-    return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
 
 
 def box(x: float, z: float, R: np.ndarray = RIGHT, size: Sequence[float] = (1.0, 1.0, 1.0)) -> OrientedBox:
@@ -270,10 +235,10 @@ def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
         np.array([0.0, 0, 6]), Rotation.from_euler("z", 10, degrees=True).as_matrix() @ RIGHT, np.array([2.0, 1, 1])
     )
     labels = [
-        label(leaning, "traffic light"),
-        label(box(0.0, 6.0), "DontCare"),
-        label(box(0.0, -6.0)),
-        label(box(90.0, 6.0)),
+        make_label(leaning, label="traffic light"),
+        make_label(box(0.0, 6.0), label="DontCare"),
+        make_label(box(0.0, -6.0), label="car"),
+        make_label(box(90.0, 6.0), label="car"),
     ]
     here = frame("7")
     losses, classes = Losses(), ("traffic light", "car", "DontCare")
@@ -307,7 +272,7 @@ def test_an_operators_truncation_and_occlusion_replace_the_measured_ones(
         {"truncation": share, "occlusion": number, "helmet": True}
         for number, share in enumerate((0.0, 0.5, 0.51, 0.333))
     ]
-    labels = [label(box(0.0, 5.5), attributes=each) for each in values]
+    labels = [make_label(box(0.0, 5.5), label="car", attributes=each) for each in values]
     losses = Losses()
     write(name, tmp_path / "out", [DatasetItem("room", frame("7"), labels)], losses, classes=("car",))
     (file,) = (tmp_path / "out/training" / ("label_2" if name == "kitti" else "label_02")).iterdir()
@@ -332,7 +297,7 @@ def test_the_calibration_equals_the_one_by_hand() -> None:
 def test_keys_of_six_digits_are_kept_as_ids(tmp_path: Path) -> None:
     (tmp_path / "out/training/label_2").mkdir(parents=True)
     (tmp_path / "out/frames.csv").write_text("id,raw_drive\n000000,2011\n")
-    items = [DatasetItem("room", frame(key), [label(box(0.0, 5.5))]) for key in ("000004", "000009")]
+    items = [DatasetItem("room", frame(key), [make_label(box(0.0, 5.5), label="car")]) for key in ("000004", "000009")]
     with pytest.raises(FormatError, match="exists and is not empty"):
         write("kitti", tmp_path / "out", items, classes=("car",), overwrite=True)
     (tmp_path / "out/frames.csv").write_text("id,recording,key,split\n")
@@ -449,13 +414,11 @@ BOMB = (
 BROKEN_TRACKLETS = [
     (document(VAN)[:-60], r"is not valid XML, or truncated"),
     (BOMB, ":1: defines entities"),
-    ('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "defines entities"),
     (document(VAN.replace("<l>4.5</l>", "<l>-4.5</l>")), r"object 0: l w h must be positive, not -4\.5"),
     (document(VAN.replace(">Van<", "> <")), "object 0 has no objectType"),
     (document(VAN.replace(">3</first", ">-1</first")), "first_frame must be a whole number"),
     (document(VAN.replace("<ry>0</ry>", "<ry>0.2</ry>", 1)), "object 0, pose 0 has rx or ry"),
-    # unknown, bytes-to-bytes, multi-byte, and one whose decoder raises
-    *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "idna")),
+    (document(VAN).replace("UTF-8", "idna"), ":1: declares an encoding"),
 ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import write
+from dataset_samples import make_label, write
 from scipy.io import loadmat, savemat
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -27,7 +27,7 @@ from annotator.formats.sunrgbd import (
 )
 from annotator.geometry.oriented_box import box_corners
 from annotator.recordings.sunrgbd import read_extracted_calibration
-from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud
 from annotator.types.errors import FormatError
 
 CAMERA = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
@@ -44,11 +44,6 @@ def frame(key: str, up: np.ndarray | None = None, **more: object) -> Frame:
     cloud = PointCloud(xyz, reflectance=np.zeros(2, np.float32))
     rgb = np.full((30, 40, 3), (51, 102, 255), np.uint8)
     return Frame(key, 0, CAMERA, rgb, cloud, up=up, **more)  # type: ignore[arg-type]
-
-
-def label(box: OrientedBox, name: str = "bed", **more: object) -> Label:
-    given: dict[str, object] = {"score": None, "source": Source.MANUAL, "state": ReviewState.ACCEPTED, **more}
-    return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
 
 
 def test_a_row_equals_the_one_by_hand() -> None:
@@ -110,9 +105,9 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
         np.array([0.0, 0, 2]), np.eye(3) @ Rotation.from_euler("x", -100, degrees=True).as_matrix(), np.ones(3)
     )
     labels = [
-        label(lying, "night stand"),
-        label(leaning),
-        label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3))),
+        make_label(lying, label="night stand"),
+        make_label(leaning, label="bed"),
+        make_label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3)), label="bed"),
     ]
     items = [
         DatasetItem("room", frame("x", up), labels, "train"),
