@@ -16,8 +16,9 @@ import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -298,55 +299,63 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Lab
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
     """
-    all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
+    numbers = _Numbers(Angles(angles), Quaternions(w_first=False))
     frames: dict[str, LabelledFrame] = {}
     source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
         document = read_model(file, doc.Document, unique_keys)
-        _collect(file, document.openlabel, all_angles, quaternions)
-        for name, frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
+        for name, frame in parse(file, document, origins, numbers):
             if name in frames:
                 where = f"here and in {source[name].name}" if source[name] != file else "for two sensors"
                 raise FormatError(file, f"the frame {name} has labels {where}; import one of them at a time")
             frames[name], source[name] = frame, file
-    all_angles.require()
-    quaternions.require(path)
+    numbers.angles.require()
+    numbers.quaternions.require(path)
     return frames
 
 
-def _collect(file: Path, content: doc.Content, angles: Angles, quaternions: Quaternions) -> None:
-    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames."""
-    cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
-    for number, frame in (content.frames or {}).items():
-        for _, _, each, cuboid in _cuboids(file, content, int(number), frame):
-            values = cuboid.val or ()
-            if len(values) == 9:
-                for value in values[3:6]:
-                    angles.radians(value, file)
-            elif len(values) == 10 and (cuboid.coordinate_system or each.coordinate_system) not in cameras:
-                quaternions.add(values[3:7])
+class _Numbers(NamedTuple):
+    """Those of all cuboids; quaternions only of those in level frames."""
+
+    angles: Angles
+    quaternions: Quaternions
+
+
+class _Box(NamedTuple):
+    """A cuboid's place in the document, its coordinate system, the object in it, and its review state."""
+
+    place: str
+    system: str
+    truth: Truth
+    state: ReviewState | None
 
 
 def parse(
-    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
+    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], numbers: _Numbers
 ) -> Iterator[tuple[str, LabelledFrame]]:
     """Yields the names and frames of one document, once for each of its cameras.
 
     Args:
         origins: origins of frames, by the stem of their files.
-        degrees: the unit of the cuboids' angles; False: radians.
     """
     content = document.openlabel
     sensors = _sensors(path, content)
     for number, frame in (content.frames or {}).items():
         properties = frame.frame_properties or doc.FrameProperties()
-        where = f"openlabel.frames.{number}"
         try:
             coordinates = doc.Coordinates(content.coordinate_systems or {}, properties.transforms)
         except ValueError as error:
-            raise FormatError(path, f"{where}: {error}") from error
+            raise FormatError(path, f"openlabel.frames.{number}: {error}") from error
+        boxes = [
+            _box(path, place, each, cuboid, uid, numbers, sensors)
+            for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
+            # null means "no cuboid" in the standard
+            if cuboid.val is not None
+        ]
+        contexts = (frame.contexts or {}).values()
+        values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
         for sensor, of_camera in sensors.items():
             stream = (properties.streams or {}).get(sensor)
             if stream is None and len(sensors) > 1:
@@ -355,19 +364,21 @@ def parse(
             # paths may come from Windows; only the file name is used, the file is not opened
             stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
-            boxes = [
-                _box(path, place, each, cuboid, uid, coordinates, sensor, degrees)
-                for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
-                # null means "no cuboid" in the standard
-                if cuboid.val is not None
-            ]
-            contexts = (frame.contexts or {}).values()
-            values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
             is_placed = stem in origins and PLACE in (properties.transforms or {})
-            world = coordinates.transform(WORLD, sensor) if is_placed else None
-            states = [state for _, state in boxes]
-            pose = in_world(world) if of_camera else of_recording
-            yield name, LabelledFrame([truth for truth, _ in boxes], pose, states, values)
+            pose = in_world(coordinates.transform(WORLD, sensor) if is_placed else None) if of_camera else of_recording
+            truths = [_in_sensor(path, box, coordinates, sensor) for box in boxes]
+            yield name, LabelledFrame(truths, pose, [box.state for box in boxes], values)
+
+
+def _in_sensor(path: Path, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
+    if box.system == sensor:
+        return box.truth
+    try:
+        T = coordinates.transform(sensor, box.system)
+        said = tuple(each.transformed(T) for each in box.truth.said)
+        return replace(box.truth, box=box.truth.box.transformed(T), said=said)
+    except ValueError as error:
+        raise FormatError(path, f"{box.place}: {error}") from error
 
 
 def _documents(path: Path) -> list[Path]:
@@ -413,34 +424,33 @@ def _cuboids(
 
 def _box(
     path: Path,
-    where: str,
+    place: str,
     each: doc.Object,
     cuboid: doc.Cuboid,
     uid: str,
-    coordinates: doc.Coordinates,
-    sensor: str,
-    degrees: bool,
-) -> tuple[Truth, ReviewState | None]:
+    numbers: _Numbers,
+    sensors: Mapping[str, bool],
+) -> _Box:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
-        raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
-    attributes = cuboid.attributes or doc.Attributes()
-    numbers = {num.name: num.val for num in attributes.num or ()}
+        raise FormatError(path, f"{place}: has no coordinate_system, and its object has none either; add one")
+    attributes, val = cuboid.attributes or doc.Attributes(), list(cuboid.val or ())
+    named = {num.name: num.val for num in attributes.num or ()}
     texts = {text.name: text.val for text in attributes.text or ()}
+    if len(val) == 9:
+        val[3:6] = [numbers.angles.radians(angle, path) for angle in val[3:6]]
+    elif not sensors.get(system):
+        numbers.quaternions.add(val[3:7])
     try:
-        box, track_id = doc.box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
+        box, track_id = doc.box_from(val), _track(named.get("track_id"), uid)
         said = doc.said_from(texts[doc.SAID_BY]) if doc.SAID_BY in texts else ()
-        if system != sensor:
-            T = coordinates.transform(sensor, system)
-            box, said = box.transformed(T), tuple(each.transformed(T) for each in said)
     except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
+        raise FormatError(path, f"{place}: {error}") from error
     state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    values = doc.values_of(attributes)
-    score = numbers.get("score")
-    return Truth(each.type, box, track_id, score, None, box_kind, values, said), review
+    truth = Truth(each.type, box, track_id, named.get("score"), None, box_kind, doc.values_of(attributes), said)
+    return _Box(place, system, truth, review)
 
 
 def _track(attribute: float | None, uid: str) -> int | None:

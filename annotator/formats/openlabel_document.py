@@ -204,11 +204,8 @@ def cuboid_values(box: OrientedBox) -> tuple[float, ...]:
     return tuple(np.concatenate([box.center_m, quaternion, box.size_m]).tolist())
 
 
-def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox:
+def box_from(values: Sequence[float]) -> OrientedBox:
     """Returns the box of 10 values (quaternion x y z w) or 9 (Euler angles rx ry rz, radians).
-
-    Args:
-        degrees: the angles are in degrees.
 
     Raises:
         ValueError: neither 9 nor 10 values, a quaternion that is not of unit length, or a size that is not positive.
@@ -216,13 +213,13 @@ def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox
     if len(values) == 10:
         rotation = _rotation(values[3:7])
     elif len(values) == 9:
-        rotation = Rotation.from_euler("ZYX", values[5:2:-1], degrees=degrees)
+        rotation = Rotation.from_euler("ZYX", values[5:2:-1])
     else:
         raise ValueError(f"a cuboid has 9 or 10 values, not {len(values)}")
     return OrientedBox.at(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
 
 
-def _rotation(xyzw: tuple[float, ...]) -> Rotation:
+def _rotation(xyzw: Sequence[float]) -> Rotation:
     if not 0.5 < np.linalg.norm(xyzw) < 2.0:
         raise ValueError(f"{list(xyzw)} is not a unit quaternion")
     return Rotation.from_quat(np.array(xyzw))

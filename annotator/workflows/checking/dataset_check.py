@@ -1,7 +1,7 @@
 """`annotator check PATH`: checks the datasets at a path, frame by frame, and then all frames of each together.
 
-Frames are read one at a time; after an unreadable frame the check continues. The size and place of each label are
-kept in memory until the end, because only then is the usual size of its class known.
+Frames are read one at a time; after an unreadable frame the check continues. Labels are kept in memory until the end,
+because only then is the usual size of their class known.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -25,7 +24,7 @@ from annotator.types.errors import AnnotatorError, FormatError, UnclearError, Un
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
+from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_sizes, usual_sizes
 from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
 from annotator.workflows.checking.frame_rules import (
     Breach,
@@ -135,23 +134,13 @@ class DatasetFacts(BaseModel):
     labels: int
 
 
-class _Sized(NamedTuple):
-    """The size and place of a label, kept until all labels are read."""
-
-    label: str
-    size_m: np.ndarray
-    file: Path
-    line: int | None
-    frame: str
-
-
 @dataclass
 class DatasetCheck:
     """Checks one dataset; fields without a default are the arguments, the others are its state."""
 
     source: Source
     findings: Findings
-    sizes: list[_Sized] = field(default_factory=list)
+    found: list[tuple[str, FoundLabel]] = field(default_factory=list)
     alignment: Alignment = field(default_factory=Alignment)
     wrong_files: int = 0
     with_row: int = 0
@@ -184,7 +173,7 @@ class DatasetCheck:
                 progress(index + 1, len(keys))
         self._whole_files()
         self._whole_dataset()
-        return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.sizes))
+        return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.found))
 
     def _read(self, index: int, key: str) -> Frame | None:
         try:
@@ -250,7 +239,7 @@ class DatasetCheck:
         for each in labels.objects:
             self.boxes.add(each)
         self.flat += sum(row.is_flat for row in labels.rows)
-        self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
+        self.found += [(key, each) for each in labels.objects]
         self.wrong_files += bool(labels.faults)
 
     def _add_all(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
@@ -284,17 +273,15 @@ class DatasetCheck:
             self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.recording.path)
 
     def _whole_dataset(self) -> None:
-        usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
-        for each in self.sizes:
-            if each.label in usual and usual[each.label].odd(each.size_m):
-                message = odd_size_message(each.label, each.size_m, usual[each.label])
-                self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
+        usual = usual_sizes((each.truth.label, each.truth.box.size_m) for _, each in self.found)
+        for key, each in self.found:
+            self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in odd_sizes([each.truth], usual)))
         path = self.source.recording.path
         self.boxes.report(self.findings, path)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
             self.findings.add(rules.FLAT_LABEL, path, message)
-        for names in _spellings({each.label for each in self.sizes}):
+        for names in _spellings({each.truth.label for _, each in self.found}):
             self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
         empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
         if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
@@ -305,8 +292,8 @@ class DatasetCheck:
             self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
         dataset = self.source.dataset
         declared = None if dataset is None else dataset.manifest.counts.objects
-        if declared is not None and declared != len(self.sizes) and not self.wrong_files:
-            message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
+        if declared is not None and declared != len(self.found) and not self.wrong_files:
+            message = f"declares {amount(declared, 'object')}, but has {len(self.found)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
