@@ -44,7 +44,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from pydantic import Field
+from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
@@ -61,6 +61,7 @@ from annotator.text import spelled
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
+from annotator.types.messages import first_problem
 
 # [X, Z, -Y] of a camera's point [X, Y, Z].
 SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -107,6 +108,35 @@ ROOT, KEY_SEPARATOR = "SUNRGBD/", "__"
 MOST_TABLE_BYTES = 2**28
 
 MetaRow = tuple[Any, ...]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
+
+
+def _as_list(value: object) -> object:
+    """An array as the list of its values; an empty struct array is an empty one of any type."""
+    return value.ravel().tolist() if isinstance(value, np.ndarray) else value
+
+
+Three = Annotated[list[Metres], BeforeValidator(_as_list), Field(min_length=3, max_length=3)]
+Nine = Annotated[list[Metres], BeforeValidator(_as_list), Field(min_length=9, max_length=9)]
+Name = Annotated[str, StringConstraints(pattern=r"\S")]
+
+
+class TableObject(FileRecord):
+    """An element of `groundtruth3DBB`."""
+
+    classname: Name
+    basis: Nine
+    coeffs: Three
+    centroid: Three
+    orientation: Three | None = None
+
+
+class TableFrame(FileRecord):
+    """An element of the table."""
+
+    sequenceName: Name
+    Rtilt: Nine
+    groundtruth3DBB: Annotated[list[TableObject], BeforeValidator(_as_list)]
 
 
 def meta_frame(
@@ -154,8 +184,12 @@ def read_meta(path: Path) -> dict[str, LabelledFrame]:
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     frames: dict[str, LabelledFrame] = {}
-    for number, each in enumerate(_records(path, VARIABLE, table), 1):
-        name, frame = _frame(path, f"frame {number}", each)
+    for number, each in enumerate(table if isinstance(table, list) else [table], 1):
+        try:
+            content = TableFrame.model_validate(each)
+        except ValidationError as error:
+            raise FormatError(path, first_problem(error, f"frame {number}")) from error
+        name, frame = _frame(path, f"frame {number}", content)
         if name in frames:
             raise FormatError(path, f"the frame {name} occurs twice; keep one of its elements")
         frames[name] = frame
@@ -172,43 +206,32 @@ def _object(name: str, label: str, box: OrientedBox, on_image: Box2D) -> tuple[A
     return basis, coeffs, box.center_m[None], label, name, along[None], 1.0, bb2d
 
 
-def _records(path: Path, where: str, value: object) -> list[dict[str, Any]]:
-    """Returns the elements of a struct array; an empty array of any type has none."""
-    if isinstance(value, np.ndarray) and value.size == 0:
-        return []
-    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
-        raise FormatError(path, f"{where} is not a struct array")
-    return value
-
-
-def _frame(path: Path, where: str, entry: dict[str, Any]) -> tuple[str, LabelledFrame]:
-    name = _text(path, where, entry, "sequenceName")
-    Rtilt = _numbers(path, where, entry, "Rtilt", 9).reshape(3, 3)
+def _frame(path: Path, where: str, content: TableFrame) -> tuple[str, LabelledFrame]:
+    Rtilt = np.array(content.Rtilt).reshape(3, 3)
     T = RigidTransform.from_rotation(Rotation.from_matrix(_rotation(path, f"{where}, Rtilt", Rtilt @ SWAPPED).T))
-    objects = _records(path, f"{where}, groundtruth3DBB", _field(path, where, entry, "groundtruth3DBB"))
-    truths = [_table_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects, 1)]
-    return _key(name), LabelledFrame(truths, T)
+    objects = enumerate(content.groundtruth3DBB, 1)
+    truths = [_table_truth(path, f"{where}, object {number}", each) for number, each in objects]
+    return _key(content.sequenceName), LabelledFrame(truths, T)
 
 
 def _key(name: str) -> str:
     return name.removeprefix(ROOT).strip("/").replace("/", KEY_SEPARATOR) if name.startswith(ROOT) else name
 
 
-def _table_truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
-    label = _text(path, where, entry, "classname")
-    across, along, up = _numbers(path, where, entry, "basis", 9).reshape(3, 3)
-    width, length, height = 2 * np.abs(_numbers(path, where, entry, "coeffs", 3))
-    if "orientation" in entry:
-        facing = _numbers(path, where, entry, "orientation", 3)
+def _table_truth(path: Path, where: str, entry: TableObject) -> Truth:
+    across, along, up = np.array(entry.basis).reshape(3, 3)
+    width, length, height = 2 * np.abs(entry.coeffs)
+    if entry.orientation is not None:
+        facing = np.array(entry.orientation)
         # in other tables the first two rows may be in either order; the heading is the one nearest to orientation
         if abs(across @ facing) > abs(along @ facing):
             across, along, width, length = along, across, length, width
         along = along if along @ facing >= 0 else -along
     left = -across if np.linalg.det(np.stack([along, -across, up])) > 0 else across
     R = _rotation(path, f"{where}, basis", np.stack([along, left, up], axis=1))
-    center = _numbers(path, where, entry, "centroid", 3)
     try:
-        return Truth(label, OrientedBox.from_parts(center, R, np.array([length, width, height])))
+        box = OrientedBox.from_parts(np.array(entry.centroid), R, np.array([length, width, height]))
+        return Truth(entry.classname, box)
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
 
@@ -219,30 +242,6 @@ def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
         raise FormatError(path, f"{where} {problem}")
     U, _, V = np.linalg.svd(R)
     return np.asarray(U @ V)
-
-
-def _field(path: Path, where: str, entry: dict[str, Any], name: str) -> Any:
-    if name not in entry:
-        raise FormatError(path, f"{where} has no field {name}")
-    return entry[name]
-
-
-def _numbers(path: Path, where: str, entry: dict[str, Any], name: str, count: int) -> np.ndarray:
-    value = _field(path, where, entry, name)
-    if not isinstance(value, np.ndarray) or value.size != count:
-        raise FormatError(path, f"{where}, {name} must have {count} numbers")
-    numbers = value.astype(np.float64).ravel()
-    # no scene is that large, and squares of much larger numbers overflow
-    if not (np.abs(numbers) < 1e9).all():
-        raise FormatError(path, f"{where}, {name} has a number that is not finite or is larger than 1e9")
-    return numbers
-
-
-def _text(path: Path, where: str, entry: dict[str, Any], name: str) -> str:
-    value = _field(path, where, entry, name)
-    if not isinstance(value, str) or not value.strip():
-        raise FormatError(path, f"{where}, {name} must be text and not empty")
-    return value
 
 
 PARTS = ("image", "calib", "depth", "label")
@@ -361,7 +360,6 @@ def upright_points(
 FIELDS = 13
 # Tolerance of a polygon's right angles (cosine): corners were drawn by hand.
 MOST_SKEW = 0.1
-Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Corners = Annotated[tuple[Metres, ...], Field(min_length=4, max_length=4)]
 
 

@@ -174,7 +174,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
     [
         (b"", "is not a MATLAB file"),
         (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd", "is damaged"),
-        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1 has no field sequenceName"),
+        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1.sequenceName: Field required"),
         (table(tuple(FRAME), **{**FRAME, "Rtilt": np.ones((3, 3))}), "frame 1, Rtilt is not a rotation"),
         (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
     ],
