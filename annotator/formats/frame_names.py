@@ -17,12 +17,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import Values
 from annotator.formats.reading import read_text
-from annotator.text import normal
-from annotator.types import Frame, ReviewState, Truth
+from annotator.geometry.outline import clip_to_image, edges_of
+from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
+from annotator.types import Box2D, BoxKind, Frame, ReviewState, Truth
 from annotator.types.errors import FormatError
 
 FRAMES_CSV = "frames.csv"
@@ -261,3 +263,81 @@ def in_world(T_world_there: RigidTransform | None) -> Pose | None:
     if T_world_there is None:
         return None
     return lambda frame: None if frame.T_world_camera is None else frame.T_world_camera.inv() * T_world_there
+
+
+@dataclass(frozen=True)
+class YoloBox:
+    """One line of a label file.
+
+    Attributes:
+        label: class name.
+        shares: cx, cy, w, h as fractions of the image size.
+        score: 1 if absent.
+        is_around: it is the rectangle around a turned box or a polygon.
+        corners: x1 y1 x2 y2 ... of that; else ().
+    """
+
+    label: str
+    shares: tuple[float, float, float, float]
+    score: float = 1.0
+    is_around: bool = False
+    corners: tuple[float, ...] = field(default=(), compare=False, repr=False)
+
+    def on(self, width_px: int, height_px: int) -> Box2D:
+        """Returns the box in pixels of an image of that size, clipped to the image."""
+        edges = edges_of(np.array(self.shares), width_px, height_px)
+        x_min, y_min, x_max, y_max = map(float, edges)
+        box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
+        cut = clip_to_image(box, width_px, height_px)
+        assert cut is not None  # `parse_boxes` rejects boxes outside the image
+        return cut
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLabels:
+    """One image of a dataset of 2D boxes.
+
+    Attributes:
+        file_name: as in the dataset, usually relative to the image folder; the label file's if there is no image.
+        boxes: in file order; in pixels they are clipped to the image, the centre of the first pixel is (0, 0).
+        size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        folder: where the image is or would be.
+        box_kind: what the boxes enclose, if the dataset says so.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
+    """
+
+    file_name: str
+    boxes: tuple[Box2D, ...] | tuple[YoloBox, ...]
+    size_px: tuple[int, int] | None = None
+    folder: Path = Path()
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
+    around: int = 0
+
+    def boxes_on(self, width_px: int, height_px: int) -> tuple[Box2D, ...]:
+        """Returns the boxes on an image of that size."""
+        return tuple(box.on(width_px, height_px) if isinstance(box, YoloBox) else box for box in self.boxes)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The class of each box."""
+        return tuple(box.label for box in self.boxes)
+
+    @property
+    def stem(self) -> str:
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
+
+    def file(self, path: Path) -> Path | None:
+        """Returns the image file; None if it does not exist, such as one that was on another computer."""
+        try:
+            file = inside(self.folder, self.file_name)
+        except OutsideError as error:
+            if is_absolute(self.file_name):
+                return None
+            raise FormatError(path, str(error)) from error
+        # labels without an image have the name of their label file, which may be in this folder
+        return file if file.is_file() and file.suffix.lower() != ".txt" else None

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.formats.coco import read_coco, write_coco
+from annotator.formats.frame_names import PictureLabels
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
@@ -36,7 +37,7 @@ def put(folder: Path, content: Any) -> Path:
 
 def test_coordinates_are_shifted_by_half_a_pixel(tmp_path: Path) -> None:
     first, second = read_coco(put(tmp_path, GOOD))
-    assert (first.file_name, first.width_px, first.height_px) == ("a.png", 10, 8)
+    assert (first.file_name, first.size_px) == ("a.png", (10, 8))
     # a box around the whole image covers [-0.5, width - 0.5], as in Camera
     assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)
     assert first.boxes[1] == Box2D("person", 2.0, 2.5, 6.0, 4.5)
@@ -91,7 +92,7 @@ def test_errors_name_the_file_and_the_place(tmp_path: Path, content: Any, says: 
 def test_categories_are_in_the_given_order_then_by_name(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     boxes = tuple(Box2D(label, 0.0, 0.0, 1.0, 1.0) for label in ("zebra", "hand", "ant"))
-    write_coco(path, [CocoImage("a.png", 10, 8, boxes)], classes=["person", "hand"])
+    write_coco(path, [PictureLabels("a.png", boxes, (10, 8))], classes=["person", "hand"])
     content = json.loads(path.read_text())
     assert [(c["id"], c["name"]) for c in content["categories"]] == [
         (1, "person"), (2, "hand"), (3, "ant"), (4, "zebra"),
@@ -101,7 +102,7 @@ def test_categories_are_in_the_given_order_then_by_name(tmp_path: Path) -> None:
 
 
 def test_a_repeated_name_or_missing_folder_is_an_error(tmp_path: Path) -> None:
-    image = CocoImage("a.png", 10, 8, ())
+    image = PictureLabels("a.png", (), (10, 8))
     with pytest.raises(FormatError, match=r"file_name 'a\.png' is used twice"):
         write_coco(tmp_path / "out.json", [image, image])
     with pytest.raises(FormatError, match="cannot be written"):

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.yolo import YoloBox, YoloWriter, dump_boxes, parse_boxes, read_yolo
+from annotator.formats.frame_names import YoloBox
+from annotator.formats.yolo import YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
 
@@ -98,8 +99,8 @@ def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
         "box_kind": "silhouette",
     }
     first, second = read_yolo(tmp_path)
-    assert first.picture == tmp_path / "images/train/a.b.png"
-    assert [box.on(4, 2) for box in first.boxes] == [BOX] and second.boxes == ()
+    assert first.file(tmp_path) == tmp_path / "images/train/a.b.png"
+    assert first.boxes_on(4, 2) == (BOX,) and second.boxes == ()
     YoloWriter(tmp_path / "whole", ["no"]).finish()
     content = yaml.safe_load((tmp_path / "whole/data.yaml").read_text())
     assert (content["train"], content["val"]) == ("images/train", "images/train"), "validated on its training images"
