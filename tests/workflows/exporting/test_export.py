@@ -413,22 +413,6 @@ def with_attributes(project: Project, *attributes: dict[str, Any]) -> Project:
     return project
 
 
-def test_values_that_the_project_cannot_hold_are_reported(
-    make_project: MakeProject, generated: Path, tmp_path: Path
-) -> None:
-    project = with_attributes(make_project(generated / "people"), HELMET, OCCLUSION)
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 4.0]), np.eye(3), np.full(3, 0.4))
-    new = NewLabel("person", box, attributes={"helmet": True, "occlusion": 3})
-    project.labels.create(project.frames.of()[0].id, [new], WriteContext(0, "ann"))
-    export_project(project, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
-    other = with_attributes(make_project(generated / "people"), OCCLUSION | {"maximum": 2})
-    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert done.of(Note.VALUE) == {
-        "helmet (not an attribute of the project)": 1,
-        "occlusion must be a whole number from 0 to 2, not 3": 1,
-    }
-
-
 def test_values_have_the_kinds_of_the_projects_attributes_again(
     make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:
