@@ -10,10 +10,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv import MANIFEST
@@ -71,43 +71,6 @@ def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
         findings.add(rules.SIZE_ORDER, path, problem)
 
 
-class BoxSet:
-    """The boxes of a dataset so far."""
-
-    def __init__(self) -> None:
-        self._angles, self._sizes = Angles(), SizeDoubts()
-        self._boxes = 0
-        self._mirrored: Counter[int] = Counter()
-
-    def add(self, entry: FoundLabel) -> None:
-        """Adds the numbers of a label."""
-        if entry.row is not None and entry.line is not None:
-            self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
-        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
-
-    def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
-        """Adds a frame."""
-        self._boxes += boxes
-        for axis in MIRRORED:
-            counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)
-            self._mirrored[axis] += sum(count >= LEAST_POINTS for count in counts)
-
-    def report(self, findings: Findings, path: Path) -> None:
-        """Adds what the boxes show to `findings`; `path` is the dataset."""
-        try:
-            self._angles.require()
-        except UnitError as error:
-            findings.add_error(rules.ANGLE_UNIT, error, path)
-        report_sizes(self._sizes, findings, path)
-        axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
-        if number >= LEAST_MIRRORED and number * 2 > self._boxes:
-            message = (
-                f"{number} of {amount(self._boxes, 'box')} hold no points, but their mirror images do, with "
-                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
-            )
-            findings.add(rules.MIRRORED_BOXES, path, message)
-
-
 def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
     """Returns the mirror image of a box in the plane through the origin across an axis of its frame."""
     flip = np.ones(3)
@@ -149,7 +112,7 @@ class DatasetCheck:
     faults: Counter[Rule] = field(default_factory=Counter)
     before: tuple[tuple[str, int], Sequence[FoundLabel]] | None = None
     time_ns: int | None = None
-    boxes: BoxSet = field(default_factory=BoxSet)
+    mirrored: Counter[int] = field(default_factory=Counter)
 
     def run(self, progress: Progress | None) -> DatasetFacts:
         """Checks everything and adds what is wrong to `findings`.
@@ -233,11 +196,11 @@ class DatasetCheck:
             self.with_row += sum(each.row is not None for each in objects)
             in_frame = list(rules_in_frame(frame, objects))
             empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
-            self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
+            for axis, box in product(MIRRORED, empty):
+                held = np.count_nonzero(contains(mirrored(box, axis), frame.cloud.xyz_m))
+                self.mirrored[axis] += int(held >= LEAST_POINTS)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
-        for each in labels.objects:
-            self.boxes.add(each)
         self.flat += sum(row.is_flat for row in labels.rows)
         self.found += [(key, each) for each in labels.objects]
         self.wrong_files += bool(labels.faults)
@@ -277,7 +240,14 @@ class DatasetCheck:
         for key, each in self.found:
             self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in odd_sizes([each.truth], usual)))
         path = self.source.recording.path
-        self.boxes.report(self.findings, path)
+        self._units(path)
+        axis, number = max(self.mirrored.items(), key=lambda each: each[1], default=(0, 0))
+        if number >= LEAST_MIRRORED and number * 2 > self.seen:
+            message = (
+                f"{number} of {amount(self.seen, 'box')} hold no points, but their mirror images do, with "
+                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
+            )
+            self.findings.add(rules.MIRRORED_BOXES, path, message)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
             self.findings.add(rules.FLAT_LABEL, path, message)
@@ -298,6 +268,19 @@ class DatasetCheck:
         problem = self.alignment.problem()
         if problem is not None:
             self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
+
+    def _units(self, path: Path) -> None:
+        """Adds what the numbers of all boxes together show."""
+        angles, sizes = Angles(), SizeDoubts()
+        for _, each in self.found:
+            if each.row is not None:
+                angles.radians(each.row.rotation_y, each.file, each.line)
+            sizes.add(each.truth.label, each.truth.box.size_m)
+        try:
+            angles.require()
+        except UnitError as error:
+            self.findings.add_error(rules.ANGLE_UNIT, error, path)
+        report_sizes(sizes, self.findings, path)
 
 
 def _rule_of_file(file: Path) -> Rule:
