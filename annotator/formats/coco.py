@@ -29,7 +29,6 @@ from jaxtyping import Bool, Float64
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
-from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D
@@ -355,13 +354,9 @@ class CocoWriter:
         for part in self._images:
             (folder / part).mkdir()
 
-    def add(self, picture: LabelledPicture) -> None:
-        part = picture.part or WHOLE
-        (self._folder / part / picture.file_name).write_bytes(picture.content)
-        size, kind = (picture.width_px, picture.height_px), picture.box_kind
-        self._images[part].append(
-            PictureLabels(picture.file_name, picture.boxes, size, Path(), kind, picture.values, picture.attributes)
-        )
+    def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
+        (self._folder / (part or WHOLE) / picture.file_name).write_bytes(content)
+        self._images[part or WHOLE].append(picture)
 
     def finish(self) -> Mapping[str, Path]:
         (self._folder / ANNOTATIONS).mkdir()

@@ -41,7 +41,6 @@ from jaxtyping import Float64
 from pydantic import ValidationError
 
 from annotator.files import why_missing
-from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.frame_names import PictureLabels, YoloBox, has_frames
 from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import shares_of
@@ -226,13 +225,14 @@ class YoloWriter:
             for kind in ("images", "labels"):
                 (folder / kind / part).mkdir(parents=True)
 
-    def add(self, picture: LabelledPicture) -> None:
-        part = picture.part or "train"
-        text = dump_boxes(picture.boxes, self._numbers, picture.width_px, picture.height_px)
-        (self._folder / "images" / part / picture.file_name).write_bytes(picture.content)
-        label = (self._folder / "labels" / part / picture.file_name).with_suffix(".txt")
-        label.write_text(text, encoding="ascii")
-        self._kinds[picture.file_name] = picture.box_kind
+    def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
+        assert picture.size_px is not None
+        text = dump_boxes(picture.boxes_on(*picture.size_px), self._numbers, *picture.size_px)
+        place = f"{part or 'train'}/{picture.file_name}"
+        (self._folder / "images" / place).write_bytes(content)
+        (self._folder / "labels" / place).with_suffix(".txt").write_text(text, encoding="ascii")
+        if picture.box_kind is not None:
+            self._kinds[picture.file_name] = picture.box_kind
 
     def finish(self) -> Mapping[str, Path]:
         (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts, self._kinds), encoding="utf-8")

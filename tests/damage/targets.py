@@ -45,7 +45,7 @@ from test_las_file import written  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
-from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
+from annotator.formats.frame_names import PictureLabels  # noqa: E402
 from annotator.formats.kitti_objects import read_kitti_file  # noqa: E402
 from annotator.formats.kitti_rows import read_rows, row_truth  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
@@ -190,7 +190,7 @@ def pictures(writer: Callable[[Path], Any]) -> Callable[[Path], object]:
         png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
         filled = writer(folder)
         for name in ("a.png", "b.png"):
-            filled.add(LabelledPicture(name, png, *SIZE, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),)))
+            filled.add(PictureLabels(name, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),), SIZE), png)
         filled.finish()
 
     return build

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.frame_names import YoloBox
+from annotator.formats.frame_names import PictureLabels, YoloBox
 from annotator.formats.yolo import YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
@@ -85,8 +84,8 @@ def put(folder: Path, **files: str) -> Path:
 
 def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ["Büro \U0001f600", "no"], ["val", "train"])
-    writer.add(LabelledPicture("a.b.png", b"png", 4, 2, (BOX,), "train"))
-    writer.add(LabelledPicture("c.png", b"png", 4, 2, (), "val"))
+    writer.add(PictureLabels("a.b.png", (BOX,), (4, 2), box_kind=BoxKind.SILHOUETTE), b"png", "train")
+    writer.add(PictureLabels("c.png", (), (4, 2), box_kind=BoxKind.SILHOUETTE), b"png", "val")
     folders = writer.finish()
     assert folders == {"train": tmp_path / "images/train", "val": tmp_path / "images/val"}
     assert (tmp_path / "labels/train/a.b.txt").read_text() == "1 0.5000000 0.7500000 0.5000000 0.5000000\n"
@@ -186,11 +185,10 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
 
 def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ("no",))
-    writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
-    writer.add(LabelledPicture("b.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
-    writer.add(LabelledPicture("c.png", b"", 4, 2, (BOX,)))
-    writer.finish()
     kinds = [BoxKind.BOX, BoxKind.BOX, BoxKind.SILHOUETTE]
+    for name, kind in zip("abc", kinds, strict=True):
+        writer.add(PictureLabels(f"{name}.png", (BOX,), (4, 2), box_kind=kind), b"")
+    writer.finish()
     text = (tmp_path / "data.yaml").read_text()
     for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
         (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))

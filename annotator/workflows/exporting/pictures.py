@@ -18,13 +18,12 @@ from annotator.formats.attributes import NO_VALUES, Values
 from annotator.formats.dataset_writing import (
     DatasetItem,
     FileNames,
-    LabelledPicture,
     count_lost,
     encoded_image,
     write_frames,
     writing,
 )
-from annotator.formats.frame_names import FrameOrigin
+from annotator.formats.frame_names import FrameOrigin, PictureLabels
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.outline import clip_to_image
@@ -45,6 +44,10 @@ UNDIVIDED = (
 )
 
 
+Picture = tuple[PictureLabels, bytes, str | None]
+"""An image, the bytes of its file, and its part of the dataset."""
+
+
 def write_pictures(job: ExportJob) -> ExportReport:
     """Writes the dataset atomically."""
     format = FORMATS[job.format]
@@ -54,10 +57,11 @@ def write_pictures(job: ExportJob) -> ExportReport:
         with writing(job.out):
             writer = format.pictures(folder, job.classes, parts)
         tally = _Tally(job, parts, format.values is None)
-        for picture in tally.pictures():
+        for picture, content, part in tally.pictures():
             with writing(job.out):
-                writer.add(picture)
-            tally.add(picture)
+                writer.add(picture, content, part)
+            tally.by_class.update(picture.labels)
+            tally.parts_written.append(part)
         with writing(job.out):
             folders = writer.finish()
             write_frames(folder, tally.origins)
@@ -80,11 +84,7 @@ class _Tally:
     by_class: Counter[str] = field(default_factory=Counter)
     parts_written: list[str | None] = field(default_factory=list)
 
-    def add(self, picture: LabelledPicture) -> None:
-        self.by_class.update(box.label for box in picture.boxes)
-        self.parts_written.append(picture.part)
-
-    def pictures(self) -> Iterator[LabelledPicture]:
+    def pictures(self) -> Iterator[Picture]:
         job = self.job
         rigs = Rigs(job.project, job.source)
         for number, chosen in enumerate(job.chosen, 1):
@@ -113,7 +113,7 @@ class _Tally:
         classes = self.job.choose.classes
         return [each for each in others if each.state in REVIEWED and (classes is None or each.label in classes)]
 
-    def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> LabelledPicture:
+    def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> Picture:
         losses, image_format = self.job.losses, self.job.options.image_format
         labels = [*(entry.label for entry in chosen.labels), *others]
         drawn = () if chosen.drawn is None else of_classes(chosen.drawn.boxes, self.job.choose.classes)
@@ -144,19 +144,17 @@ class _Tally:
         losses.add(Lost.KIND, 0 if kind is BoxKind.BOX else len(seen))
         with writing(self.job.out):
             content = encoded_image(frame.rgb, image_format)
-        return LabelledPicture(
+        picture = PictureLabels(
             f"{stem}.{image_format}",
-            content,
-            width_px,
-            height_px,
             tuple(box for box, _ in kept),
-            chosen.split,
-            kind,
-            of_boxes,
-            of_frame,
+            (width_px, height_px),
+            box_kind=kind,
+            values=of_boxes,
+            attributes=of_frame,
         )
+        return picture, content, chosen.split
 
-    def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> LabelledPicture:
+    def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> Picture:
         """Returns a pseudo-view, always as PNG: an import recognises it by its bytes."""
         recording, key = origin or (None, None)
         parts = ("view", view.view_id[:12]) if recording is None or key is None else (recording, key, "view")
@@ -170,7 +168,7 @@ class _Tally:
         content, (width_px, height_px) = views.content(view.view_id), views.size(view.view_id)
         boxes = [(box, NO_VALUES) for box in of_classes(view.boxes, self.job.choose.classes)]
         kept = tuple(box for box, _ in _fit(boxes, width_px, height_px, self.job.losses))
-        return LabelledPicture(name, content, width_px, height_px, kept, part, view.box_kind)
+        return PictureLabels(name, kept, (width_px, height_px), box_kind=view.box_kind), content, part
 
     def write_places(self, folders: Mapping[str, Path]) -> None:
         only_part = next(iter(folders))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
 from annotator.formats.box_csv import read_upright_boxes
-from annotator.formats.boxes_json import boxes_file, each_frame
+from annotator.formats.boxes_json import boxes_file, read_boxes
 from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_objects import read_kitti
 from annotator.formats.kitti_tracking import read_kitti_tracks
@@ -128,7 +128,7 @@ def _argoverse(path: Path) -> ArgoverseLabels:
 
 def _boxes(path: Path) -> dict[str, LabelledFrame]:
     """A `boxes.json` file, or that of a folder."""
-    return {key: LabelledFrame(truths) for key, truths in each_frame(boxes_file(path))}
+    return {key: LabelledFrame(truths) for key, truths in read_boxes(boxes_file(path)).items()}
 
 
 Reader = Callable[[Path, AngleUnit | None, OnFault], Mapping[str, LabelledFrame] | PlacedBoxes]
