@@ -358,22 +358,11 @@ def _read_folder(
                 on_fault(FormatError(file, f"objects.{number}: {error}"))
         pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
-            T_camera_cloud = _pose_for(objects, pose) if pose.is_file() else None
+            T_camera_cloud = read_calibration_pose(pose) if pose.is_file() else None
         except FormatError as fault:
             on_fault(fault)
             continue
         yield normal(file.stem), LabelledFrame(objects, of_recording if T_camera_cloud is None else T_camera_cloud)
-
-
-def _pose_for(objects: Sequence[Truth], file: Path) -> RigidTransform:
-    """Returns T_camera_cloud of a calibration; raises FormatError if it moves a box of the cloud out of range."""
-    T = read_calibration_pose(file)
-    for number, truth in enumerate(objects):
-        try:
-            truth.box.transformed(T)
-        except ValueError as error:
-            raise FormatError(file, f"moves objects.{number} of its cloud out of range: {error}") from error
-    return T
 
 
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
