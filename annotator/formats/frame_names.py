@@ -1,8 +1,9 @@
-"""`frames.csv`: the origin of each frame of a dataset, for formats that cannot store it.
+"""The frames and images of a dataset: what readers return of them, and `frames.csv`, which tells where they come from.
 
-One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
-of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
-empty). A text that a spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
+`frames.csv` is for formats that cannot store the origin of a frame. One line per frame under the header
+`id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem of its files, or its token), the
+recording's name, the frame's key in the recording, and its part of the dataset (may be empty). A text that a
+spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
 
 In KITTI's and SUN RGB-D's folders, frames have six-digit names and classes one-word names, because the tools of both
 data sets form file names from numbers (`%06d`) and split label rows at spaces.

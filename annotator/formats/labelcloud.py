@@ -215,8 +215,6 @@ def _rounded(value: float) -> float:
 
 
 SHAPES = P2_SHAPE | {"R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
-# Tolerance for R^T R = identity; matrices in files are rounded.
-MOST_OFF_ROTATION = 1e-2
 
 
 def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
@@ -230,7 +228,7 @@ def read_calibration_pose(path: Path) -> RigidTransform:
     matrices = read_matrices(path, SHAPES)
     pose = matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
     R = pose[:, :3]
-    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+    if (problem := rotation_problem(R)) is not None:
         raise FormatError(path, f"R0_rect * Tr_velo_to_cam {problem}")
     return RigidTransform.from_components(pose[:, 3] + shift_of(path, matrices["P2"]), Rotation.from_matrix(R))
 

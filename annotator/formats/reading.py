@@ -72,7 +72,6 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
         raise FormatError(file, f"is not a readable image: {error}; restore it, or remove its labels") from error
 
 
-MAX_FILES = 1_000_000
 SUFFIX = ".txt"
 
 
@@ -173,11 +172,7 @@ def _is_archive(path: Path) -> bool:
 
 
 def _wanted(archive: zipfile.ZipFile, within: str | None) -> list[zipfile.ZipInfo]:
-    matching = [
-        info
-        for info in archive.infolist()[:MAX_FILES]
-        if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))
-    ]
+    matching = [info for info in archive.infolist() if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))]
     return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 
 

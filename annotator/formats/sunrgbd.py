@@ -50,7 +50,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
-from annotator.formats.reading import FileRecord, finite_number, read_model, text_files, text_rows
+from annotator.formats.reading import MAX_BYTES, FileRecord, finite_number, read_model, text_files, text_rows
 from annotator.formats.units import rotation_problem
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
@@ -104,8 +104,6 @@ FRAME_FIELDS = (
 BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label", "gtBb2D")
 # The data set's paths begin with ROOT; the rest, joined by KEY_SEPARATOR, is a frame's key in recordings of its scenes.
 ROOT, KEY_SEPARATOR = "SUNRGBD/", "__"
-# The data set's own table, with some ten thousand frames, is smaller.
-MOST_TABLE_BYTES = 2**28
 
 MetaRow = tuple[Any, ...]
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
@@ -178,7 +176,7 @@ def read_meta(path: Path) -> dict[str, LabelledFrame]:
     `KEY_SEPARATOR`.
     """
     try:
-        table = read_mat(path, VARIABLE, MOST_TABLE_BYTES)
+        table = read_mat(path, VARIABLE, MAX_BYTES)
     except MatFileError as error:
         raise FormatError(path, f"{error}; copy the file again") from error
     except OSError as error:

@@ -50,8 +50,6 @@ CLOUDS, LABELS, IMAGES, CALIBRATIONS = "lidar", "label", "camera/front", "calib/
 CAMERA, POSES = "front.json", "ego_pose"
 # The ego frame has x right and y ahead; its origin is below the LiDAR, which looks back.
 EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler("z", np.pi))
-# Tolerance for R^T R = identity; matrices in files are rounded.
-MOST_OFF_ROTATION = 1e-2
 
 
 class _Scale(FileRecord):
@@ -210,7 +208,7 @@ def _camera(file: Path) -> SceneCamera:
     content = read_model(file, _Calibration)
     pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
     R = pose[:3, :3]
-    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+    if (problem := rotation_problem(R)) is not None:
         raise FormatError(file, f"extrinsic {problem}")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
 
