@@ -473,9 +473,13 @@ def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
     # a label folder may lack files of some frames
     if file is None or not file.is_file():
         return []
-    rows: Sequence[KittiLabel] = (
-        _of_tracking(recording, key, file, None).rows if recording.format == TRACKING else read_kitti_file(file)
-    )
+    if recording.format == OBJECT:
+        rows: Sequence[KittiLabel] = read_kitti_file(file)
+    else:
+        found = _of_tracking(recording, key, file, None)
+        if found.error is not None:
+            raise found.error.with_traceback(None)
+        rows = found.rows
     return [row for row in rows if row.label == DONT_CARE]
 
 
