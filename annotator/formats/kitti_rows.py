@@ -102,16 +102,6 @@ class KittiLabel:
         """False for a DontCare area, and for a 2D box without a 3D box."""
         return self.label != DONT_CARE and not self.is_flat
 
-    @property
-    def image_box(self) -> Box2D:
-        """The row's 2D box.
-
-        Raises:
-            ValueError: it has no width or no height.
-        """
-        score = 1.0 if self.score is None else self.score
-        return Box2D(self.label, self.left, self.top, self.right, self.bottom, score)
-
 
 def dont_care(edges: tuple[float, float, float, float]) -> KittiLabel:
     """Returns the row of an area where objects are not labelled: left top right bottom, pixels."""
@@ -230,7 +220,9 @@ def row_truth(row: KittiLabel, T: RigidTransform | None, path: Path, angles: Ang
         raise FormatError(path, problem, row.line)
     try:
         box = label_box(replace(row, rotation_y=angles.radians(row.rotation_y, path, row.line)))
-        image_box = row.image_box if row.right > row.left and row.bottom > row.top else None
+        edges, score = (row.left, row.top, row.right, row.bottom), 1.0 if row.score is None else row.score
+        has_extent = row.right > row.left and row.bottom > row.top
+        image_box = Box2D(row.label, *edges, score) if has_extent else None
         values = of_kitti(row.truncated, row.occluded)
         box = box if T is None else box.transformed(T)
         return Truth(row.label, box, row.track, row.score, image_box, attributes=values)
