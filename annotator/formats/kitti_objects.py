@@ -39,8 +39,6 @@ from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
-
-
 NO_NAMES = DatasetNames()
 
 

@@ -1,7 +1,7 @@
 """Finds the datasets below a path: recordings with their own labels, `rcv` datasets, and those of other software.
 
 Of the boxes of other software only units and sizes are checked, because the frames that they label belong to a project,
-not to the dataset.
+not to the dataset. Labels, files and lists that refer to frames which a dataset does not have are found here, too.
 """
 
 from __future__ import annotations
@@ -251,9 +251,6 @@ def _open(path: Path) -> Source:
     return Source(open_recording(path), dataset)
 
 
-# Files and lists of a dataset that refer to frames which it does not have.
-
-
 Stray = tuple[Path, int | None, str]
 """A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
 
@@ -285,7 +282,8 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
         known = {str(int(key)) if is_number and key.isdecimal() else normal(key) for key in recording.keys}
         with suppress(FormatError):  # reported where the labels are read
             for name, found in labels_by_frame(recording, labels).items():
-                if name not in known and name != NO_FRAME:
+                # unlabelled areas alone are no labels
+                if name not in known and name != NO_FRAME and (found.objects or not is_number):
                     yield labels, found.objects[0].line if found.objects else None, name
     if isinstance(recording, KittiObject):
         yield from _without_frame((recording.root / "calib").glob("*.txt"), recording.keys)
