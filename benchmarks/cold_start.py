@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, UInt8
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -52,7 +52,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.frame_source import orientation_for
-from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
+from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
@@ -166,6 +166,20 @@ def given_boxes(
         drawn = None if box is None else inaccurate(frame.camera, replace(box, label=truth.label), errors_px)
         if drawn is not None and contains(truth.box, frame.cloud.xyz_m).sum() >= args.min_points:
             yield Given(truth, drawn, number)
+
+
+def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | None) -> Box2D | None:
+    """Returns a label's own 2D box: the one in its file, or the extent of its mask; None without both.
+
+    Args:
+        number: position of the label in `load_truth`.
+    """
+    if truth.image_box is not None or mask is None:
+        return truth.image_box
+    rows, columns = np.nonzero(mask == number + 1)
+    if len(rows) == 0:
+        return None
+    return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
 
 
 def _takes_masks(recording: Recording, args: Arguments) -> bool:

@@ -35,7 +35,7 @@ from annotator.evaluation.kitti import (
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.formats.box_csv import read_box_csv
 from annotator.formats.kitti_objects import read_kitti_folder
-from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_label_line
+from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_row
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
@@ -93,7 +93,7 @@ def convention_differences(path: Path) -> Iterator[ConventionDifference]:
     except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
         raise FormatError(path, f"is not a list of labels with expected results ({error})") from error
     for entry in entries:
-        row = parse_label_line(entry.label, path)
+        row = parse_row(entry.label.split(), path, 1)
         box, calibration = label_box(row), _calibration(entry)
         px = _pixels(entry, box, calibration)
         what = max(px, key=lambda name: np.nan_to_num(px[name], nan=np.inf))

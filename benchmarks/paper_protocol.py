@@ -13,8 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from annotator.files import new_folder
-from annotator.formats.kitti_objects import read_kitti_file
-from annotator.formats.kitti_rows import read_tracking_labels
+from annotator.formats.kitti_rows import read_rows
 from annotator.formats.reading import write_text
 from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
@@ -113,11 +112,12 @@ def labelled_classes(recording: Recording) -> frozenset[str]:
         file = label_file(recording, key)
         if file is None or not file.is_file():
             continue
+        # the numbers of the frames in a file of all frames
+        numbers = {None, *(frame_number(file, each) for each in recording.keys if recording.format == TRACKING)}
+        rows = read_rows(file, tracking=recording.format == TRACKING)
+        classes.update(row.label for row in rows if row.frame in numbers)
         if recording.format == TRACKING:
-            # one file contains all frames
-            tracks = read_tracking_labels(file, None)
-            return frozenset(truth.label for k in recording.keys for truth in tracks.get(frame_number(file, k), ()))
-        classes.update(row.label for row in read_kitti_file(file, scored=False))
+            break
     return frozenset(classes)
 
 

@@ -14,13 +14,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from annotator.files import open_text_file, read_text_file
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.rcv import _inside as of_rcv
 from annotator.formats.reading import read_text
 from annotator.formats.yolo import read_yolo
 from annotator.recordings.tum_rgbd import TumRgbd
 from annotator.text import NotTextError, OutsideError, decoded, inside, is_within, normal, spelled, stem_of, to_number
 from annotator.types.errors import AnnotatorError, FormatError
-from annotator.workflows.importing.pictures import PictureLabels
 
 TWO_LINES = "0 ä\n1 é\n"
 
@@ -132,7 +132,7 @@ def by_tum(root: Path, name: str) -> Path:
 
 
 def by_coco(root: Path, name: str) -> Path | None:
-    return PictureLabels(name, root, (), None, lambda _w, _h: ()).file(root)
+    return PictureLabels(name, (), folder=root).file(root)
 
 
 def by_rcv(root: Path, name: str) -> Path:

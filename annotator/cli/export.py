@@ -58,7 +58,7 @@ def run(
             store the state of each label: all but rejected.
         classes: classes of the labels to export, with spaces or commas between them; default: all.
         empty_frames: include frames that have no label to export.
-        skip_unreadable: skip frames that cannot be read, and list them; every frame is then read twice.
+        skip_unreadable: skip frames that cannot be read, and list them.
         split: parts of the dataset and their shares of the frames, such as train=0.8,val=0.2; default: no split.
         split_by: frames = assign each frame to a part; recordings = keep the frames of a recording in one part.
         images: file format of the images; png is lossless.

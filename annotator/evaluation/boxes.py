@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int, Int64, Shaped
+from jaxtyping import Float64, Int, Int64, Shaped
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types import OrientedBox
@@ -52,30 +53,42 @@ def place_within(groups: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     return np.arange(len(groups)) - np.repeat(starts, np.diff(np.append(starts, len(groups))))
 
 
+T = TypeVar("T", bound="Table")
+
+
 @dataclass(frozen=True, eq=False)
-class BoxTable:
-    """Boxes of many frames, in any order.
+class Table:
+    """Rows of many frames as columns.
 
     Attributes:
         frame: number of the frame, the same for detections and truth.
         label: class name.
-        center, rotation, size: as in `OrientedBox`; all boxes of a frame in the same coordinates.
-        score: of detections; any number, higher means more confident.
     """
 
     frame: Int64[np.ndarray, "n"]
     label: Shaped[np.ndarray, "n"]
-    center: Float64[np.ndarray, "n 3"]
-    rotation: Float64[np.ndarray, "n 3 3"]
-    size: Float64[np.ndarray, "n 3"]
-    score: Float64[np.ndarray, "n"]
 
     def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, rows: Shaped[np.ndarray, "k"]) -> BoxTable:
+    def take(self: T, rows: Shaped[np.ndarray, "k"]) -> T:
         """The rows selected by indices or a mask."""
-        return BoxTable(*(getattr(self, column.name)[rows] for column in fields(self)))
+        return type(self)(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTable(Table):
+    """Boxes of many frames, in any order.
+
+    Attributes:
+        center, rotation, size: as in `OrientedBox`; all boxes of a frame in the same coordinates.
+        score: of detections; any number, higher means more confident.
+    """
+
+    center: Float64[np.ndarray, "n 3"]
+    rotation: Float64[np.ndarray, "n 3 3"]
+    size: Float64[np.ndarray, "n 3"]
+    score: Float64[np.ndarray, "n"]
 
     def of_class(self, label: str) -> BoxTable:
         """The boxes of one class."""
@@ -124,24 +137,26 @@ class BoxPairs:
         return self.take(order[first])
 
 
-def overlapping(detections: BoxTable, truth: BoxTable) -> BoxPairs:
-    """The overlapping pairs of two tables, regardless of class."""
+def overlapping(detections: T, truth: T, measure: Callable[[T, T], Float64[np.ndarray, "p"]]) -> BoxPairs:
+    """The overlapping pairs of two tables, regardless of class.
+
+    Args:
+        measure: returns the IoU of the rows of two tables, pair by pair.
+    """
     parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for rows, columns in blocks_within(detections.frame, truth.frame):
-        near = _meet(detections, truth, rows, columns)
-        rows, columns = rows[near], columns[near]
-        iou = _iou(detections.take(rows), truth.take(columns))
+        iou = measure(detections.take(rows), truth.take(columns))
         parts.append((rows[iou > 0], columns[iou > 0], iou[iou > 0]))
     return BoxPairs(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _meet(a: BoxTable, b: BoxTable, rows: Int[np.ndarray, "k"], columns: Int[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
-    """Which of the given pairs have intersecting circumscribed spheres."""
+def exact_iou(a: BoxTable, b: BoxTable) -> Float64[np.ndarray, "k"]:
+    """The 3D IoU of the boxes in the same rows."""
     reach = [0.5 * np.linalg.norm(table.size, axis=1) for table in (a, b)]
-    apart = np.linalg.norm(a.center[rows] - b.center[columns], axis=1)
-    return np.asarray(apart <= reach[0][rows] + reach[1][columns])
-
-
-def _iou(a: BoxTable, b: BoxTable) -> Float64[np.ndarray, "k"]:
+    # the circumscribed spheres intersect
+    near = np.linalg.norm(a.center - b.center, axis=1) <= reach[0] + reach[1]
+    iou = np.zeros(len(a))
+    a, b = a.take(near), b.take(near)
     inner = intersection_volume_pairs(a.center, a.rotation, a.size, b.center, b.rotation, b.size)
-    return np.minimum(inner / (a.volume_m3 + b.volume_m3 - inner), 1.0)
+    iou[near] = np.minimum(inner / (a.volume_m3 + b.volume_m3 - inner), 1.0)
+    return iou

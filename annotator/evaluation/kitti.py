@@ -12,14 +12,14 @@ the first candidate of each frame's first box, then its second candidate, and so
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64, Shaped
 
-from annotator.evaluation.boxes import BoxPairs, blocks_within, place_within
+from annotator.evaluation.boxes import BoxPairs, Table, blocks_within, overlapping, place_within
 from annotator.geometry.outline import rectangle_intersection_pairs
 
 
@@ -73,13 +73,12 @@ def _steps(
 
 
 @dataclass(frozen=True, eq=False)
-class KittiRows:
+class KittiRows(Table):
     """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
 
     The rows of a frame are adjacent and in the order of their file, since the first of two equally good boxes counts.
 
     Attributes:
-        frame: number of the frame, the same for detections and truth.
         label: KITTI's `type`, not case-sensitive.
         truncated, occluded: of true rows.
         alpha: observation angle; -10 if unknown.
@@ -90,8 +89,6 @@ class KittiRows:
         score: of detections; any number, higher means more confident.
     """
 
-    frame: Int64[np.ndarray, "n"]
-    label: Shaped[np.ndarray, "n"]
     truncated: Float64[np.ndarray, "n"]
     occluded: Float64[np.ndarray, "n"]
     alpha: Float64[np.ndarray, "n"]
@@ -100,13 +97,6 @@ class KittiRows:
     bottom: Float64[np.ndarray, "n 3"]
     rotation_y: Float64[np.ndarray, "n"]
     score: Float64[np.ndarray, "n"]
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def take(self, rows: Shaped[np.ndarray, "k"]) -> KittiRows:
-        """The rows selected by indices or a mask."""
-        return KittiRows(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def by_frame(self) -> KittiRows:
         """The rows stably sorted by frame."""
@@ -131,9 +121,6 @@ class KittiRows:
         return cls(frame, label, truncated, occluded, alpha, edges, size, bottom, numbers[:, 13], numbers[:, 14])
 
 
-Measure = Callable[[KittiRows, KittiRows], Float64[np.ndarray, "p"]]
-
-
 def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray, "n"]:
     """The largest share of each detection's 2D box that one of the areas (DontCare) covers; not an IoU."""
     share = np.zeros(len(detections))
@@ -142,15 +129,6 @@ def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray
         inner, area = _intersection_2d(a, b), _area_2d(a)
         np.maximum.at(share, rows, np.divide(inner, area, out=np.zeros(len(area)), where=inner > 0))
     return share
-
-
-def _overlaps(detections: KittiRows, truth: KittiRows, measure: Measure) -> BoxPairs:
-    parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    for rows, columns in blocks_within(detections.frame, truth.frame):
-        iou = measure(detections.take(rows), truth.take(columns))
-        keep = iou > 0
-        parts.append((rows[keep], columns[keep], iou[keep]))
-    return BoxPairs(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _iou_2d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
@@ -310,7 +288,7 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
     covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))
     curves: dict[str, dict[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]] = {}
     for metric, (measure, needed, has_values) in metrics.items():
-        overlaps = _overlaps(detections, truth, measure)
+        overlaps = overlapping(detections, truth, measure)
         for label in NEIGHBOURS:
             if not (detections.is_of(label) & has_values).any():
                 continue

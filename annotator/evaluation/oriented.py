@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int64
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
+from annotator.evaluation.boxes import BoxPairs, BoxTable, exact_iou, overlapping
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ def evaluate_oriented(
 
 
 def _class(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float]) -> OrientedClass:
-    pairs = overlapping(detections, truth)
+    pairs = overlapping(detections, truth, exact_iou)
     chosen = assigned(pairs, truth.frame)
     near = chosen.take(chosen.iou > POSE_IOU)
     errors = pose_errors(detections.take(near.detection), truth.take(near.truth))

@@ -18,7 +18,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, open_text_file
+from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.reading import finite_number
+from annotator.formats.sunrgbd import upright_frame
 from annotator.formats.units import Angles, AngleUnit
 from annotator.text import normal
 from annotator.types import OrientedBox, Truth
@@ -70,7 +72,7 @@ def is_box_csv(path: Path) -> bool:
     return False
 
 
-def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str, list[Truth]]:
+def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
     """Returns the objects of each image with a row, in upright depth, with their scores if the file has them.
 
     Args:
@@ -82,7 +84,7 @@ def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str,
             images.setdefault(row.image, []).append(_truth(row))
         except ValueError as error:
             raise FormatError(path, f"{row.image}: {row.label}: {error}") from error
-    return images
+    return {name: LabelledFrame(truths, upright_frame) for name, truths in images.items()}
 
 
 def _truth(row: BoxRow) -> Truth:

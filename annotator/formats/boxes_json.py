@@ -44,11 +44,6 @@ class BoxEntry(FileRecord):
     attributes: dict[str, bool | int | Number | str] = Field(default_factory=dict)
 
 
-def read_boxes(path: Path) -> dict[str, list[Truth]]:
-    """Returns the ground-truth objects of every frame in the file, by frame key; a frame may have none."""
-    return dict(each_frame(path))
-
-
 # The usual name of a file of boxes, and where a recording has it.
 NAME = "boxes.json"
 PLACES = (f"truth/{NAME}", NAME)
@@ -64,10 +59,12 @@ def boxes_file(path: Path) -> Path:
     return found
 
 
-def each_frame(path: Path) -> Iterator[tuple[str, list[Truth]]]:
-    """Yields what `read_boxes` returns, frame by frame. Raises as `read_boxes`."""
-    for key, entries in each_entries(path):
-        yield key, [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
+def read_boxes(path: Path) -> dict[str, list[Truth]]:
+    """Returns the ground-truth objects of every frame in the file, by frame key; a frame may have none."""
+    return {
+        key: [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
+        for key, entries in each_entries(path)
+    }
 
 
 def write_boxes(path: Path, frames: Mapping[str, Sequence[Truth]]) -> None:

@@ -19,7 +19,7 @@ import math
 import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -29,9 +29,9 @@ from jaxtyping import Bool, Float64
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
-from annotator.formats.dataset_writing import LabelledPicture
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_model, write_text
-from annotator.types import Box2D, BoxKind
+from annotator.types import Box2D
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 
@@ -44,30 +44,6 @@ WELL_BEYOND, MANY = 0.1, 0.25
 NEARLY_ALL = 0.95
 # Rounding of areas; some tools count the pixels of both edges.
 AREA_OFF = 0.01
-
-
-@dataclass(frozen=True)
-class CocoImage:
-    """One image of a COCO file and its boxes.
-
-    Attributes:
-        file_name: as in the file, usually relative to the image folder; unique within the file.
-        width_px, height_px: image size.
-        boxes: in file order, clipped to the image; the centre of the first pixel is (0, 0).
-        box_kind: what they enclose, if known.
-        values: attributes of each box; () if none has any.
-        attributes: of the image.
-        around: number of boxes that are the rectangles around turned boxes or polygons.
-    """
-
-    file_name: str
-    width_px: int
-    height_px: int
-    boxes: tuple[Box2D, ...]
-    box_kind: BoxKind | None = None
-    values: tuple[Values, ...] = ()
-    attributes: Values = field(default_factory=dict)
-    around: int = 0
 
 
 # Limit for pixel values; sums of such numbers stay finite.
@@ -113,7 +89,7 @@ class _File(FileRecord):
     categories: tuple[_Category, ...]
 
 
-def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
+def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[PictureLabels]:
     """Returns all images of a COCO detection file in file order, including those without a box.
 
     A box that extends beyond its image is clipped to it. A turned box is read as the rectangle around it, and an
@@ -205,11 +181,12 @@ class _Found(NamedTuple):
     is_around: bool
 
 
-def _image(image: _Image, found: Sequence[_Found]) -> CocoImage:
+def _image(image: _Image, found: Sequence[_Found]) -> PictureLabels:
     values = tuple(each.values for each in found) if any(each.values for each in found) else ()
     boxes, around = tuple(each.box for each in found), sum(each.is_around for each in found)
     kind, attributes = known_kind(image.box_kind), _values(image.attributes)
-    return CocoImage(image.file_name, image.width, image.height, boxes, kind, values, attributes, around)
+    size = (image.width, image.height)
+    return PictureLabels(image.file_name, boxes, size, Path(), kind, values, attributes, around)
 
 
 def _values(content: object) -> Values:
@@ -302,7 +279,7 @@ def _polygons(segmentation: object) -> list[list[float]]:
     return polygons if all(len(polygon) % 2 == 0 for polygon in polygons) else []
 
 
-def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] = ()) -> None:
+def write_coco(path: Path, images: Sequence[PictureLabels], classes: Sequence[str] = ()) -> None:
     """Writes a COCO detection file atomically; ids count from 1.
 
     Args:
@@ -316,11 +293,12 @@ def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] =
     every = [
         (image_id, box, values)
         for image_id, image in enumerate(images, 1)
-        for box, values in zip(image.boxes, image.values or repeat(NO_VALUES), strict=False)
+        for box, values in zip(_pixels(image), image.values or repeat(NO_VALUES), strict=False)
     ]
     content = {
         "images": [
-            {"id": image_id, "file_name": image.file_name, "width": image.width_px, "height": image.height_px}
+            {"id": image_id, "file_name": image.file_name}
+            | dict(zip(("width", "height"), image.size_px or (), strict=True))
             | ({} if image.box_kind is None else {"box_kind": image.box_kind.value})
             | ({"attributes": dict(image.attributes)} if image.attributes else {})
             for image_id, image in enumerate(images, 1)
@@ -329,6 +307,11 @@ def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] =
         "categories": [{"id": number, "name": name, "supercategory": ""} for name, number in ids.items()],
     }
     write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _pixels(image: PictureLabels) -> tuple[Box2D, ...]:
+    assert image.size_px is not None  # COCO's boxes are in pixels
+    return image.boxes_on(*image.size_px)
 
 
 def _annotation(number: int, image_id: int, box: Box2D, values: Values, ids: Mapping[str, int]) -> dict[str, object]:
@@ -367,17 +350,13 @@ class CocoWriter:
                 f"a part cannot be called {ANNOTATIONS}: COCO stores the boxes in a folder of this name",
             )
         self._folder, self._classes = folder, classes
-        self._images: dict[str, list[CocoImage]] = {part: [] for part in parts or (WHOLE,)}
+        self._images: dict[str, list[PictureLabels]] = {part: [] for part in parts or (WHOLE,)}
         for part in self._images:
             (folder / part).mkdir()
 
-    def add(self, picture: LabelledPicture) -> None:
-        part = picture.part or WHOLE
-        (self._folder / part / picture.file_name).write_bytes(picture.content)
-        size = (picture.width_px, picture.height_px)
-        self._images[part].append(
-            CocoImage(picture.file_name, *size, picture.boxes, picture.box_kind, picture.values, picture.attributes)
-        )
+    def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
+        (self._folder / (part or WHOLE) / picture.file_name).write_bytes(content)
+        self._images[part or WHOLE].append(picture)
 
     def finish(self) -> Mapping[str, Path]:
         (self._folder / ANNOTATIONS).mkdir()
@@ -417,6 +396,8 @@ def dataset_folder(path: Path) -> Path:
     return path.parent.parent if path.parent.name == ANNOTATIONS else path.parent
 
 
-def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[tuple[Path, list[CocoImage]]]:
-    """Returns the image folder and the images of each annotation file."""
-    return [(pictures, read_coco(file, on_fault)) for file, pictures in coco_files(path)]
+def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[PictureLabels]:
+    """Returns the images of all annotation files."""
+    return [
+        replace(image, folder=pictures) for file, pictures in coco_files(path) for image in read_coco(file, on_fault)
+    ]

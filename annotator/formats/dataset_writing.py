@@ -1,7 +1,7 @@
 """The skeleton of a label format: its row in the table, the frames to write, and how a dataset is written.
 
 A format of 3D boxes is a `DatasetWriter`, which takes `DatasetItem`s; one of 2D boxes is a `PictureWriter`, which takes
-`LabelledPicture`s. `table.py` has a row for each format.
+`PictureLabels`. `table.py` has a row for each format.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from jaxtyping import UInt8
 
 from annotator.files import new_folder
 from annotator.formats.attributes import Values
-from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
+from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, PictureLabels, dump_frames, has_frames
 from annotator.formats.losses import LEAST_TILT_RAD, Losses, Lost
 from annotator.geometry.transforms import IMAGE_UP
-from annotator.types import Box2D, BoxKind, Frame, Label, PointCloud, ReviewState
+from annotator.types import Frame, Label, PointCloud, ReviewState
 from annotator.types.errors import FormatError
 
 # Bytes of UTF-8. File systems take 255, which must do for a number, a suffix and the name of a temporary file, too.
@@ -121,8 +121,13 @@ class DatasetWriter:
 class PictureWriter(Protocol):
     """Fills a folder with a dataset of 2D boxes, image by image; constructed as `Format.pictures` says."""
 
-    def add(self, picture: LabelledPicture) -> None:
-        """Writes one image; OSError if it cannot be written."""
+    def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
+        """Writes one image, whose boxes are in pixels; OSError if it cannot be written.
+
+        Args:
+            content: the bytes of the image file.
+            part: of the dataset, such as "train"; None for a dataset without parts.
+        """
 
     def finish(self) -> Mapping[str, Path]:
         """Writes the files that describe the dataset; returns the image folder of each part."""
@@ -274,32 +279,6 @@ class FileNames:
             candidate = f"{stem}-{number}"
         self._taken.add(candidate.casefold())
         return candidate
-
-
-@dataclass(frozen=True, eq=False)
-class LabelledPicture:
-    """One image with the boxes of all objects in it.
-
-    Attributes:
-        file_name: unique in the dataset, without a folder.
-        content: the bytes of the image file.
-        width_px, height_px: image size.
-        boxes: within the image; () if it has no objects.
-        part: part of the dataset, such as "train"; None for a dataset without parts.
-        box_kind: what the boxes enclose.
-        values: attributes of each box; () if none has any.
-        attributes: of the frame.
-    """
-
-    file_name: str
-    content: bytes
-    width_px: int
-    height_px: int
-    boxes: tuple[Box2D, ...]
-    part: str | None = None
-    box_kind: BoxKind = BoxKind.SILHOUETTE
-    values: tuple[Values, ...] = ()
-    attributes: Values = field(default_factory=dict)
 
 
 JPEG_QUALITY = 95

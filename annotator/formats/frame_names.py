@@ -1,8 +1,9 @@
-"""`frames.csv`: the origin of each frame of a dataset, for formats that cannot store it.
+"""The frames and images of a dataset: what readers return of them, and `frames.csv`, which tells where they come from.
 
-One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
-of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
-empty). A text that a spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
+`frames.csv` is for formats that cannot store the origin of a frame. One line per frame under the header
+`id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem of its files, or its token), the
+recording's name, the frame's key in the recording, and its part of the dataset (may be empty). A text that a
+spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
 
 In KITTI's and SUN RGB-D's folders, frames have six-digit names and classes one-word names, because the tools of both
 data sets form file names from numbers (`%06d`) and split label rows at spaces.
@@ -13,12 +14,18 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.attributes import Values
 from annotator.formats.reading import read_text
-from annotator.text import normal
+from annotator.geometry.outline import clip_to_image, edges_of
+from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
+from annotator.types import Box2D, BoxKind, Frame, ReviewState, Truth
 from annotator.types.errors import FormatError
 
 FRAMES_CSV = "frames.csv"
@@ -210,3 +217,128 @@ class DatasetNames:
     def label(self, word: str) -> str:
         """Returns the class name of a word."""
         return self.classes.get(word, word)
+
+
+Pose = Callable[[Frame], RigidTransform | None]
+"""The transform from the frame of reference of a dataset's boxes to the camera of the project's frame; None: the boxes
+are in its frame already."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """The objects of one frame of a dataset.
+
+    Attributes:
+        truths: in file order, with their scores as in the file.
+        pose: from their frame of reference to the camera, as the dataset says it, else as the project's frame, whose
+            reading takes long; None: they are in the camera frame.
+        states: of each object, for formats with review states; None: accepted.
+        values: attributes of the frame.
+        flat: number of 2D boxes without a 3D box.
+    """
+
+    truths: Sequence[Truth]
+    pose: RigidTransform | Pose | None = None
+    states: Sequence[ReviewState | None] | None = None
+    values: Values = field(default_factory=dict)
+    flat: int = 0
+
+    def T_camera(self, read: Callable[[], Frame]) -> RigidTransform | None:
+        """Returns the transform to the camera of the project's frame, which is read only if that is necessary."""
+        return self.pose if self.pose is None or isinstance(self.pose, RigidTransform) else self.pose(read())
+
+
+def of_recording(frame: Frame) -> RigidTransform | None:
+    """The pose of boxes in the frame of the recording's own labels."""
+    return frame.T_camera_label
+
+
+def in_world(T_world_there: RigidTransform | None) -> Pose | None:
+    """The pose of boxes relative to the camera of an exported frame.
+
+    Its place in the map is another than that of the project's frame if the recording was added with another origin.
+
+    Args:
+        T_world_there: where the dataset says that its camera is; None if it does not.
+    """
+    if T_world_there is None:
+        return None
+    return lambda frame: None if frame.T_world_camera is None else frame.T_world_camera.inv() * T_world_there
+
+
+@dataclass(frozen=True)
+class YoloBox:
+    """One line of a label file.
+
+    Attributes:
+        label: class name.
+        shares: cx, cy, w, h as fractions of the image size.
+        score: 1 if absent.
+        is_around: it is the rectangle around a turned box or a polygon.
+        corners: x1 y1 x2 y2 ... of that; else ().
+    """
+
+    label: str
+    shares: tuple[float, float, float, float]
+    score: float = 1.0
+    is_around: bool = False
+    corners: tuple[float, ...] = field(default=(), compare=False, repr=False)
+
+    def on(self, width_px: int, height_px: int) -> Box2D:
+        """Returns the box in pixels of an image of that size, clipped to the image."""
+        edges = edges_of(np.array(self.shares), width_px, height_px)
+        x_min, y_min, x_max, y_max = map(float, edges)
+        box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
+        cut = clip_to_image(box, width_px, height_px)
+        assert cut is not None  # `parse_boxes` rejects boxes outside the image
+        return cut
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLabels:
+    """One image of a dataset of 2D boxes.
+
+    Attributes:
+        file_name: as in the dataset, usually relative to the image folder; the label file's if there is no image.
+        boxes: in file order; in pixels they are clipped to the image, the centre of the first pixel is (0, 0).
+        size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        folder: where the image is or would be.
+        box_kind: what the boxes enclose, if the dataset says so.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
+    """
+
+    file_name: str
+    boxes: tuple[Box2D, ...] | tuple[YoloBox, ...]
+    size_px: tuple[int, int] | None = None
+    folder: Path = Path()
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
+    around: int = 0
+
+    def boxes_on(self, width_px: int, height_px: int) -> tuple[Box2D, ...]:
+        """Returns the boxes on an image of that size."""
+        return tuple(box.on(width_px, height_px) if isinstance(box, YoloBox) else box for box in self.boxes)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The class of each box."""
+        return tuple(box.label for box in self.boxes)
+
+    @property
+    def stem(self) -> str:
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
+
+    def file(self, path: Path) -> Path | None:
+        """Returns the image file; None if it does not exist, such as one that was on another computer."""
+        try:
+            file = inside(self.folder, self.file_name)
+        except OutsideError as error:
+            if is_absolute(self.file_name):
+                return None
+            raise FormatError(path, str(error)) from error
+        # labels without an image have the name of their label file, which may be in this folder
+        return file if file.is_file() and file.suffix.lower() != ".txt" else None

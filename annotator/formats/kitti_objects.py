@@ -16,9 +16,9 @@ need a file for every frame; it is empty for a frame without detections.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,96 +28,91 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats import kitti_rows
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
-from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
+from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
-from annotator.formats.reading import MOST, read_text, text_files, text_rows
-from annotator.formats.units import Angles
+from annotator.formats.reading import MOST, text_files, text_rows
+from annotator.formats.units import Angles, AngleUnit
+from annotator.geometry.occlusion import Sight
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.text import spelled, to_number
-from annotator.types import Camera, Frame, Label, PointCloud, Truth
+from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
-
-Frames = dict[str, tuple[Truth, ...]]
-"""The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
+NO_NAMES = DatasetNames()
 
 
-@dataclass
-class KittiRows:
-    """What the rows of a set show beside their 3D boxes.
-
-    Attributes:
-        angles: of all 3D boxes.
-        flat: number of 2D boxes without a 3D box, by frame name; they are left out.
-    """
-
-    angles: Angles = field(default_factory=Angles)
-    flat: Counter[str] = field(default_factory=Counter)
-
-    def truth(self, name: str, row: kitti_rows.KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
-        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box."""
-        self.flat[name] += row.label != kitti_rows.DONT_CARE and row.is_flat
-        return kitti_rows.row_truth(row, track_id, None, file, line, self.angles) if kitti_rows.has_solid(row) else None
-
-
-def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[Truth, ...]]]:
-    """Yields the 3D boxes of each frame, in file order.
+def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the 3D boxes of each frame, by `RECORDING/KEY` or only `KEY`.
 
     Args:
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
-            file `label_02.txt`, where every frame with a row counts as labelled.
-        found: collects what the rows show beside that.
+            file `label_02.txt`, where every frame with a row counts as labelled, by its number with six digits.
+        unit: of the angles; None: radians, as the format says.
     """
-    place = label_place(path)
+    place, angles = label_place(path), Angles(unit)
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (kitti_rows.FIELDS, kitti_rows.FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
-        yield from _tracked(place, found).items()
-        found.angles.require()
-        return
-    dataset_names = DatasetNames.of(place)
-    for stem, file, text in text_files(place, within=LABELS):
-        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
-        rows = ((line, kitti_rows.parse_fields(fields, file, line)) for line, fields in lines)
-        name = dataset_names.frame(stem)
-        truths = (found.truth(name, row, None, file, line) for line, row in rows)
-        yield name, tuple(replace(each, label=dataset_names.label(each.label)) for each in truths if each is not None)
-    found.angles.require()
+        frames = tracked_frames(place, None, angles, "{:06d}".format)
+        if not frames:
+            raise FormatError(place, "has no label row")
+    else:
+        names, frames = DatasetNames.of(place), dict[str, LabelledFrame]()
+        for stem, file, text in text_files(place, within=LABELS):
+            calibration = calibration_beside(file) if place.is_dir() else None
+            shift = None if calibration is None else read_shift(calibration)
+            frames[names.frame(stem)] = frame_of(kitti_rows.read_rows(file, text), file, angles, names, shift)
+    angles.require()
+    return frames
 
 
-def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
-    """Returns the shift from rectified camera 0 to the colour camera, metres, of each frame with a calibration.
+def tracked_frames(
+    file: Path,
+    text: str | None,
+    angles: Angles,
+    name: Callable[[int], str],
+    names: DatasetNames = NO_NAMES,
+    shift: Float64[np.ndarray, "3"] | None = None,
+) -> dict[str, LabelledFrame]:
+    """Returns the frames of a tracking file.
 
     Args:
-        path: as in `each_kitti_frame`; archives and tracking files have no calibrations.
+        text, names, shift: as in `read_rows` and `frame_of`.
+        name: of a frame, by its number.
     """
-    place = label_place(path)
-    if not place.is_dir():
-        return {}
-    dataset_names = DatasetNames.of(place)
-    files = {file.stem: calibration_beside(file) for file in sorted(place.glob("*.txt")) if file.name[0] != "."}
-    return {dataset_names.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
+    rows = defaultdict[str, list[kitti_rows.KittiLabel]](list)
+    for row in kitti_rows.read_rows(file, text, tracking=True):
+        rows[name(row.frame or 0)].append(row)
+    return {frame: frame_of(each, file, angles, names, shift) for frame, each in rows.items()}
+
+
+def frame_of(
+    rows: Iterable[kitti_rows.KittiLabel],
+    file: Path,
+    angles: Angles,
+    names: DatasetNames,
+    shift: Float64[np.ndarray, "3"] | None,
+) -> LabelledFrame:
+    """Returns the objects of a frame's rows.
+
+    Args:
+        angles: those of all rows that belong together.
+        names: of the dataset.
+        shift: from rectified camera 0 to the colour camera, metres, by the dataset's calibration; None: that of the
+            frame's recording, and without either, the labels are taken as being in the camera frame.
+    """
+    rows = list(rows)
+    truths = [kitti_rows.row_truth(row, None, file, angles) for row in rows if row.is_solid]
+    pose = kitti_rows.label_frame if shift is None else RigidTransform.from_translation(shift)
+    named = [replace(truth, label=names.label(truth.label)) for truth in truths]
+    return LabelledFrame(named, pose, flat=sum(row.is_flat for row in rows))
 
 
 def label_place(path: Path) -> Path:
     """The folder or file of labels in a KITTI dataset; the path itself if it is none."""
     return next((path / name for name in PLACES if (path / name).exists()), path)
-
-
-def _tracked(file: Path, found: KittiRows) -> Frames:
-    """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
-    frames: dict[str, list[Truth]] = {}
-    for line, fields in text_rows(file):
-        number, track_id, row = kitti_rows.parse_tracking_fields(fields, file, line)
-        name = f"{number:06d}"
-        objects = frames.setdefault(name, [])
-        if (truth := found.truth(name, row, track_id, file, line)) is not None:
-            objects.append(truth)
-    if not frames:
-        raise FormatError(file, "has no label row")
-    return {name: tuple(objects) for name, objects in frames.items()}
 
 
 LABELS, CALIBRATIONS = "label_2", "calib"
@@ -136,25 +131,43 @@ def calibration_beside(label_file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
+def read_matrices(path: Path, shapes: Mapping[str, tuple[int, int]]) -> dict[str, Float64[np.ndarray, "r c"]]:
+    """Returns the matrices of these names in a calibration file."""
+    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
+    for line, (head, *words) in text_rows(path):
+        name = head.rstrip(":")
+        if name not in shapes or name in matrices:
+            continue
+        rows, columns = shapes[name]
+        try:
+            matrix = np.array([to_number(word) for word in words]).reshape(rows, columns)
+        except ValueError as error:
+            raise FormatError(path, f"{name} needs {rows * columns} numbers: {error}", line) from error
+        if not (np.abs(matrix) <= MOST).all():
+            raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
+        matrices[name] = matrix
+    if missing := [name for name in shapes if name not in matrices]:
+        raise FormatError(path, f"has no {' and no '.join(missing)}")
+    return matrices
+
+
+P2_SHAPE = {"P2": (3, 4)}
+
+
+def shift_of(path: Path, P2: Float64[np.ndarray, "3 4"]) -> Float64[np.ndarray, "3"]:
+    """Returns t of P2 = K [I | t], metres."""
+    try:
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+    except np.linalg.LinAlgError as error:
+        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
+    if not (np.abs(shift) <= MOST_SHIFT_M).all():
+        raise FormatError(path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column")
+    return shift
+
+
 def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
     """Returns t of a calibration file, metres."""
-    for line, (head, *words) in text_rows(path):
-        if head.rstrip(":") != "P2":
-            continue
-        try:
-            P2 = np.array([to_number(word) for word in words]).reshape(3, 4)
-            if not (np.abs(P2) <= MOST).all():
-                raise ValueError(f"a number beyond {MOST:g}")
-            shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-        except (ValueError, np.linalg.LinAlgError) as error:
-            problem = f"P2 must be an invertible 3x4 camera matrix (twelve numbers): {error}"
-            raise FormatError(path, problem, line) from error
-        if not (np.abs(shift) <= MOST_SHIFT_M).all():
-            raise FormatError(
-                path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column", line
-            )
-        return shift
-    raise FormatError(path, "has no P2")
+    return shift_of(path, read_matrices(path, P2_SHAPE)["P2"])
 
 
 def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[kitti_rows.KittiLabel, ...]]:
@@ -164,42 +177,31 @@ def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[kitti_rows
         path: a folder, or a zip archive, of `KEY.txt` files.
         scored: True for results: every row must have a score.
     """
-    return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
+    return {key: read_kitti_file(file, text, scored=scored) for key, file, text in text_files(path)}
 
 
-def read_kitti_file(path: Path, *, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
-    """Returns the rows of one frame; arguments and errors as in `read_kitti_folder`."""
-    return _rows(read_text(path), path, scored)
-
-
-def _rows(text: str, file: Path, scored: bool) -> tuple[kitti_rows.KittiLabel, ...]:
-    lines, angles = enumerate(text.splitlines(), 1), Angles()
-    rows = tuple(_row(line, file, number, scored, angles) for number, line in lines if line.strip())
+def read_kitti_file(file: Path, text: str | None = None, *, scored: bool = False) -> tuple[kitti_rows.KittiLabel, ...]:
+    """Returns the rows of one frame; arguments as in `read_rows` and `read_kitti_folder`."""
+    rows, angles = tuple(kitti_rows.read_rows(file, text)), Angles()
+    for row in rows:
+        if scored and row.score is None:
+            raise FormatError(
+                file,
+                "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
+                "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
+                row.line,
+            )
+        if row.right < row.left or row.bottom < row.top:
+            edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
+            problem = f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}"
+            raise FormatError(file, problem, row.line)
+        if row.is_solid and min(row.height, row.width, row.length) <= 0:
+            sizes = f"{row.height:g} {row.width:g} {row.length:g}"
+            raise FormatError(file, f"height width length must be positive, not {sizes}", row.line)
+        if row.is_solid:
+            angles.radians(row.rotation_y, file, row.line)
     angles.require()
     return rows
-
-
-def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> kitti_rows.KittiLabel:
-    row = kitti_rows.parse_label_line(text, file, line)
-    if scored and row.score is None:
-        raise FormatError(
-            file,
-            "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
-            "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
-            line,
-        )
-    if row.right < row.left or row.bottom < row.top:
-        edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
-        raise FormatError(
-            file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
-        )
-    size = (row.height, row.width, row.length)
-    if min(size) <= 0 and size not in kitti_rows.UNKNOWN_SIZES and row.label != kitti_rows.DONT_CARE:
-        height, width, length = size
-        raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
-    if kitti_rows.has_solid(row):
-        angles.radians(row.rotation_y, file, line)
-    return row
 
 
 PARTS = ("image_2", "velodyne", "calib", "label_2")
@@ -315,17 +317,20 @@ def calibration_text(camera: Camera, T_camera_label: RigidTransform | None) -> s
     """
     shift = np.zeros(3) if T_camera_label is None else T_camera_label.translation
     K, still = camera.matrix, np.zeros((3, 1))
-    P0, P2 = np.hstack([K, still]), np.column_stack([K, K @ shift])
+    return matrices_text(np.hstack([K, still]), np.column_stack([K, K @ shift]), np.hstack([CAMERA_LIDAR, still]))
+
+
+def matrices_text(P0: np.ndarray, P2: np.ndarray, Tr_velo_to_cam: np.ndarray) -> str:
+    """Returns the text of a calibration file, unrounded; R0_rect and the IMU's matrix are the identity."""
     matrices = {
         "P0": P0,
         "P1": P0,
         "P2": P2,
         "P3": P2,
         "R0_rect": np.eye(3),
-        "Tr_velo_to_cam": np.hstack([CAMERA_LIDAR, still]),
+        "Tr_velo_to_cam": Tr_velo_to_cam,
         "Tr_imu_to_velo": np.eye(3, 4),
     }
     # + 0.0: no negative zeros
-    return "".join(
-        f"{name}: {' '.join(f'{value + 0.0:.12e}' for value in matrix.ravel())}\n" for name, matrix in matrices.items()
-    )
+    rows = {name: map(repr, (matrix + 0.0).ravel().tolist()) for name, matrix in matrices.items()}
+    return "".join(f"{name}: {' '.join(numbers)}\n" for name, numbers in rows.items())

@@ -21,7 +21,8 @@ best with KITTI's labels (docs/formats.md).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
-from annotator.formats.reading import finite_number, text_rows
+from annotator.formats.reading import OnFault, finite_number, raise_fault, text_rows
 from annotator.formats.units import Angles
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
 from annotator.geometry.outline import Sight, cut_segments
@@ -65,6 +66,8 @@ class KittiLabel:
         x, y, z: middle of the bottom face, rectified camera 0.
         rotation_y: heading, about the camera's y axis.
         score: score of a result; None in a label.
+        frame, track: the frame's number and the track id, in tracking files.
+        line: of its file, from 1; None for a row that was made.
     """
 
     label: str
@@ -83,26 +86,20 @@ class KittiLabel:
     z: float
     rotation_y: float
     score: float | None = None
+    _: KW_ONLY
+    frame: int | None = None
+    track: int | None = None
+    line: int | None = field(default=None, compare=False)
 
     @property
     def is_flat(self) -> bool:
         """True for a 2D box without a 3D box: sizes of -1 (or 0), as detectors of 2D boxes write them."""
-        return (self.height, self.width, self.length) in UNKNOWN_SIZES
+        return self.label != DONT_CARE and (self.height, self.width, self.length) in UNKNOWN_SIZES
 
     @property
-    def image_box(self) -> Box2D:
-        """The row's 2D box.
-
-        Raises:
-            ValueError: it has no width or no height.
-        """
-        score = 1.0 if self.score is None else self.score
-        return Box2D(self.label, self.left, self.top, self.right, self.bottom, score)
-
-
-def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> KittiLabel:
-    """Parses an object row of 15 or 16 fields; `path` and `line` are for the error message."""
-    return parse_fields(text.split(), path, line)
+    def is_solid(self) -> bool:
+        """False for a DontCare area, and for a 2D box without a 3D box."""
+        return self.label != DONT_CARE and not self.is_flat
 
 
 def dont_care(edges: tuple[float, float, float, float]) -> KittiLabel:
@@ -111,7 +108,7 @@ def dont_care(edges: tuple[float, float, float, float]) -> KittiLabel:
 
 
 def dump_label_line(row: KittiLabel) -> str:
-    """Returns a row as text, numbers with two decimals as in KITTI's own files; `parse_label_line` reads it.
+    """Returns a row as text, numbers with two decimals as in KITTI's own files; `parse_row` reads it.
 
     Args:
         row: the label must be one word. Of a DontCare area only the 2D box is written, as in KITTI's files.
@@ -154,73 +151,48 @@ def heading_rotation(rotation_y: float) -> Float64[np.ndarray, "3 3"]:
     return np.array([[cos, sin, 0.0], [0.0, 0.0, -1.0], [-sin, cos, 0.0]])
 
 
-def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
-    """Returns the 3D boxes of one `label_2/KEY.txt`, in file order; an empty file has none.
+def read_rows(
+    path: Path, text: str | None = None, *, tracking: bool = False, on_fault: OnFault = raise_fault
+) -> Iterator[KittiLabel]:
+    """Yields the rows of a label file in its order.
 
     Args:
-        T_camera_label: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
+        text: the content of the file; None: it is read.
+        tracking: rows begin with frame number and track id.
     """
-    angles = Angles()
-    rows = ((line, parse_fields(fields, path, line)) for line, fields in text_rows(path))
-    truths = [row_truth(row, None, T_camera_label, path, line, angles) for line, row in rows if has_solid(row)]
-    angles.require()
-    return truths
+    for line, fields in text_rows(path, text):
+        try:
+            yield parse_row(fields, path, line, tracking=tracking)
+        except FormatError as fault:
+            on_fault(fault)
 
 
-def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> dict[int, list[Truth]]:
-    """Returns the 3D boxes of a `label_02.txt` by frame number, in file order.
-
-    A frame without objects has no entry. Arguments and errors as in `read_object_labels`.
-    """
-    frames: dict[int, list[Truth]] = {}
-    angles = Angles()
-    for line, fields in text_rows(path):
-        frame, track_id, row = parse_tracking_fields(fields, path, line)
-        if has_solid(row):
-            frames.setdefault(frame, []).append(row_truth(row, track_id, T_camera_label, path, line, angles))
-    angles.require()
-    return frames
-
-
-def read_tracking_areas(path: Path) -> dict[int, list[KittiLabel]]:
-    """Returns the DontCare rows of a `label_02.txt` by frame number, in file order; other frames have no entry."""
-    frames: dict[int, list[KittiLabel]] = {}
-    for line, fields in text_rows(path):
-        frame, _, row = parse_tracking_fields(fields, path, line)
-        if row.label == DONT_CARE:
-            frames.setdefault(frame, []).append(row)
-    return frames
-
-
-def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int, int, KittiLabel]:
-    """Returns frame number, track id and row of a line of a tracking file.
+def parse_row(fields: list[str], path: Path, line: int, *, tracking: bool = False) -> KittiLabel:
+    """Returns the row of 15 or 16 fields, in tracking files after frame number and track id.
 
     KITTI's own tracking files have levels of truncation, the whole numbers 0, 1 and 2, where other files have a
     fraction with decimals (KITTI tracking devkit, readme.txt). The fraction of levels 1 and 2 is unknown.
     """
-    if len(fields) < TRACKING_FIELDS + FIELDS:
-        raise FormatError(path, f"a tracking row has {TRACKING_FIELDS + FIELDS} fields, not {len(fields)}", line)
-    frame, track_id = (_integer(field, path, line) for field in fields[:TRACKING_FIELDS])
-    if max(abs(frame), abs(track_id)) > MOST_TRACK:
+    first = TRACKING_FIELDS if tracking else 0
+    if tracking and len(fields) < first + FIELDS:
+        raise FormatError(path, f"a tracking row has {first + FIELDS} fields, not {len(fields)}", line)
+    numbers = [_integer(field, path, line) for field in fields[:first]]
+    if any(abs(number) > MOST_TRACK for number in numbers):
+        frame, track = numbers
         raise FormatError(
-            path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line
+            path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track:.6g}", line
         )
-    row = parse_fields(fields[TRACKING_FIELDS:], path, line)
-    is_level = fields[TRACKING_FIELDS + 1] in LEVELS_ALONE
-    return frame, track_id, replace(row, truncated=-1.0) if is_level else row
-
-
-def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
-    """Parses the fields of an object row; errors as `parse_label_line`."""
-    if len(fields) not in (FIELDS, FIELDS + 1):
-        raise FormatError(
-            path, f"a label row has {FIELDS} fields (or {FIELDS + 1} with a score), not {len(fields)}", line
-        )
-    values = [finite_number(field, path, line) for field in fields[1:]]
-    occluded = _integer(fields[2], path, line)
+    label, *rest = fields[first:]
+    if len(rest) not in (FIELDS - 1, FIELDS):
+        problem = f"a label row has {FIELDS} fields (or {FIELDS + 1} with a score), not {len(rest) + 1}"
+        raise FormatError(path, problem, line)
+    truncated, _, *values = (finite_number(field, path, line) for field in rest)
+    if tracking and rest[0] in LEVELS_ALONE:
+        truncated = -1.0
     # the devkit ignores the case of this type
-    label = DONT_CARE if fields[0].lower() == DONT_CARE.lower() else fields[0]
-    return KittiLabel(label, values[0], occluded, *values[2:])
+    label = DONT_CARE if label.lower() == DONT_CARE.lower() else label
+    row = KittiLabel(label, truncated, _integer(rest[1], path, line), *values, line=line)
+    return replace(row, frame=numbers[0], track=numbers[1]) if tracking else row
 
 
 def _integer(field: str, path: Path, line: int) -> int:
@@ -234,33 +206,27 @@ def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
     return np.array([row.length, row.width, row.height])
 
 
-def has_solid(row: KittiLabel) -> bool:
-    """False for a DontCare area, and for a 2D box without a 3D box."""
-    return row.label != DONT_CARE and not row.is_flat
-
-
-def row_truth(
-    row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int, angles: Angles
-) -> Truth:
+def row_truth(row: KittiLabel, T: RigidTransform | None, path: Path, angles: Angles) -> Truth:
     """Returns a row's object in the camera frame.
 
     Args:
         row: one that has a 3D box.
-        T: from rectified camera 0 to the camera frame; None for identity.
+        T: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
         angles: those of all rows that belong together.
     """
     if (_size_m(row) <= 0).any():
-        raise FormatError(
-            path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line
-        )
+        problem = f"height width length must be positive, not {row.height} {row.width} {row.length}"
+        raise FormatError(path, problem, row.line)
     try:
-        box = label_box(replace(row, rotation_y=angles.radians(row.rotation_y, path, line)))
-        image_box = row.image_box if row.right > row.left and row.bottom > row.top else None
+        box = label_box(replace(row, rotation_y=angles.radians(row.rotation_y, path, row.line)))
+        edges, score = (row.left, row.top, row.right, row.bottom), 1.0 if row.score is None else row.score
+        has_extent = row.right > row.left and row.bottom > row.top
+        image_box = Box2D(row.label, *edges, score) if has_extent else None
         values = of_kitti(row.truncated, row.occluded)
         box = box if T is None else box.transformed(T)
-        return Truth(row.label, box, track_id, row.score, image_box, attributes=values)
+        return Truth(row.label, box, row.track, row.score, image_box, attributes=values)
     except ValueError as error:
-        raise FormatError(path, str(error), line) from error
+        raise FormatError(path, str(error), row.line) from error
 
 
 OUTSIDE_IMAGE = (0.0, 0.0, 0.0, 0.0)

@@ -8,19 +8,18 @@ as in `kitti_objects.py`, but a truncation is one of three levels. Track ids are
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float64
-
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_names import ClassWords, DatasetNames
-from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, Frames, KittiRows, KittiWriter, read_shift
-from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line, parse_tracking_fields
+from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame
+from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, KittiWriter, read_shift, tracked_frames
+from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
 from annotator.formats.reading import text_files
+from annotator.formats.units import Angles, AngleUnit
 from annotator.text import spelled
-from annotator.types import Label, Truth
+from annotator.types import Label
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 
@@ -125,37 +124,28 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     return ids
 
 
-def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, Float64[np.ndarray, "3"]]]:
-    """Returns the objects of all labelled frames, without DontCare, and the shifts to the colour camera from calib/.
+def read_kitti_tracks(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the objects of all labelled frames, without DontCare.
 
     Args:
         path: a tracking folder, its `label_02` with one file per sequence, or a zip archive of that.
-        found: collects what the rows show beside their 3D boxes.
+        unit: of the angles; None: radians, as the format says.
 
     Returns:
-        Both by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
-        frames.csv lists it. Boxes are in rectified camera 0; see `read_kitti_shifts`.
+        by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
+        frames.csv lists it.
     """
     place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
-    dataset_names, frames, shifts = (
-        DatasetNames.of(place),
-        dict[str, list[Truth]](),
-        dict[str, Float64[np.ndarray, "3"]](),
-    )
-    for origin in dataset_names.frames.values():
-        frames[origin.name] = []
+    names, angles = DatasetNames.of(place), Angles(unit)
+    frames = {origin.name: LabelledFrame(()) for origin in names.frames.values()}
     for sequence, file, text in text_files(place, within=LABELS):
         calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
-        for line, row in enumerate(text.splitlines(), 1):
-            if not row.strip():
-                continue
-            number, track_id, label = parse_tracking_fields(row.split(), file, line)
-            name = dataset_names.frame(f"{sequence}/{number:06d}")
-            objects = frames.setdefault(name, [])
-            if shift is not None:
-                shifts[name] = shift
-            if (truth := found.truth(name, label, track_id, file, line)) is not None:
-                objects.append(replace(truth, label=dataset_names.label(truth.label)))
-    found.angles.require()
-    return {name: tuple(objects) for name, objects in frames.items()}, shifts
+        name = partial(_name, names, sequence)
+        frames |= tracked_frames(file, text, angles, name, names, shift)
+    angles.require()
+    return frames
+
+
+def _name(names: DatasetNames, sequence: str, number: int) -> str:
+    return names.frame(f"{sequence}/{number:06d}")

@@ -24,7 +24,7 @@ import colorsys
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -35,11 +35,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
-from annotator.formats.frame_names import read_frames
+from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
+from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.text import normal, spelled, to_number
+from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -213,51 +214,23 @@ def _rounded(value: float) -> float:
     return round(value, DECIMALS) + 0.0
 
 
-SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
-# Tolerance for R^T R = identity; matrices in files are rounded.
-MOST_OFF_ROTATION = 1e-2
+SHAPES = P2_SHAPE | {"R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 
 
 def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """Returns the text for an ideal camera, unrounded; P0 to P3 are that camera, the IMU's matrix is the identity."""
+    """Returns the text for an ideal camera, which is also rectified camera 0."""
     P = np.hstack([camera.matrix, np.zeros((3, 1))])
-    matrices = {f"P{number}": P for number in range(4)} | {
-        "R0_rect": np.eye(3),
-        "Tr_velo_to_cam": T_camera_cloud.as_matrix()[:3],
-        "Tr_imu_to_velo": np.eye(3, 4),
-    }
-    return "".join(
-        f"{name}: {' '.join(repr(value + 0.0) for value in matrix.ravel().tolist())}\n"
-        for name, matrix in matrices.items()
-    )
+    return matrices_text(P, P, T_camera_cloud.as_matrix()[:3])
 
 
 def read_calibration_pose(path: Path) -> RigidTransform:
     """Returns T_camera_cloud of a file."""
-    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
-    for line, (head, *words) in reading.text_rows(path):
-        name = head.rstrip(":")
-        shape = SHAPES.get(name)
-        if shape is None:
-            continue
-        try:
-            matrix = np.array([to_number(word) for word in words]).reshape(shape)
-        except ValueError as error:
-            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers: {error}", line) from error
-        if not (np.abs(matrix) <= reading.MOST).all():
-            raise FormatError(path, f"{name} must be finite and at most {reading.MOST:g}", line)
-        matrices[name] = matrix
-    if missing := [name for name in SHAPES if name not in matrices]:
-        raise FormatError(path, f"has no {' and no '.join(missing)}")
-    P2, pose = matrices["P2"], matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
+    matrices = read_matrices(path, SHAPES)
+    pose = matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
     R = pose[:, :3]
-    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+    if (problem := rotation_problem(R)) is not None:
         raise FormatError(path, f"R0_rect * Tr_velo_to_cam {problem}")
-    try:
-        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-    except np.linalg.LinAlgError as error:
-        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
-    return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))
+    return RigidTransform.from_components(pose[:, 3] + shift_of(path, matrices["P2"]), Rotation.from_matrix(R))
 
 
 CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"
@@ -319,22 +292,9 @@ def _color(number: int) -> str:
     return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
 
 
-@dataclass(frozen=True, eq=False)
-class LabelCloudFrame:
-    """The boxes of one cloud.
-
-    Attributes:
-        objects: in the cloud's frame.
-        T_camera_cloud: from the cloud's frame to the camera; None without a calibration.
-    """
-
-    objects: tuple[Truth, ...]
-    T_camera_cloud: RigidTransform | None
-
-
 def read_labelcloud(
     path: Path, on_fault: reading.OnFault = reading.raise_fault, angles: AngleUnit | None = None
-) -> dict[str, LabelCloudFrame]:
+) -> dict[str, LabelledFrame]:
     """Returns the labels of a project folder with all its parts, or of a folder of label files, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
@@ -342,7 +302,7 @@ def read_labelcloud(
     Args:
         angles: their unit; None: as `_classes.json` says, else as their range shows.
     """
-    frames: dict[str, LabelCloudFrame] = {}
+    frames: dict[str, LabelledFrame] = {}
     for folder in _label_folders(path):
         origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
         for stem, frame in _read_folder(folder, angles, on_fault):
@@ -353,12 +313,12 @@ def read_labelcloud(
     return frames
 
 
-def read_labelcloud_file(file: Path) -> LabelCloudFrame:
+def read_labelcloud_file(file: Path) -> list[Truth]:
     """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
     content = reading.read_model(file, LabelFile)
     degrees = _degrees(file.parent, {file: content})
     try:
-        return LabelCloudFrame(tuple(Truth(entry.name, box_of(entry, degrees)) for entry in content.objects), None)
+        return [Truth(entry.name, box_of(entry, degrees)) for entry in content.objects]
     except ValueError as error:
         raise FormatError(file, str(error)) from error
 
@@ -379,7 +339,7 @@ def _label_files(folder: Path) -> Iterator[Path]:
 
 def _read_folder(
     folder: Path, angles: AngleUnit | None, on_fault: reading.OnFault
-) -> Iterator[tuple[str, LabelCloudFrame]]:
+) -> Iterator[tuple[str, LabelledFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
         try:
@@ -396,22 +356,11 @@ def _read_folder(
                 on_fault(FormatError(file, f"objects.{number}: {error}"))
         pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
-            T_camera_cloud = _pose_for(objects, pose) if pose.is_file() else None
+            T_camera_cloud = read_calibration_pose(pose) if pose.is_file() else None
         except FormatError as fault:
             on_fault(fault)
             continue
-        yield normal(file.stem), LabelCloudFrame(tuple(objects), T_camera_cloud)
-
-
-def _pose_for(objects: Sequence[Truth], file: Path) -> RigidTransform:
-    """Returns T_camera_cloud of a calibration; raises FormatError if it moves a box of the cloud out of range."""
-    T = read_calibration_pose(file)
-    for number, truth in enumerate(objects):
-        try:
-            truth.box.transformed(T)
-        except ValueError as error:
-            raise FormatError(file, f"moves objects.{number} of its cloud out of range: {error}") from error
-    return T
+        yield normal(file.stem), LabelledFrame(objects, of_recording if T_camera_cloud is None else T_camera_cloud)
 
 
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:

@@ -27,7 +27,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
 from annotator.formats.attributes import VISIBILITY, from_dotted
-from annotator.formats.frame_names import read_frames
+from annotator.formats.frame_names import LabelledFrame, in_world, read_frames
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import Quaternions
@@ -160,7 +160,7 @@ NEAREST_M = 0.1
 Row = TypeVar("Row", bound=Record)
 
 
-def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -> dict[str, tuple[Truth, ...]]:
+def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -> dict[str, LabelledFrame]:
     """Returns the boxes of each camera's key frames, by frame name.
 
     With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the dataset has a
@@ -174,7 +174,7 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
     boxes = _boxes(folder, _rows(folder / ANNOTATIONS, SampleAnnotation), on_fault)
-    frames: dict[str, tuple[Truth, ...]] = {}
+    frames: dict[str, LabelledFrame] = {}
     for stem, row, camera, T_global_camera in _camera_images(folder):
         name = origins[stem].name if stem in origins else stem
         if name in frames:
@@ -192,20 +192,12 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
             # an export has one camera, which has all boxes
             if origins or (len(K) and is_seen(box, K, row.width, row.height)):
                 found.append(replace(truth, box=box))
-        frames[name] = tuple(found)
+        # without map coordinates, the camera is the origin
+        is_placed = stem in origins and T_global_camera.translation.any()
+        frames[name] = LabelledFrame(found, in_world(T_global_camera) if is_placed else None)
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return frames
-
-
-def read_world_poses(path: Path) -> dict[str, RigidTransform]:
-    """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates."""
-    folder = _table_folder(path)
-    if not (origins := read_frames(folder.parent)):
-        return {}
-    poses = {origins[stem].name: T for stem, _, _, T in _camera_images(folder) if stem in origins}
-    # without map coordinates, the camera is the origin
-    return {name: pose for name, pose in poses.items() if pose.translation.any()}
 
 
 def _table_folder(path: Path) -> Path:

@@ -16,8 +16,9 @@ import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -25,7 +26,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
-from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
+from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
 from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
@@ -69,7 +70,7 @@ class Scene:
     recording: str
     generator: str
     comment: str | None = None
-    _camera: doc.Pinhole | None = None
+    _camera: dict[str, object] | None = None
     _frames: dict[int, doc.Frame] = field(default_factory=dict)
     _tracks: dict[str, _Track] = field(default_factory=dict)
 
@@ -79,14 +80,12 @@ class Scene:
         camera = doc.pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
-        sync = doc.Sync(frame_stream=number) if time is None else doc.Sync(timestamp=time)
+        sync: dict[str, object] = {"frame_stream": number} if time is None else {"timestamp": time}
         # a frame has intrinsics only if they differ from those of the stream
-        intrinsics = None if camera == self._camera else camera
+        intrinsics = {} if camera == self._camera else {"intrinsics_pinhole": camera}
         streams = {
-            CAMERA: doc.FrameStream(
-                uri=image, stream_properties=doc.StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
-            ),
-            CLOUD: doc.FrameStream(uri=cloud, stream_properties=doc.StreamProperties(sync=sync)),
+            CAMERA: doc.FrameStream(uri=image, stream_properties={**intrinsics, "sync": sync}),
+            CLOUD: doc.FrameStream(uri=cloud, stream_properties={"sync": sync}),
         }
         self._frames[number] = doc.Frame(
             frame_properties=doc.FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
@@ -122,7 +121,7 @@ class Scene:
                     CAMERA: doc.Stream(
                         type="camera",
                         uri="images",
-                        stream_properties=doc.StreamProperties(intrinsics_pinhole=self._camera),
+                        stream_properties={"intrinsics_pinhole": self._camera},
                     ),
                     CLOUD: doc.Stream(type="lidar", uri="clouds"),
                 },
@@ -137,9 +136,10 @@ class Scene:
     def _context(self) -> str:
         return _uuid(self.recording, doc.FRAME_CONTEXT)
 
-    def _contexts(self) -> dict[str, doc.Context] | None:
+    def _contexts(self) -> dict[str, object] | None:
         numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
-        context = doc.Context(name=doc.FRAME_CONTEXT, type=doc.FRAME_CONTEXT, frame_intervals=_intervals(numbers))
+        intervals = [each.model_dump() for each in _intervals(numbers)]
+        context = {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
         return {self._context: context} if numbers else None
 
     def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.FrameObject]:
@@ -217,7 +217,11 @@ def _kinds(cuboid: doc.Cuboid) -> dict[str, doc.AttributeKind]:
 
 def _object(track: _Track) -> doc.Object:
     intervals = _intervals(sorted(track.frames))
-    pointer = doc.DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
+    pointer = {
+        "type": "cuboid",
+        "frame_intervals": [each.model_dump() for each in intervals],
+        "attribute_pointers": track.attributes,
+    }
     return doc.Object(
         name=track.name,
         type=track.type,
@@ -285,93 +289,73 @@ def is_document(file: Path) -> bool:
     return False
 
 
-@dataclass(frozen=True, eq=False)
-class OpenLabelBox(Truth):
-    """A cuboid, in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
+def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the frames of a document, or of all documents in a folder and its subfolders.
 
-    Its track is the attribute `track_id`, else the object's number; None for UUIDs.
-
-    Attributes:
-        state: the review state from the attribute `state`, if any.
-    """
-
-    state: ReviewState | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class OpenLabelFrame:
-    """One frame of a document, for one of its sensors.
-
-    Attributes:
-        name: "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number.
-        boxes: in the sensor's coordinates.
-        of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
-        attributes: of the frame, from contexts.
-        T_world_sensor: pose of the sensor in map coordinates, from annotator's own documents of recordings in such.
-    """
-
-    name: str
-    boxes: tuple[OpenLabelBox, ...]
-    of_camera: bool
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    T_world_sensor: RigidTransform | None = None
-
-
-def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, OpenLabelFrame]:
-    """Returns the frames of a document, or of all documents in a folder and its subfolders, by name.
+    Names are "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number. Boxes are in
+    the coordinates of the camera, or of the LiDAR in a document without one. The track of an object is the attribute
+    `track_id`, else its number; None for UUIDs.
 
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
     """
-    all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
-    frames: dict[str, OpenLabelFrame] = {}
+    numbers = _Numbers(Angles(angles), Quaternions(w_first=False))
+    frames: dict[str, LabelledFrame] = {}
     source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
         document = read_model(file, doc.Document, unique_keys)
-        _collect(file, document.openlabel, all_angles, quaternions)
-        for frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
-            if frame.name in frames:
-                where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
-                raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
-            frames[frame.name], source[frame.name] = frame, file
-    all_angles.require()
-    quaternions.require(path)
+        for name, frame in parse(file, document, origins, numbers):
+            if name in frames:
+                where = f"here and in {source[name].name}" if source[name] != file else "for two sensors"
+                raise FormatError(file, f"the frame {name} has labels {where}; import one of them at a time")
+            frames[name], source[name] = frame, file
+    numbers.angles.require()
+    numbers.quaternions.require(path)
     return frames
 
 
-def _collect(file: Path, content: doc.Content, angles: Angles, quaternions: Quaternions) -> None:
-    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames."""
-    cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
-    for number, frame in (content.frames or {}).items():
-        for _, _, each, cuboid in _cuboids(file, content, int(number), frame):
-            values = cuboid.val or ()
-            if len(values) == 9:
-                for value in values[3:6]:
-                    angles.radians(value, file)
-            elif len(values) == 10 and (cuboid.coordinate_system or each.coordinate_system) not in cameras:
-                quaternions.add(values[3:7])
+class _Numbers(NamedTuple):
+    """Those of all cuboids; quaternions only of those in level frames."""
+
+    angles: Angles
+    quaternions: Quaternions
+
+
+class _Box(NamedTuple):
+    """A cuboid's place in the document, its coordinate system, the object in it, and its review state."""
+
+    place: str
+    system: str
+    truth: Truth
+    state: ReviewState | None
 
 
 def parse(
-    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
-) -> Iterator[OpenLabelFrame]:
-    """Yields the frames of one document, once for each of its cameras.
+    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], numbers: _Numbers
+) -> Iterator[tuple[str, LabelledFrame]]:
+    """Yields the names and frames of one document, once for each of its cameras.
 
     Args:
         origins: origins of frames, by the stem of their files.
-        degrees: the unit of the cuboids' angles; False: radians.
     """
     content = document.openlabel
     sensors = _sensors(path, content)
     for number, frame in (content.frames or {}).items():
         properties = frame.frame_properties or doc.FrameProperties()
-        where = f"openlabel.frames.{number}"
         try:
             coordinates = doc.Coordinates(content.coordinate_systems or {}, properties.transforms)
         except ValueError as error:
-            raise FormatError(path, f"{where}: {error}") from error
+            raise FormatError(path, f"openlabel.frames.{number}: {error}") from error
+        boxes = [
+            _box(path, place, each, cuboid, uid, numbers, sensors)
+            for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
+            # null means "no cuboid" in the standard
+            if cuboid.val is not None
+        ]
+        contexts = (frame.contexts or {}).values()
+        values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
         for sensor, of_camera in sensors.items():
             stream = (properties.streams or {}).get(sensor)
             if stream is None and len(sensors) > 1:
@@ -380,17 +364,21 @@ def parse(
             # paths may come from Windows; only the file name is used, the file is not opened
             stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
-            boxes = tuple(
-                _box(path, place, each, cuboid, uid, coordinates, sensor, degrees)
-                for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
-                # null means "no cuboid" in the standard
-                if cuboid.val is not None
-            )
-            contexts = (frame.contexts or {}).values()
-            values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
             is_placed = stem in origins and PLACE in (properties.transforms or {})
-            world = coordinates.transform(WORLD, sensor) if is_placed else None
-            yield OpenLabelFrame(name, boxes, of_camera, values, world)
+            pose = in_world(coordinates.transform(WORLD, sensor) if is_placed else None) if of_camera else of_recording
+            truths = [_in_sensor(path, box, coordinates, sensor) for box in boxes]
+            yield name, LabelledFrame(truths, pose, [box.state for box in boxes], values)
+
+
+def _in_sensor(path: Path, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
+    if box.system == sensor:
+        return box.truth
+    try:
+        T = coordinates.transform(sensor, box.system)
+        said = tuple(each.transformed(T) for each in box.truth.said)
+        return replace(box.truth, box=box.truth.box.transformed(T), said=said)
+    except ValueError as error:
+        raise FormatError(path, f"{box.place}: {error}") from error
 
 
 def _documents(path: Path) -> list[Path]:
@@ -436,34 +424,33 @@ def _cuboids(
 
 def _box(
     path: Path,
-    where: str,
+    place: str,
     each: doc.Object,
     cuboid: doc.Cuboid,
     uid: str,
-    coordinates: doc.Coordinates,
-    sensor: str,
-    degrees: bool,
-) -> OpenLabelBox:
+    numbers: _Numbers,
+    sensors: Mapping[str, bool],
+) -> _Box:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
-        raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
-    attributes = cuboid.attributes or doc.Attributes()
-    numbers = {num.name: num.val for num in attributes.num or ()}
+        raise FormatError(path, f"{place}: has no coordinate_system, and its object has none either; add one")
+    attributes, val = cuboid.attributes or doc.Attributes(), list(cuboid.val or ())
+    named = {num.name: num.val for num in attributes.num or ()}
     texts = {text.name: text.val for text in attributes.text or ()}
+    if len(val) == 9:
+        val[3:6] = [numbers.angles.radians(angle, path) for angle in val[3:6]]
+    elif not sensors.get(system):
+        numbers.quaternions.add(val[3:7])
     try:
-        box, track_id = doc.box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
+        box, track_id = doc.box_from(val), _track(named.get("track_id"), uid)
         said = doc.said_from(texts[doc.SAID_BY]) if doc.SAID_BY in texts else ()
-        if system != sensor:
-            T = coordinates.transform(sensor, system)
-            box, said = box.transformed(T), tuple(each.transformed(T) for each in said)
     except ValueError as error:
-        raise FormatError(path, f"{where}: {error}") from error
+        raise FormatError(path, f"{place}: {error}") from error
     state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    values = doc.values_of(attributes)
-    score = numbers.get("score")
-    return OpenLabelBox(each.type, box, track_id, score, None, box_kind, values, said, review)
+    truth = Truth(each.type, box, track_id, named.get("score"), None, box_kind, doc.values_of(attributes), said)
+    return _Box(place, system, truth, review)
 
 
 def _track(attribute: float | None, uid: str) -> int | None:

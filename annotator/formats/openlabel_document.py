@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
@@ -37,7 +37,8 @@ SCHEMA_VERSION = "1.0.0"
 # Frames are numbered; elements have a number or a UUID.
 FrameNumber = Annotated[str, StringConstraints(pattern=r"^[0-9]{1,18}$")]
 Uid = Annotated[str, StringConstraints(pattern=r"^(-?[0-9]{1,18}|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12})$")]
-Timestamp = Annotated[str | Bounded, Field(union_mode="left_to_right")]
+# Parts that are written, and not read.
+Unread = dict[str, Any] | str | float | None
 AttributeKind = Literal["num", "text", "boolean", "vec"]
 
 
@@ -93,14 +94,6 @@ class FrameInterval(FileRecord):
     frame_end: Annotated[int, Field(ge=0)]
 
 
-class DataPointer(FileRecord):
-    """The frames in which an object has data of a given name, and the attributes of that data."""
-
-    type: str | None = None
-    frame_intervals: tuple[FrameInterval, ...]
-    attribute_pointers: dict[str, AttributeKind] | None = None
-
-
 class Object(FileRecord):
     """An object in all frames; `type` is its class."""
 
@@ -109,7 +102,7 @@ class Object(FileRecord):
     coordinate_system: str | None = None
     frame_intervals: tuple[FrameInterval, ...] | None = None
     object_data: ObjectData | None = None
-    object_data_pointers: dict[str, DataPointer] | None = None
+    object_data_pointers: Unread = None
 
 
 class TransformData(FileRecord):
@@ -139,47 +132,23 @@ class Transform(FileRecord):
     transform_src_to_dst: TransformData
 
 
-class Pinhole(FileRecord):
-    """A camera: `camera_matrix` is 3x4, row by row; distortion as in OpenCV, 5 to 14 coefficients."""
-
-    width_px: int
-    height_px: int
-    camera_matrix: Annotated[tuple[Bounded, ...], Field(min_length=12, max_length=12)]
-    distortion_coeffs: Annotated[tuple[Bounded, ...], Field(min_length=5, max_length=14)]
-
-
-class Sync(FileRecord):
-    """The time of an image or cloud, or its place in the stream."""
-
-    timestamp: Timestamp | None = None
-    frame_stream: int | None = None
-
-
-class StreamProperties(FileRecord):
-    """Calibration of a stream, or the place of a frame in it; lens models other than the pinhole are ignored."""
-
-    intrinsics_pinhole: Pinhole | None = None
-    sync: Sync | None = None
-
-
 class FrameStream(FileRecord):
-    """A stream in one frame; `uri` is its file."""
+    """A stream in one frame; `uri` is its file. The properties are its intrinsics, its time or place in the stream."""
 
     uri: str | None = None
-    stream_properties: StreamProperties | None = None
+    stream_properties: Unread = None
 
 
 class Stream(FrameStream):
     """A sensor."""
 
     type: str | None = None
-    description: str | None = None
 
 
 class FrameProperties(FileRecord):
     """Time, files and transforms of one frame."""
 
-    timestamp: Timestamp | None = None
+    timestamp: Unread = None
     streams: dict[str, FrameStream] | None = None
     transforms: dict[str, Transform] | None = None
 
@@ -188,14 +157,6 @@ class FrameContext(FileRecord):
     """The data of a context in one frame."""
 
     context_data: Attributes | None = None
-
-
-class Context(FileRecord):
-    """What holds for a scene as a whole; annotator writes one, of the type `frame`, for attributes of frames."""
-
-    name: str
-    type: str
-    frame_intervals: tuple[FrameInterval, ...] | None = None
 
 
 class Frame(FileRecord):
@@ -222,7 +183,7 @@ class Content(FileRecord):
     coordinate_systems: dict[str, CoordinateSystem] | None = None
     streams: dict[str, Stream] | None = None
     objects: dict[Uid, Object] | None = None
-    contexts: dict[Uid, Context] | None = None
+    contexts: Unread = None
     frames: dict[FrameNumber, Frame] | None = None
     frame_intervals: tuple[FrameInterval, ...] | None = None
 
@@ -243,11 +204,8 @@ def cuboid_values(box: OrientedBox) -> tuple[float, ...]:
     return tuple(np.concatenate([box.center_m, quaternion, box.size_m]).tolist())
 
 
-def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox:
+def box_from(values: Sequence[float]) -> OrientedBox:
     """Returns the box of 10 values (quaternion x y z w) or 9 (Euler angles rx ry rz, radians).
-
-    Args:
-        degrees: the angles are in degrees.
 
     Raises:
         ValueError: neither 9 nor 10 values, a quaternion that is not of unit length, or a size that is not positive.
@@ -255,13 +213,13 @@ def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox
     if len(values) == 10:
         rotation = _rotation(values[3:7])
     elif len(values) == 9:
-        rotation = Rotation.from_euler("ZYX", values[5:2:-1], degrees=degrees)
+        rotation = Rotation.from_euler("ZYX", values[5:2:-1])
     else:
         raise ValueError(f"a cuboid has 9 or 10 values, not {len(values)}")
     return OrientedBox.at(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
 
 
-def _rotation(xyzw: tuple[float, ...]) -> Rotation:
+def _rotation(xyzw: Sequence[float]) -> Rotation:
     if not 0.5 < np.linalg.norm(xyzw) < 2.0:
         raise ValueError(f"{list(xyzw)} is not a unit quaternion")
     return Rotation.from_quat(np.array(xyzw))
@@ -306,15 +264,16 @@ def _euler(angles_rad: tuple[float, float, float], sequence: str) -> Rotation:
     return Rotation.from_euler(sequence, angles_rad)
 
 
-def pinhole_of(camera: Camera) -> Pinhole:
-    """Returns the camera's record: K as 3x4, OpenCV's coefficients padded with zeros to the 5 that the schema needs."""
-    coefficients = camera.distortion + (0.0,) * (5 - len(camera.distortion))
-    return Pinhole(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        camera_matrix=tuple(np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist()),
-        distortion_coeffs=coefficients,
-    )
+def pinhole_of(camera: Camera) -> dict[str, object]:
+    """Returns the camera's record: K as 3x4, row by row, OpenCV's coefficients padded with zeros to the 5 that the
+    schema needs.
+    """
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "camera_matrix": np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist(),
+        "distortion_coeffs": camera.distortion + (0.0,) * (5 - len(camera.distortion)),
+    }
 
 
 class Coordinates:
@@ -334,9 +293,6 @@ class Coordinates:
                 self._connect(f"pose_wrt_parent of {name}", system.parent, name, system.pose_wrt_parent)
         for name, each in (of_frame or {}).items():
             self._connect(f"transform {name}", each.dst, each.src, each.transform_src_to_dst)
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._edges
 
     def transform(self, dst: str, src: str) -> RigidTransform:
         """Returns T_dst_src.

@@ -9,7 +9,8 @@ README.md describes the folder (`rcv_readme.md` is its template). All JSON is in
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,10 +27,11 @@ from annotator.formats.dataset_writing import (
     encoded_image,
     write_ply,
 )
+from annotator.formats.frame_names import LabelledFrame, in_world
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
-from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion
+from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.types.messages import amount
@@ -52,36 +54,29 @@ class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class RcvCamera(_Record):
-    """Intrinsics of the colour camera; `distortion` as in `RcvConventions`."""
+class RcvBox(_Record):
+    """A box: `center` and `size` (length, width, height), and `quaternion` (w, x, y, z)."""
 
-    width_px: int = Field(gt=0)
-    height_px: int = Field(gt=0)
-    fx: Positive
-    fy: Positive
-    cx: Number
-    cy: Number
-    distortion: tuple[Number, ...] = ()
+    center: Vector3
+    size: tuple[Positive, Positive, Positive]
+    quaternion: tuple[Number, Number, Number, Number]
 
 
-class RcvSaid(_Record):
-    """What one source, such as a detector, said of an object before its review; the box as in `RcvObject`."""
+class RcvSaid(RcvBox):
+    """What one source, such as a detector, said of an object before its review."""
 
     source: str = Field(min_length=1, max_length=200)
     label: str = Field(min_length=1)
     score: float | None = Field(None, ge=0, le=1)
     track_id: BoundedTrack | None = None
     box_kind: BoxKind = BoxKind.BOX
-    center: Vector3
-    size: tuple[Positive, Positive, Positive]
-    quaternion: tuple[Number, Number, Number, Number]
 
 
-class RcvObject(_Record):
+class RcvObject(RcvBox):
     """One object of a frame.
 
-    `center`, `rotation` (columns = box axes in the camera frame) and `size` (length, width, height) are the box;
-    `quaternion` (w, x, y, z) and `corners` (Eq. (1): rows x, y, z, 1; columns in `CORNER_ORDER`) repeat it.
+    `center`, `rotation` (columns = box axes in the camera frame) and `size` are the box; `quaternion` and `corners`
+    (Eq. (1): rows x, y, z, 1; columns in `CORNER_ORDER`) repeat it.
     """
 
     uid: str = Field(min_length=1)
@@ -97,10 +92,7 @@ class RcvObject(_Record):
     box_kind: BoxKind = BoxKind.BOX
     attributes: Values = Field(default_factory=dict)
     said: tuple[RcvSaid, ...] = ()
-    center: Vector3
-    size: tuple[Positive, Positive, Positive]
     rotation: Matrix3
-    quaternion: tuple[Number, Number, Number, Number]
     corners: tuple[Row8, Row8, Row8, Row8]
 
 
@@ -116,7 +108,7 @@ class RcvLabels(_Record):
 
     `key`, `index` and `recording` are the frame's origin; `up` is the unit vector against gravity in the camera frame,
     None if unknown. `attributes` are values of the frame itself. `world` is the camera's pose in the map coordinates of
-    the recording, None without such.
+    the recording, None without such. The camera's `distortion` is as in `RcvConventions`.
     """
 
     id: str
@@ -129,7 +121,7 @@ class RcvLabels(_Record):
     points: int = Field(ge=0)
     frame_of_reference: str
     up: Vector3 | None
-    camera: RcvCamera
+    camera: Camera
     world: RcvPose | None = None
     attributes: Values = Field(default_factory=dict)
     objects: tuple[RcvObject, ...]
@@ -158,7 +150,7 @@ class RcvConventions(_Record):
 class RcvCameraUse(_Record):
     """A camera and the recordings in which it occurs."""
 
-    camera: RcvCamera
+    camera: Camera
     recordings: tuple[str, ...]
 
 
@@ -235,10 +227,6 @@ def _table(first: str, second: str, rows: dict[str, int] | dict[str, str]) -> st
 AGREEMENT = 1e-6
 
 
-def camera_record(camera: Camera) -> RcvCamera:
-    return RcvCamera(**asdict(camera))
-
-
 def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> RcvLabels:
     """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
     frame = item.frame
@@ -253,7 +241,7 @@ def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> R
         points=len(frame.cloud),
         frame_of_reference=FRAME_OF_REFERENCE,
         up=None if frame.up is None else frame.up.tolist(),
-        camera=camera_record(frame.camera),
+        camera=frame.camera,
         world=None if frame.T_world_camera is None else _pose_record(frame.T_world_camera),
         attributes=dict(item.attributes),
         objects=tuple(map(object_record, item.labels)),
@@ -267,20 +255,35 @@ COMMON = (
 )
 
 
-def _common(of: Label | RcvObject) -> dict[str, Any]:
-    return {name: getattr(of, name) for name in COMMON}
+OF_SAID = ("source", "label", "score", "track_id", "box_kind")
+
+
+def _named(of: object, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names}
+
+
+def _box_fields(box: OrientedBox) -> dict[str, Any]:
+    return {
+        "center": box.center_m.tolist(),
+        "size": box.size_m.tolist(),
+        "quaternion": _quaternion(box.T_camera_box),
+    }
+
+
+def _box(record: RcvBox) -> OrientedBox:
+    """Returns the box of a record; raises ValueError for a quaternion of length zero."""
+    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
+    return OrientedBox.at(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
 
 
 def object_record(label: Label) -> RcvObject:
     box = label.box
     return RcvObject(
-        **_common(label),
+        **_named(label, COMMON),
+        **_box_fields(box),
         attributes=dict(label.attributes),
-        said=tuple(map(_said_record, label.said)),
-        center=box.center_m.tolist(),
-        size=box.size_m.tolist(),
+        said=tuple(RcvSaid(**_named(each, OF_SAID), **_box_fields(each.box)) for each in label.said),
         rotation=box.rotation.tolist(),
-        quaternion=_quaternion(box.T_camera_box),
         corners=corners_4x8(box).tolist(),
     )
 
@@ -291,36 +294,16 @@ def label_from(record: RcvObject) -> Label:
     Raises:
         ValueError: the rotation is invalid, or quaternion or corners disagree with centre, size and rotation.
     """
-    rotation = np.array(record.rotation)
-    box = OrientedBox.from_parts(np.array(record.center), rotation, np.array(record.size))
-    quaternion = Rotation.from_quat(record.quaternion, scalar_first=True)
-    if np.abs(quaternion.as_matrix() - box.rotation).max() > AGREEMENT:
-        raise ValueError("quaternion and rotation disagree; correct the quaternion from the rotation")
+    by_matrix = OrientedBox.from_parts(np.array(record.center), np.array(record.rotation), np.array(record.size))
     # the quaternion gives an exactly orthonormal rotation, the matrix only a rounded one
-    box = OrientedBox.at(RigidTransform.from_components(np.array(record.center), quaternion), np.array(record.size))
+    box = _box(record)
+    if np.abs(box.rotation - by_matrix.rotation).max() > AGREEMENT:
+        raise ValueError("quaternion and rotation disagree; correct the quaternion from the rotation")
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
-    return Label(**_common(record), box=box, attributes=record.attributes, said=tuple(map(_said, record.said)))
-
-
-def _said_record(said: Said) -> RcvSaid:
-    return RcvSaid(
-        source=said.source,
-        label=said.label,
-        score=said.score,
-        track_id=said.track_id,
-        box_kind=said.box_kind,
-        center=said.box.center_m.tolist(),
-        size=said.box.size_m.tolist(),
-        quaternion=_quaternion(said.box.T_camera_box),
-    )
-
-
-def _said(record: RcvSaid) -> Said:
-    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    box = OrientedBox.at(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
-    return Said(record.source, record.label, box, record.score, record.track_id, record.box_kind)
+    said = tuple(Said(**_named(each, OF_SAID), box=_box(each)) for each in record.said)
+    return Label(**_named(record, COMMON), box=box, attributes=record.attributes, said=said)
 
 
 def _pose_record(T: RigidTransform) -> RcvPose:
@@ -350,7 +333,7 @@ class RcvWriter(DatasetWriter):
 
     def begin(self) -> None:
         self.splits: dict[str, list[str]] = {}
-        self.cameras: dict[RcvCamera, list[str]] = {}
+        self.cameras: dict[tuple[Any, ...], tuple[Camera, list[str]]] = {}
         self.points = 0
         self.by_recording, self.objects_by_recording = Counter[str](), Counter[str]()
         self.by_state, self.by_source = Counter[ReviewState](), Counter[Source]()
@@ -374,7 +357,8 @@ class RcvWriter(DatasetWriter):
     def _count(self, item: DatasetItem, frame_id: str) -> None:
         if item.split is not None:
             self.splits.setdefault(item.split, []).append(frame_id)
-        recordings = self.cameras.setdefault(camera_record(item.frame.camera), [])
+        camera = item.frame.camera
+        _, recordings = self.cameras.setdefault(astuple(camera), (camera, []))
         if item.recording not in recordings:
             recordings.append(item.recording)
         self.points += len(item.frame.cloud)
@@ -401,7 +385,7 @@ class RcvWriter(DatasetWriter):
             conventions=RcvConventions(),
             detectors=tuple(self.info.detectors),
             options=RcvOptions(image_format=self.info.image_format, jpeg_quality=JPEG_QUALITY),
-            cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
+            cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.values()),
             counts=RcvCounts(
                 frames=len(self.origins),
                 objects=self.counts.total(),
@@ -480,6 +464,21 @@ def read_rcv(path: Path) -> RcvDataset:
         if frame_id != Path(frame_id).name:
             raise FormatError(path / MANIFEST, f"the id {frame_id[:NAME_SHOWN]!r} is not a valid file name")
     return RcvDataset(path, manifest)
+
+
+def labelled_frames(path: Path) -> dict[str, LabelledFrame]:
+    """Returns the labels of a dataset by `RECORDING/KEY`."""
+    dataset, frames = read_rcv(path), dict[str, LabelledFrame]()
+    for index in range(len(dataset)):
+        name, labels, values, pose = dataset.named_labels(index)
+        states = tuple(each.state for each in labels)
+        frames[name] = LabelledFrame([truth_of(each) for each in labels], in_world(pose), states, values)
+    return frames
+
+
+def truth_of(label: Label) -> Truth:
+    """Returns a label as the object that it is."""
+    return Truth(**_named(label, ("label", "box", "track_id", "score", "box_kind", "attributes", "said")))
 
 
 def _inside(folder: Path, name: str, listed_in: Path) -> Path:

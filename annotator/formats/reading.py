@@ -72,7 +72,6 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
         raise FormatError(file, f"is not a readable image: {error}; restore it, or remove its labels") from error
 
 
-MAX_FILES = 1_000_000
 SUFFIX = ".txt"
 
 
@@ -128,9 +127,10 @@ def read_text(file: Path) -> str:
     return _text(file, content)
 
 
-def text_rows(file: Path) -> list[tuple[int, list[str]]]:
-    """Returns the words of each non-blank line of a text file, with its 1-based line number."""
-    return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
+def text_rows(file: Path, text: str | None = None) -> list[tuple[int, list[str]]]:
+    """Returns the words of each non-blank line of a text file, or of `text`, with its 1-based line number."""
+    text = read_text(file) if text is None else text
+    return [(line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip()]
 
 
 def _of_archive(path: Path, within: str | None) -> Iterator[tuple[str, Path, str]]:
@@ -172,11 +172,7 @@ def _is_archive(path: Path) -> bool:
 
 
 def _wanted(archive: zipfile.ZipFile, within: str | None) -> list[zipfile.ZipInfo]:
-    matching = [
-        info
-        for info in archive.infolist()[:MAX_FILES]
-        if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))
-    ]
+    matching = [info for info in archive.infolist() if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))]
     return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 
 
@@ -355,20 +351,20 @@ def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, obj
     """
     data = _read(path)
     with json_faults(path):
-        text, found = _Text(path, decoded(data)), False
+        text = _Text(path, decoded(data))
         del data
-        for key in text.begin_object():
+        keys, found = text.each_key(), inside is None
+        for key in keys:
             if inside is None:
                 yield key, text.value()
             elif key == inside:
                 found = True
-                for name in text.begin_object():
-                    yield name, text.value()
+                yield from ((name, text.value()) for name in text.each_key())
             else:
                 text.value()
-        if text.next_character():
+        if text.next():
             text.fail("has something after the end of its object")
-        if inside is not None and not found:
+        if not found:
             raise FormatError(path, f"has no key {inside!r}")
 
 
@@ -379,15 +375,16 @@ class _Text:
         self._path, self._text, self._at = path, text, 0
         self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
 
-    def begin_object(self) -> Iterator[str]:
+    def each_key(self) -> Iterator[str]:
         """Yields the keys of the object that begins here; each key's value must be read before the next one."""
-        if self.next_character() != "{":
+        if self.next() != "{":
             self.fail("must be a JSON object with one entry per frame")
         self._at += 1
-        known, is_first = set[str](), True
-        while not (is_first and self.next_character() == "}"):
-            is_first = False
-            if self.next_character() != '"':
+        known, end = set[str](), self.next()
+        if end == "}":
+            self._at += 1
+        while end != "}":
+            if self.next() != '"':
                 self.fail("is not valid JSON: a key in double quotes is missing")
             key = str(self.value())
             if key in known:
@@ -395,30 +392,29 @@ class _Text:
             known.add(key)
             self._take(":")
             yield key
-            if self.next_character() == "}":
-                break
-            self._take(",")
-        self._at += 1
+            end = self._take(",}")
 
     def value(self) -> object:
         """Reads the value that begins here."""
-        self.next_character()
+        self.next()
         value, end = self._json.raw_decode(self._text, self._at)
         require_encodable(self._path, self._text[self._at : end], value)
         self._at = end
         return value
 
-    def next_character(self) -> str:
+    def next(self) -> str:
         """Goes to the next character that is not blank, and returns it; "" at the end of the file."""
         match = BLANKS.match(self._text, self._at)
         assert match is not None  # it may be empty
         self._at = match.end()
         return self._text[self._at : self._at + 1]
 
-    def _take(self, character: str) -> None:
-        if self.next_character() != character:
-            self.fail(f"is not valid JSON: Expecting '{character}'")
+    def _take(self, characters: str) -> str:
+        found = self.next()
+        if not found or found not in characters:
+            self.fail(f"is not valid JSON: Expecting {' or '.join(map(repr, characters))}")
         self._at += 1
+        return found
 
     def fail(self, reason: str) -> Never:
         """Raises FormatError for what is here."""

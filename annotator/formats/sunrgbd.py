@@ -37,20 +37,20 @@ others it follows from gravity: y is the levelled viewing direction. A camera's 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float32, Float64
-from pydantic import Field
+from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
-from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
+from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
-from annotator.formats.reading import FileRecord, finite_number, read_model, text_files, text_rows
+from annotator.formats.reading import MAX_BYTES, FileRecord, finite_number, read_model, text_files, text_rows
 from annotator.formats.units import rotation_problem
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
@@ -61,6 +61,7 @@ from annotator.text import spelled
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
+from annotator.types.messages import first_problem
 
 # [X, Z, -Y] of a camera's point [X, Y, Z].
 SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -103,25 +104,37 @@ FRAME_FIELDS = (
 BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label", "gtBb2D")
 # The data set's paths begin with ROOT; the rest, joined by KEY_SEPARATOR, is a frame's key in recordings of its scenes.
 ROOT, KEY_SEPARATOR = "SUNRGBD/", "__"
-# The data set's own table, with some ten thousand frames, is smaller.
-MOST_TABLE_BYTES = 2**28
 
 MetaRow = tuple[Any, ...]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 
 
-@dataclass(frozen=True, eq=False)
-class MetaFrame:
-    """One frame of the table.
+def _as_list(value: object) -> object:
+    """An array as the list of its values; an empty struct array is an empty one of any type."""
+    return value.ravel().tolist() if isinstance(value, np.ndarray) else value
 
-    Attributes:
-        name: `RECORDING/KEY`, or a scene's path in the data set joined by `KEY_SEPARATOR`.
-        T_camera_upright: from upright depth to the camera.
-        truths: the objects, in upright depth.
-    """
 
-    name: str
-    T_camera_upright: RigidTransform
-    truths: tuple[Truth, ...]
+Three = Annotated[list[Metres], BeforeValidator(_as_list), Field(min_length=3, max_length=3)]
+Nine = Annotated[list[Metres], BeforeValidator(_as_list), Field(min_length=9, max_length=9)]
+Name = Annotated[str, StringConstraints(pattern=r"\S")]
+
+
+class TableObject(FileRecord):
+    """An element of `groundtruth3DBB`."""
+
+    classname: Name
+    basis: Nine
+    coeffs: Three
+    centroid: Three
+    orientation: Three | None = None
+
+
+class TableFrame(FileRecord):
+    """An element of the table."""
+
+    sequenceName: Name
+    Rtilt: Nine
+    groundtruth3DBB: Annotated[list[TableObject], BeforeValidator(_as_list)]
 
 
 def meta_frame(
@@ -158,19 +171,26 @@ def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
     return {VARIABLE: table}
 
 
-def read_meta(path: Path) -> list[MetaFrame]:
-    """Returns the frames of a `SUNRGBDMeta*.mat`."""
+def read_meta(path: Path) -> dict[str, LabelledFrame]:
+    """Returns the frames of a `SUNRGBDMeta*.mat`, by `RECORDING/KEY`, or a scene's path in the data set joined by
+    `KEY_SEPARATOR`.
+    """
     try:
-        table = read_mat(path, VARIABLE, MOST_TABLE_BYTES)
+        table = read_mat(path, VARIABLE, MAX_BYTES)
     except MatFileError as error:
         raise FormatError(path, f"{error}; copy the file again") from error
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    frames = [_frame(path, f"frame {n}", each) for n, each in enumerate(_records(path, VARIABLE, table), 1)]
-    names = [frame.name for frame in frames]
-    if len(set(names)) < len(names):
-        repeated = next(name for number, name in enumerate(names) if name in names[:number])
-        raise FormatError(path, f"the frame {repeated} occurs twice; keep one of its elements")
+    frames: dict[str, LabelledFrame] = {}
+    for number, each in enumerate(table if isinstance(table, list) else [table], 1):
+        try:
+            content = TableFrame.model_validate(each)
+        except ValidationError as error:
+            raise FormatError(path, first_problem(error, f"frame {number}")) from error
+        name, frame = _frame(path, f"frame {number}", content)
+        if name in frames:
+            raise FormatError(path, f"the frame {name} occurs twice; keep one of its elements")
+        frames[name] = frame
     return frames
 
 
@@ -184,43 +204,32 @@ def _object(name: str, label: str, box: OrientedBox, on_image: Box2D) -> tuple[A
     return basis, coeffs, box.center_m[None], label, name, along[None], 1.0, bb2d
 
 
-def _records(path: Path, where: str, value: object) -> list[dict[str, Any]]:
-    """Returns the elements of a struct array; an empty array of any type has none."""
-    if isinstance(value, np.ndarray) and value.size == 0:
-        return []
-    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
-        raise FormatError(path, f"{where} is not a struct array")
-    return value
-
-
-def _frame(path: Path, where: str, entry: dict[str, Any]) -> MetaFrame:
-    name = _text(path, where, entry, "sequenceName")
-    Rtilt = _numbers(path, where, entry, "Rtilt", 9).reshape(3, 3)
+def _frame(path: Path, where: str, content: TableFrame) -> tuple[str, LabelledFrame]:
+    Rtilt = np.array(content.Rtilt).reshape(3, 3)
     T = RigidTransform.from_rotation(Rotation.from_matrix(_rotation(path, f"{where}, Rtilt", Rtilt @ SWAPPED).T))
-    objects = _records(path, f"{where}, groundtruth3DBB", _field(path, where, entry, "groundtruth3DBB"))
-    truths = [_table_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects, 1)]
-    return MetaFrame(_key(name), T, tuple(truths))
+    objects = enumerate(content.groundtruth3DBB, 1)
+    truths = [_table_truth(path, f"{where}, object {number}", each) for number, each in objects]
+    return _key(content.sequenceName), LabelledFrame(truths, T)
 
 
 def _key(name: str) -> str:
     return name.removeprefix(ROOT).strip("/").replace("/", KEY_SEPARATOR) if name.startswith(ROOT) else name
 
 
-def _table_truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
-    label = _text(path, where, entry, "classname")
-    across, along, up = _numbers(path, where, entry, "basis", 9).reshape(3, 3)
-    width, length, height = 2 * np.abs(_numbers(path, where, entry, "coeffs", 3))
-    if "orientation" in entry:
-        facing = _numbers(path, where, entry, "orientation", 3)
+def _table_truth(path: Path, where: str, entry: TableObject) -> Truth:
+    across, along, up = np.array(entry.basis).reshape(3, 3)
+    width, length, height = 2 * np.abs(entry.coeffs)
+    if entry.orientation is not None:
+        facing = np.array(entry.orientation)
         # in other tables the first two rows may be in either order; the heading is the one nearest to orientation
         if abs(across @ facing) > abs(along @ facing):
             across, along, width, length = along, across, length, width
         along = along if along @ facing >= 0 else -along
     left = -across if np.linalg.det(np.stack([along, -across, up])) > 0 else across
     R = _rotation(path, f"{where}, basis", np.stack([along, left, up], axis=1))
-    center = _numbers(path, where, entry, "centroid", 3)
     try:
-        return Truth(label, OrientedBox.from_parts(center, R, np.array([length, width, height])))
+        box = OrientedBox.from_parts(np.array(entry.centroid), R, np.array([length, width, height]))
+        return Truth(entry.classname, box)
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
 
@@ -231,30 +240,6 @@ def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
         raise FormatError(path, f"{where} {problem}")
     U, _, V = np.linalg.svd(R)
     return np.asarray(U @ V)
-
-
-def _field(path: Path, where: str, entry: dict[str, Any], name: str) -> Any:
-    if name not in entry:
-        raise FormatError(path, f"{where} has no field {name}")
-    return entry[name]
-
-
-def _numbers(path: Path, where: str, entry: dict[str, Any], name: str, count: int) -> np.ndarray:
-    value = _field(path, where, entry, name)
-    if not isinstance(value, np.ndarray) or value.size != count:
-        raise FormatError(path, f"{where}, {name} must have {count} numbers")
-    numbers = value.astype(np.float64).ravel()
-    # no scene is that large, and squares of much larger numbers overflow
-    if not (np.abs(numbers) < 1e9).all():
-        raise FormatError(path, f"{where}, {name} has a number that is not finite or is larger than 1e9")
-    return numbers
-
-
-def _text(path: Path, where: str, entry: dict[str, Any], name: str) -> str:
-    value = _field(path, where, entry, name)
-    if not isinstance(value, str) or not value.strip():
-        raise FormatError(path, f"{where}, {name} must be text and not empty")
-    return value
 
 
 PARTS = ("image", "calib", "depth", "label")
@@ -373,7 +358,6 @@ def upright_points(
 FIELDS = 13
 # Tolerance of a polygon's right angles (cosine): corners were drawn by hand.
 MOST_SKEW = 0.1
-Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Corners = Annotated[tuple[Metres, ...], Field(min_length=4, max_length=4)]
 
 
@@ -399,13 +383,14 @@ class SceneAnnotation(FileRecord):
     objects: tuple[SceneObject | None, ...] = ()
 
 
-def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None, text: str | None = None) -> list[Truth]:
     """Returns the objects of one `label/KEY.txt`, in file order; an empty file has none.
 
     Args:
         T_camera_label: from upright depth to the camera frame (`Frame.T_camera_label`); None for identity.
+        text: the content of the file; None: it is read.
     """
-    return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path)]
+    return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path, text)]
 
 
 def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, path: Path, line: int) -> Truth:
@@ -471,24 +456,12 @@ def _truth(
         raise FormatError(path, f"{label}: {error}", line) from error
 
 
-@dataclass(frozen=True)
-class ExtractedFrame:
-    """The labels of one frame.
-
-    Attributes:
-        truths: the objects, in upright depth.
-        calibration: the path of the frame's calibration, which may be missing; None for labels in an archive.
-    """
-
-    truths: tuple[Truth, ...]
-    calibration: Path | None
-
-
-def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
+def read_extracted_folder(path: Path, read_pose: Callable[[Path], RigidTransform]) -> dict[str, LabelledFrame]:
     """Returns the labelled frames, by `RECORDING/KEY` from frames.csv, else by the label file's stem.
 
     Args:
         path: a folder in VoteNet's layout, its folder `label`, or a zip archive of that.
+        read_pose: reads T_camera_upright from a frame's calibration; without one it follows from the frame.
     """
     place = path / "label" if (path / "label").is_dir() else path
     if place == path and (path / "image").is_dir():
@@ -500,9 +473,9 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
     dataset_names = DatasetNames.of(place)
     frames = {}
     for stem, file, text in text_files(place):
-        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
-        truths = [extracted_truth(fields, None, file, line) for line, fields in lines]
+        truths = read_extracted_labels(file, None, text)
         named = tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
-        calibration = spelled(place.parent / "calib", f"{stem}.txt") if place.is_dir() else None
-        frames[dataset_names.frame(stem)] = ExtractedFrame(named, calibration)
+        calibration = spelled(place.parent / "calib", f"{stem}.txt")
+        pose = read_pose(calibration) if place.is_dir() and calibration.is_file() else upright_frame
+        frames[dataset_names.frame(stem)] = LabelledFrame(named, pose)
     return frames

@@ -22,8 +22,9 @@ gravity), and a recording whose camera changes becomes several scenes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Annotated
@@ -35,13 +36,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
-from annotator.formats.frame_names import read_frames
+from annotator.formats.frame_names import LabelledFrame, Pose, in_world, read_frames
 from annotator.formats.reading import Axes, Bounded, BoundedPositive, FileRecord, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled
-from annotator.types import Label, OrientedBox, PointCloud, Truth
+from annotator.types import Frame, Label, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
@@ -49,8 +50,6 @@ CLOUDS, LABELS, IMAGES, CALIBRATIONS = "lidar", "label", "camera/front", "calib/
 CAMERA, POSES = "front.json", "ego_pose"
 # The ego frame has x right and y ahead; its origin is below the LiDAR, which looks back.
 EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler("z", np.pi))
-# Tolerance for R^T R = identity; matrices in files are rounded.
-MOST_OFF_ROTATION = 1e-2
 
 
 class _Scale(FileRecord):
@@ -100,34 +99,11 @@ class SceneCamera:
     T_camera_cloud: RigidTransform
 
 
-@dataclass(frozen=True, eq=False)
-class _LabelFile:
-    """A label file, with the cameras of its scene; `is_export` as in `SustechFrame`."""
-
-    file: Path
-    objects: tuple[_Object, ...]
-    cameras: tuple[SceneCamera, ...]
-    is_export: bool
+# Two cameras with matrices that differ less, as a share of the focal length, are the same.
+SAME_CAMERA = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class SustechFrame:
-    """The boxes of one cloud.
-
-    Attributes:
-        objects: in the cloud's frame.
-        cameras: those of the scene.
-        is_export: True if annotator wrote it: the only camera is that of the frame.
-        T_world_cloud: pose of the cloud in map coordinates, from an export of a recording in such.
-    """
-
-    objects: tuple[Truth, ...]
-    cameras: tuple[SceneCamera, ...]
-    is_export: bool
-    T_world_cloud: RigidTransform | None = None
-
-
-def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str, SustechFrame]:
+def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
     """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file. Ids that are no whole
@@ -136,7 +112,7 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
     Args:
         angles: their unit; None: radians, as the format says.
     """
-    files: dict[str, _LabelFile] = {}
+    files: dict[str, tuple[Path, tuple[_Object, ...], Pose]] = {}
     for folder in _label_folders(path):
         scene = folder.parent
         origins = next((found for up in (path, scene, *scene.parents[:2]) if (found := read_frames(up))), {})
@@ -146,21 +122,36 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
             name = origins[stem].name if stem in origins else stem
             if name in files:
                 raise FormatError(file, f"the frame {name} has labels in two scenes; import one scene")
+            # the only camera of an export of annotator is that of the frame
             is_export = stem in origins and len(cameras) == 1
-            files[name] = _LabelFile(file, read_model(file, _Labels).root, cameras, is_export)
-    tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
+            pose = (
+                partial(_of_export, cameras[0], in_world(_place(file))) if is_export else partial(_by_camera, cameras)
+            )
+            files[name] = (file, read_model(file, _Labels).root, pose)
+    tracks = _Tracks(each.obj_id for _, objects, _ in files.values() for each in objects)
     read = Angles(angles)
     frames = {
-        name: SustechFrame(
-            tuple(_truth(each, labels.file, tracks, read) for each in labels.objects),
-            labels.cameras,
-            labels.is_export,
-            _place(labels.file) if labels.is_export else None,
-        )
-        for name, labels in files.items()
+        name: LabelledFrame([_truth(each, file, tracks, read) for each in objects], pose)
+        for name, (file, objects, pose) in files.items()
     }
     read.require()
     return frames
+
+
+def _by_camera(cameras: Sequence[SceneCamera], frame: Frame) -> RigidTransform | None:
+    """By the scene's calibration of the camera that the frame has. Without one, boxes are in the frame of the
+    recording's own labels: for a folder of clouds, that of the clouds.
+    """
+    K = frame.camera.matrix
+    off = [float(np.abs(camera.K - K).max() / K[0, 0]) for camera in cameras]
+    best = int(np.argmin(off)) if off else None
+    return frame.T_camera_label if best is None or off[best] > SAME_CAMERA else cameras[best].T_camera_cloud
+
+
+def _of_export(camera: SceneCamera, in_map: Pose | None, frame: Frame) -> RigidTransform | None:
+    """By the place of the cloud in map coordinates, where that is known; else by the calibration."""
+    T = None if in_map is None else in_map(frame)
+    return camera.T_camera_cloud if T is None else T
 
 
 def _label_folders(path: Path) -> Iterator[Path]:
@@ -217,7 +208,7 @@ def _camera(file: Path) -> SceneCamera:
     content = read_model(file, _Calibration)
     pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
     R = pose[:3, :3]
-    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+    if (problem := rotation_problem(R)) is not None:
         raise FormatError(file, f"extrinsic {problem}")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
 

@@ -2,7 +2,7 @@
 
 The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), the tests of
 round trips, and what imports and checks recognise (`recognising`). The readers of a format are functions of its module,
-which return plain frames of boxes; `annotator.workflows.importing.readers` places these on a project's frames.
+which return `LabelledFrame`s or `PictureLabels`; `annotator.workflows.importing` places these on a project's frames.
 """
 
 from __future__ import annotations

@@ -111,12 +111,12 @@ class Lengths:
             raise UnitError(UnitKind.LENGTH, path, problem)
 
 
-def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float) -> str | None:
-    """Returns why a matrix of a file is no rotation; None if it is one.
+# Tolerance for R^T R = identity, since matrices in files are rounded.
+MOST_OFF_ROTATION = 1e-2
 
-    Args:
-        most_off: tolerance for R^T R = identity, since matrices in files are rounded.
-    """
+
+def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float = MOST_OFF_ROTATION) -> str | None:
+    """Returns why a matrix of a file is no rotation; None if it is one."""
     if not np.abs(R.T @ R - np.eye(3)).max() <= most_off:
         return "is not a rotation (its columns must have length 1 and be at right angles)"
     if np.linalg.det(R) < 0:

@@ -32,7 +32,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 
@@ -41,10 +41,9 @@ from jaxtyping import Float64
 from pydantic import ValidationError
 
 from annotator.files import why_missing
-from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.frame_names import has_frames
+from annotator.formats.frame_names import PictureLabels, YoloBox, has_frames
 from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_text
-from annotator.geometry.outline import clip_to_image, edges_of, shares_of
+from annotator.geometry.outline import shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
@@ -65,34 +64,6 @@ FAR = (6, 1)
 LEAST_FULL = 2
 # Share of each side of such a box that its points cover, and distance of the box's centre from the edges of the points.
 FULL, INNER = 0.5, 0.05
-
-
-@dataclass(frozen=True)
-class YoloBox:
-    """One line of a label file.
-
-    Attributes:
-        label: class name.
-        shares: cx, cy, w, h as fractions of the image size.
-        score: 1 if absent.
-        is_around: it is the rectangle around a turned box or a polygon.
-        corners: x1 y1 x2 y2 ... of that; else ().
-    """
-
-    label: str
-    shares: tuple[float, float, float, float]
-    score: float = 1.0
-    is_around: bool = False
-    corners: tuple[float, ...] = field(default=(), compare=False, repr=False)
-
-    def on(self, width_px: int, height_px: int) -> Box2D:
-        """Returns the box in pixels of an image of that size, clipped to the image."""
-        edges = edges_of(np.array(self.shares), width_px, height_px)
-        x_min, y_min, x_max, y_max = map(float, edges)
-        box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
-        cut = clip_to_image(box, width_px, height_px)
-        assert cut is not None  # `parse_boxes` rejects boxes outside the image
-        return cut
 
 
 def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int, height_px: int) -> str:
@@ -254,13 +225,14 @@ class YoloWriter:
             for kind in ("images", "labels"):
                 (folder / kind / part).mkdir(parents=True)
 
-    def add(self, picture: LabelledPicture) -> None:
-        part = picture.part or "train"
-        text = dump_boxes(picture.boxes, self._numbers, picture.width_px, picture.height_px)
-        (self._folder / "images" / part / picture.file_name).write_bytes(picture.content)
-        label = (self._folder / "labels" / part / picture.file_name).with_suffix(".txt")
-        label.write_text(text, encoding="ascii")
-        self._kinds[picture.file_name] = picture.box_kind
+    def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
+        assert picture.size_px is not None
+        text = dump_boxes(picture.boxes_on(*picture.size_px), self._numbers, *picture.size_px)
+        place = f"{part or 'train'}/{picture.file_name}"
+        (self._folder / "images" / place).write_bytes(content)
+        (self._folder / "labels" / place).with_suffix(".txt").write_text(text, encoding="ascii")
+        if picture.box_kind is not None:
+            self._kinds[picture.file_name] = picture.box_kind
 
     def finish(self) -> Mapping[str, Path]:
         (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts, self._kinds), encoding="utf-8")
@@ -302,27 +274,6 @@ def is_yolo_export(folder: Path) -> bool:
     return has_frames(folder) and (folder / DATA_YAML).is_file()
 
 
-@dataclass(frozen=True)
-class YoloPicture:
-    """One image of a dataset.
-
-    Attributes:
-        file_name: the image's file name without its folder; the label file's if there is no image.
-        folder: the folder where the image is or would be.
-        picture: the image file; None if only its labels exist.
-        label_file: may be missing.
-        boxes: in the order of the label file.
-        box_kind: what they enclose, if known.
-    """
-
-    file_name: str
-    folder: Path
-    picture: Path | None
-    label_file: Path
-    boxes: tuple[YoloBox, ...]
-    box_kind: BoxKind | None = None
-
-
 class _DataYaml(FileRecord):
     path: str | None = None
     train: str | list[str] | None = None
@@ -333,7 +284,7 @@ class _DataYaml(FileRecord):
     other_box_kind: object = None
     kpt_shape: object = None
 
-    def with_kinds(self, pictures: Iterable[YoloPicture]) -> list[YoloPicture]:
+    def with_kinds(self, pictures: Iterable[PictureLabels]) -> list[PictureLabels]:
         """Returns the images with what their boxes enclose, if annotator has written it."""
         kind, listed = known_kind(self.box_kind), self.other_box_kind if isinstance(self.other_box_kind, list) else []
         if kind is None:
@@ -343,7 +294,7 @@ class _DataYaml(FileRecord):
         return [replace(each, box_kind=other if each.file_name in names else kind) for each in pictures]
 
 
-def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
+def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[PictureLabels]:
     """Returns all images of a dataset, each once, including those without a box.
 
     Args:
@@ -358,20 +309,21 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
     _require_different(file, names)
     root = file.parent
-    by_label_file: dict[Path, YoloPicture] = {}
+    by_label_file: dict[Path, PictureLabels] = {}
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
-                by_label_file.setdefault(picture.label_file, picture)
+            for label_file, picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
+                by_label_file.setdefault(label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
     _refuse_keypoints(file, by_label_file.values(), is_said=data.kpt_shape is not None)
     return data.with_kinds(by_label_file.values())
 
 
-def _refuse_keypoints(path: Path, pictures: Iterable[YoloPicture], *, is_said: bool) -> None:
-    around = [box for each in pictures for box in each.boxes if box.is_around]
+def _refuse_keypoints(path: Path, pictures: Iterable[PictureLabels], *, is_said: bool) -> None:
+    boxes = (box for each in pictures for box in each.boxes)
+    around = [box for box in boxes if isinstance(box, YoloBox) and box.is_around]
     if around and (is_said or are_keypoints(around)):
         shown = "kpt_shape" if is_said else f"{amount(len(around), 'row')} with points inside the box"
         raise FormatError(path, KEYPOINTS.format(shown))
@@ -450,7 +402,9 @@ def _label_file(picture: Path, root: Path) -> Path:
     return spelled(path.parent, path.name)
 
 
-def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> Iterator[YoloPicture]:
+def _of_part(
+    place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault
+) -> Iterator[tuple[Path, PictureLabels]]:
     if place.is_file():
         yield from (_read(picture, root, names, on_fault) for picture in _listed(place, root))
         return
@@ -461,8 +415,7 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            boxes = _boxes(_inside(label_file, root), names, on_fault)
-            yield YoloPicture(label_file.name, place, None, label_file, boxes)
+            yield label_file, _labels(label_file.name, place, _boxes(_inside(label_file, root), names, on_fault))
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -478,12 +431,16 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
             raise FormatError(file, str(error), line) from error
 
 
-def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[Path, PictureLabels]:
     if picture.is_file():
         _require_readable(picture, on_fault)
     label_file = _inside(_label_file(picture, root), root)
     boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
-    return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
+    return label_file, _labels(picture.name, picture.parent, boxes)
+
+
+def _labels(file_name: str, folder: Path, boxes: tuple[YoloBox, ...]) -> PictureLabels:
+    return PictureLabels(file_name, boxes, folder=folder, around=sum(box.is_around for box in boxes))
 
 
 def _require_readable(picture: Path, on_fault: OnFault) -> None:
@@ -502,7 +459,7 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
     return parse_boxes(label_file, text, names, on_fault)
 
 
-def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:
+def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[PictureLabels]:
     """Yields the images of a folder of label files with `classes.txt`, one class name per line."""
     # the given folder itself may be a link; links inside it are checked
     folder = folder.resolve()
@@ -529,4 +486,4 @@ def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:
             _require_readable(picture, on_fault)
         boxes = _boxes(_inside(label_file, root), names, on_fault)
         place = folders[-1] if picture is None else picture.parent
-        yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)
+        yield _labels((picture or label_file).name, place, boxes)

@@ -27,8 +27,9 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
-from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.coco import write_coco
 from annotator.formats.dataset_writing import encoded_image, writing
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
@@ -269,7 +270,7 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
     if step not in (1, 2):
         raise ConfigError(f"there is no step {step}; choose 1 or 2")
     frames = _Frames(project, config)
-    images: list[CocoImage] = []
+    images: list[PictureLabels] = []
     places: list[ViewPlace] = []
     with new_folder(out, lambda _: False) as folder:
         for drawn in _first(frames) if step == 1 else _second(frames):
@@ -277,7 +278,7 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
                 place = _place(frames, drawn, side, view)
                 with writing(out):
                     (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
-                images.append(CocoImage(place.file_name, view.rgb.shape[1], view.rgb.shape[0], ()))
+                images.append(PictureLabels(place.file_name, (), (view.rgb.shape[1], view.rgb.shape[0])))
                 places.append(place)
         if not images:
             needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"

@@ -11,7 +11,8 @@ import pytest
 
 from annotator.cli import annotate as annotate_command
 from annotator.cli.main import main
-from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.formats.coco import read_coco, write_coco
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.rcv import read_rcv
 from annotator.project import WriteContext, open_project
 from annotator.types import Box2D
@@ -78,7 +79,9 @@ def test_simulate_draws_silhouettes_by_default(project: str, capsys: Capture) ->
 
 def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Capture) -> None:
     boxes = (Box2D("person", 40.5, 40.5, 120.5, 200.5), Box2D("dog", 1.5, 1.5, 9.5, 9.5))
-    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, boxes), CocoImage("x.jpg", 320, 240, boxes)])
+    write_coco(
+        tmp_path / "c.json", [PictureLabels("000001.jpg", boxes, (320, 240)), PictureLabels("x.jpg", boxes, (320, 240))]
+    )
     said = run(capsys, "import", project, "c.json")
     assert "imported as 2D boxes: 1 person on 1 camera image" in said
     assert "skipped: 1 box of class dog, which is not in the project" in said
@@ -88,7 +91,7 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     assert "2 pseudo-views in pictures" in said
     assert "annotator import room pictures/coco.json --pictures pictures" in said
     drawn = [
-        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
+        PictureLabels(i.file_name, (Box2D("person", 10.5, 10.5, 60.5, 60.5),), i.size_px)
         for i in read_coco(tmp_path / "pictures" / "coco.json")
     ]
     write_coco(tmp_path / "pictures" / "coco.json", drawn)

@@ -48,14 +48,15 @@ from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
-from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
+from annotator.formats.frame_names import PictureLabels  # noqa: E402
 from annotator.formats.kitti_objects import read_kitti_file  # noqa: E402
-from annotator.formats.kitti_rows import read_object_labels, read_tracking_labels  # noqa: E402
+from annotator.formats.kitti_rows import read_rows, row_truth  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
 from annotator.formats.nuscenes import read_results  # noqa: E402
 from annotator.formats.reading import read_mask, text_files  # noqa: E402
 from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels  # noqa: E402
 from annotator.formats.table import FORMATS, BoxFormat, FlatFormat  # noqa: E402
+from annotator.formats.units import Angles  # noqa: E402
 from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
@@ -192,7 +193,7 @@ def pictures(writer: Callable[[Path], Any]) -> Callable[[Path], object]:
         png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
         filled = writer(folder)
         for name in ("a.png", "b.png"):
-            filled.add(LabelledPicture(name, png, *SIZE, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),)))
+            filled.add(PictureLabels(name, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),), SIZE), png)
         filled.finish()
 
     return build
@@ -202,6 +203,12 @@ def read_flat(format: FlatFormat, path: Path) -> None:
     for picture in read_pictures(format, path).pictures:
         picture.file(path)
         picture.boxes_on(*SIZE)
+
+
+def read_kitti(file: Path, tracking: bool = False) -> None:
+    for row in read_rows(file, tracking=tracking):
+        if row.is_solid:
+            row_truth(row, SHIFT, file, Angles())
 
 
 def label_file(name: str, file: str, content: str | bytes, read: Callable[[Path], object]) -> Target:
@@ -277,8 +284,8 @@ TARGETS: list[Target] = [
            lambda folder: read_labels(BoxFormat.BOXES, folder / "b.json") and None),
     Target("coco", pictures(lambda folder: CocoWriter(folder, CLASSES)), partial(read_flat, FlatFormat.COCO)),
     Target("yolo", pictures(lambda folder: YoloWriter(folder, CLASSES)), partial(read_flat, FlatFormat.YOLO)),
-    label_file("kitti", "0.txt", f"{CAR}\n{CAR}\n", lambda file: read_object_labels(file, SHIFT)),
-    label_file("kitti_tracking", "l.txt", f"0 1 {CAR}\n1 1 {CAR}\n", lambda file: read_tracking_labels(file, SHIFT)),
+    label_file("kitti", "0.txt", f"{CAR}\n{CAR}\n", read_kitti),
+    label_file("kitti_tracking", "l.txt", f"0 1 {CAR}\n1 1 {CAR}\n", partial(read_kitti, tracking=True)),
     label_file("kitti_results", "0.txt", f"{CAR} 0.5\n", lambda file: read_kitti_file(file, scored=True)),
     label_file("sunrgbd", "0.txt", "bed 1 2 30 40 0.1 0.2 0.3 0.5 1 0.4 0.6 0.8\n",
                lambda file: read_extracted_labels(file, SHIFT)),

@@ -149,7 +149,7 @@ def foreign(folder: Path, **changes: Any) -> Path:
 def test_each_camera_has_the_boxes_that_it_sees(tmp_path: Path) -> None:
     found = read_nuscenes(foreign(tmp_path))
     assert set(found) == {"F__17", "B__17"}
-    (ahead,), (back,) = found["F__17"], found["B__17"]
+    (ahead,), (back,) = found["F__17"].truths, found["B__17"].truths
     assert (ahead.label, ahead.track_id, back.track_id) == ("vehicle.car", None, 1)
     # front camera: 10 m away, with the length along the viewing direction
     facing = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

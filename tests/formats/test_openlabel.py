@@ -11,6 +11,7 @@ import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats.frame_names import of_recording
 from annotator.formats.openlabel import read_openlabel
 from annotator.types import BoxKind, Camera, OrientedBox, Suggestion
 from annotator.types.errors import FormatError
@@ -116,9 +117,9 @@ def written(tmp_path: Path, content: dict[str, Any]) -> Path:
 
 
 def test_boxes_with_euler_angles_are_transformed_to_the_camera(tmp_path: Path) -> None:
-    (frame,) = read_openlabel(written(tmp_path, foreign())).values()
-    (have,) = frame.boxes
-    assert (frame.name, have.label, have.track_id, have.state) == ("000017", "car", 12, None)
+    ((name, frame),) = read_openlabel(written(tmp_path, foreign())).items()
+    (have,) = frame.truths
+    assert (name, have.label, have.track_id, frame.states) == ("000017", "car", 12, [None])
     # the LiDAR is rotated left by 90 degrees, at (1, 0, 2): its (0, -4, 0) is the vehicle's (5, 0, 2), 2 m ahead
     Rx, Ry, Rz = (Rotation.from_rotvec(np.eye(3)[axis] * angle) for axis, angle in enumerate((0.1, 0.2, 0.3)))
     R_vehicle = Rotation.from_rotvec([0, 0, np.pi / 2]) * Rz * Ry * Rx
@@ -138,7 +139,7 @@ def test_a_transform_in_the_frame_overrides_the_pose(tmp_path: Path) -> None:
         }
     }  # fmt: skip
     (frame,) = read_openlabel(written(tmp_path, content)).values()
-    np.testing.assert_allclose(frame.boxes[0].box.center_m, [0, -4, 9], atol=1e-12)
+    np.testing.assert_allclose(frame.truths[0].box.center_m, [0, -4, 9], atol=1e-12)
 
 
 def test_static_objects_are_in_the_frames_of_their_interval(tmp_path: Path) -> None:
@@ -149,8 +150,8 @@ def test_static_objects_are_in_the_frames_of_their_interval(tmp_path: Path) -> N
     }  # fmt: skip
     content = foreign(objects={"0": still}, streams={"lidar": {"type": "lidar"}}, frames={"0": {}, "1": {}, "2": {}})
     frames = read_openlabel(written(tmp_path, content))
-    assert {name: len(frame.boxes) for name, frame in frames.items()} == {"0": 0, "1": 1, "2": 1}
-    assert not frames["1"].of_camera, "without a camera, boxes stay in the coordinates of the cloud"
+    assert {name: len(frame.truths) for name, frame in frames.items()} == {"0": 0, "1": 1, "2": 1}
+    assert frames["1"].pose is of_recording, "without a camera, boxes stay in the coordinates of the cloud"
 
 
 def cuboid_with(**changes: Any) -> dict[str, Any]:

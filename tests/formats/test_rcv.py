@@ -91,9 +91,7 @@ def test_the_manifest_counts_frames_objects_and_points(tmp_path: Path) -> None:
         DatasetItem("a", frames[1], []),
         DatasetItem("b/x", frames[0], [auto_label(uid="3", state=ReviewState.EDITED)]),
     ]
-    written = export(tmp_path / "out", items)
-    manifest = read_rcv(tmp_path / "out").manifest
-    assert manifest == written
+    manifest = export(tmp_path / "out", items)
     assert manifest.frames == ("a-000001", "a-000002", "b_x-000001")
     assert (manifest.counts.frames, manifest.counts.objects, manifest.counts.points) == (3, 3, 15)
     assert manifest.counts.objects_by_class == {"hand": 2, "Büro | 1": 1}

@@ -20,7 +20,6 @@ from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.formats.reading import read_mask, read_pairs
 from annotator.formats.units import Angles, Lengths
-from annotator.geometry.oriented_box import box_corners
 from annotator.types.errors import FormatError, UnitError, UnitKind
 
 # file names contain no NUL and no lone surrogates
@@ -258,18 +257,6 @@ def test_attributes_are_read_and_written(tmp_path: Path):
         (values, int),
         ({}, type(None)),
     ]
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(("folder", "frames", "label"), [("hand_gesture", 24, "hand"), ("human_turn", 75, "human")])
-def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, frames: int, label: str):
-    path = shared / "data" / folder / "boxes.json"
-    boxes = read_boxes(path)
-    assert len(boxes) == frames
-    for key, entry in json.loads(path.read_text()).items():
-        (truth,) = boxes[key]
-        assert truth.label == label
-        np.testing.assert_allclose(box_corners(truth.box), entry["corners"], atol=2e-6)
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import write
+from dataset_samples import make_label, write
 from scipy.io import loadmat, savemat
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import sunrgbd as sunrgbd_meta
 from annotator.formats.dataset_writing import DatasetItem
@@ -26,7 +26,8 @@ from annotator.formats.sunrgbd import (
     upright_frame,
 )
 from annotator.geometry.oriented_box import box_corners
-from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.recordings.sunrgbd import read_extracted_calibration
+from annotator.types import Box2D, Camera, Frame, OrientedBox, PointCloud
 from annotator.types.errors import FormatError
 
 CAMERA = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
@@ -34,16 +35,15 @@ DOWN_30 = Rotation.from_euler("x", 30, degrees=True)
 PLACE, FLAT = Path("000001.txt"), Box2D("bed", 0.0, 4.0, 10.0, 24.0)
 
 
+def read_pose(file: Path) -> RigidTransform:
+    return read_extracted_calibration(file).T_camera_upright
+
+
 def frame(key: str, up: np.ndarray | None = None, **more: object) -> Frame:
     xyz = np.array([[0.0, 0.0, 2.0], [0.5, -0.25, 2.5]], np.float32)
     cloud = PointCloud(xyz, reflectance=np.zeros(2, np.float32))
     rgb = np.full((30, 40, 3), (51, 102, 255), np.uint8)
     return Frame(key, 0, CAMERA, rgb, cloud, up=up, **more)  # type: ignore[arg-type]
-
-
-def label(box: OrientedBox, name: str = "bed", **more: object) -> Label:
-    given: dict[str, object] = {"score": None, "source": Source.MANUAL, "state": ReviewState.ACCEPTED, **more}
-    return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
 
 
 def test_a_row_equals_the_one_by_hand() -> None:
@@ -76,8 +76,8 @@ def test_the_original_table_is_read(tmp_path: Path) -> None:
     bed[0, 0] = (basis, coeffs, np.array([[1.0, 2, 3]]), "bed", "x", np.array([[-1.0, 0.01, 0]]), 1.0)
     row = list(meta_frame("SUNRGBD/kv2/align/1", ("d", "i"), CAMERA, upright_frame(frame("a")), []))
     savemat(tmp_path / META, dump_meta([(*row[:-1], bed)]))
-    (found,) = read_meta(tmp_path / META)
-    assert found.name == "kv2__align__1"
+    ((name, found),) = read_meta(tmp_path / META).items()
+    assert name == "kv2__align__1"
     (truth,) = found.truths
     np.testing.assert_allclose(truth.box.size_m, [0.8, 1.2, 0.5])
     np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
@@ -105,9 +105,9 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
         np.array([0.0, 0, 2]), np.eye(3) @ Rotation.from_euler("x", -100, degrees=True).as_matrix(), np.ones(3)
     )
     labels = [
-        label(lying, "night stand"),
-        label(leaning),
-        label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3))),
+        make_label(lying, label="night stand"),
+        make_label(leaning, label="bed"),
+        make_label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3)), label="bed"),
     ]
     items = [
         DatasetItem("room", frame("x", up), labels, "train"),
@@ -122,17 +122,17 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
     points = loadmat(out / "depth" / "000001.mat")["instance"]
     assert points.dtype == np.float32
     np.testing.assert_allclose(points[0], [0, np.sqrt(3), -1, 0.2, 0.4, 1], atol=1e-6)
-    found = read_extracted_folder(out)
+    found = read_extracted_folder(out, read_pose)
     assert {name: [t.label for t in each.truths] for name, each in found.items()} == {
         "room/x": ["night stand", "bed"],
         "room/y": [],
     }
-    first, second = read_meta(out / META)
-    assert (first.name, second.name, second.truths) == ("room/x", "room/y", ())
+    found = read_meta(out / META)
+    first = found["room/x"]
+    assert list(found) == ["room/x", "room/y"] and found["room/y"].truths == []
+    assert isinstance(first.pose, RigidTransform)
     assert_corners_as_in_the_toolbox(out, [leaning.transformed(upright.inv())])
-    np.testing.assert_allclose(
-        first.truths[1].box.transformed(first.T_camera_upright).rotation, leaning.rotation, atol=1e-9
-    )
+    np.testing.assert_allclose(first.truths[1].box.transformed(first.pose).rotation, leaning.rotation, atol=1e-9)
 
 
 ROW = "bed 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n"
@@ -150,7 +150,7 @@ def test_broken_rows_are_named_with_their_line(tmp_path: Path, text: str, proble
     (tmp_path / "label").mkdir()
     (tmp_path / "label" / "000001.txt").write_text(text)
     with pytest.raises(FormatError, match=problem):
-        read_extracted_folder(tmp_path)
+        read_extracted_folder(tmp_path, read_pose)
 
 
 def table(fields: Sequence[str], **values: object) -> bytes | dict[str, np.ndarray]:
@@ -174,7 +174,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
     [
         (b"", "is not a MATLAB file"),
         (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd", "is damaged"),
-        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1 has no field sequenceName"),
+        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1.sequenceName: Field required"),
         (table(tuple(FRAME), **{**FRAME, "Rtilt": np.ones((3, 3))}), "frame 1, Rtilt is not a rotation"),
         (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
     ],

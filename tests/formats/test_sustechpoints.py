@@ -35,16 +35,15 @@ def test_labels_of_its_own_page_are_read(tmp_path: Path) -> None:
     (folder / "000950.json").write_text(json.dumps(objects))
     for path in (tmp_path / "data", tmp_path / "data" / "example", folder):
         frame = read_sustechpoints(path)["000950"]
-        assert [(each.label, each.track_id) for each in frame.objects] == [("Car", 8), ("Bus", 1)]
+        assert [(each.label, each.track_id) for each in frame.truths] == [("Car", 8), ("Bus", 1)]
         values = {"door open": True, "occluded": True, "lane": "left"}
-        assert [each.attributes for each in frame.objects] == [values, {}]
-        box = frame.objects[0].box
+        assert [each.attributes for each in frame.truths] == [values, {}]
+        box = frame.truths[0].box
         x, y, z = (
             Rotation.from_euler(axis, angle).as_matrix() for axis, angle in zip("xyz", (0.1, -0.2, 1.45), strict=True)
         )
         np.testing.assert_allclose(box.rotation, x @ y @ z, atol=1e-12)
         assert (box.center_m.tolist(), box.size_m.tolist()) == ([4.1, -49.7, 1.8], [4.5, 1.7, 1.6])
-        assert (frame.cameras, frame.is_export) == ((), False)
 
 
 def test_a_label_file_may_be_an_object_with_the_list_as_objs(tmp_path: Path) -> None:
@@ -55,11 +54,11 @@ def test_a_label_file_may_be_an_object_with_the_list_as_objs(tmp_path: Path) -> 
     (tmp_path / "list/label/1.json").write_text(json.dumps(objects))
     (tmp_path / "label/2.json").write_text(json.dumps({"objs": []}))
     assert format_of(tmp_path) is format_of(tmp_path / "label/1.json") is BoxFormat.SUSTECHPOINTS
-    (expected,) = read_sustechpoints(tmp_path / "list")["1"].objects
+    (expected,) = read_sustechpoints(tmp_path / "list")["1"].truths
     read = read_sustechpoints(tmp_path / "label")
-    assert [(each.label, each.track_id) for each in read["1"].objects] == [("Car", 8)]
-    np.testing.assert_array_equal(read["1"].objects[0].box.pose, expected.box.pose)
-    assert read["2"].objects == ()
+    assert [(each.label, each.track_id) for each in read["1"].truths] == [("Car", 8)]
+    np.testing.assert_array_equal(read["1"].truths[0].box.pose, expected.box.pose)
+    assert read["2"].truths == []
 
 
 def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:
@@ -68,7 +67,7 @@ def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:
         file = tmp_path / f"{name}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps([{"psr": PSR, "obj_type": "Car", "obj_id": each} for each in of_frame]))
-    tracks = {name: [each.track_id for each in frame.objects] for name, frame in read_sustechpoints(tmp_path).items()}
+    tracks = {name: [each.track_id for each in frame.truths] for name, frame in read_sustechpoints(tmp_path).items()}
     assert tracks == {"1": [2, 3, 4, None, None], "2": [4, 1, 7], "3": [5, 6]}
 
 
@@ -98,17 +97,18 @@ def test_written_clouds_have_the_points_with_their_colours(tmp_path: Path) -> No
     (file,) = (tmp_path / "out").glob("*/lidar/*.pcd")
     raw = read_cloud(file)
     (frame,) = read_sustechpoints(tmp_path / "out").values()
-    (camera,) = frame.cameras
-    np.testing.assert_allclose(camera.T_camera_cloud.apply(raw.xyz_m), item.frame.cloud.xyz_m, atol=1e-5)
+    T = frame.T_camera(lambda: item.frame)
+    assert T is not None
+    np.testing.assert_allclose(T.apply(raw.xyz_m), item.frame.cloud.xyz_m, atol=1e-5)
     assert item.frame.cloud.rgb is not None
     np.testing.assert_array_equal(raw.rgb, item.frame.cloud.rgb)
-    assert [each.track_id for each in frame.objects] == [3] and frame.is_export
+    assert [each.track_id for each in frame.truths] == [3]
 
 
 def test_texts_that_only_look_like_numbers_stay_texts(tmp_path: Path) -> None:
     written = "plate.0012,part.1_4,score.NaN,age.7,mass.1e-05,helmet.true,door open"
     (tmp_path / "1.json").write_text(json.dumps([{"psr": PSR, "obj_type": "Car", "obj_attr": written}]))
-    (read,) = read_sustechpoints(tmp_path)["1"].objects
+    (read,) = read_sustechpoints(tmp_path)["1"].truths
     assert read.attributes == {
         "plate": "0012", "part": "1_4", "score": "NaN", "age": 7, "mass": 1e-5, "helmet": True, "door open": True
     }  # fmt: skip

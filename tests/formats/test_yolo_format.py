@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.yolo import YoloBox, YoloWriter, dump_boxes, parse_boxes, read_yolo
+from annotator.formats.frame_names import PictureLabels, YoloBox
+from annotator.formats.yolo import YoloWriter, dump_boxes, parse_boxes, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
 
@@ -84,8 +84,8 @@ def put(folder: Path, **files: str) -> Path:
 
 def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ["Büro \U0001f600", "no"], ["val", "train"])
-    writer.add(LabelledPicture("a.b.png", b"png", 4, 2, (BOX,), "train"))
-    writer.add(LabelledPicture("c.png", b"png", 4, 2, (), "val"))
+    writer.add(PictureLabels("a.b.png", (BOX,), (4, 2), box_kind=BoxKind.SILHOUETTE), b"png", "train")
+    writer.add(PictureLabels("c.png", (), (4, 2), box_kind=BoxKind.SILHOUETTE), b"png", "val")
     folders = writer.finish()
     assert folders == {"train": tmp_path / "images/train", "val": tmp_path / "images/val"}
     assert (tmp_path / "labels/train/a.b.txt").read_text() == "1 0.5000000 0.7500000 0.5000000 0.5000000\n"
@@ -98,8 +98,8 @@ def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
         "box_kind": "silhouette",
     }
     first, second = read_yolo(tmp_path)
-    assert first.picture == tmp_path / "images/train/a.b.png"
-    assert [box.on(4, 2) for box in first.boxes] == [BOX] and second.boxes == ()
+    assert first.file(tmp_path) == tmp_path / "images/train/a.b.png"
+    assert first.boxes_on(4, 2) == (BOX,) and second.boxes == ()
     YoloWriter(tmp_path / "whole", ["no"]).finish()
     content = yaml.safe_load((tmp_path / "whole/data.yaml").read_text())
     assert (content["train"], content["val"]) == ("images/train", "images/train"), "validated on its training images"
@@ -137,15 +137,8 @@ def test_datasets_of_other_tools_are_read(
     [
         ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
-        # values that do not match their tag; PyYAML raises a different exception for each
-        *(
-            ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
-            for value in (
-                "!!int x",
-                "2020-99-99",
-                '"\\UFFFFFFFF"',
-            )
-        ),
+        # a value that does not match its tag
+        ({"data.yaml": "names: [a]\ntrain: !!int x"}, "is not valid YAML"),
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
         ({"data.yaml": "train: 'D:\\\\set'\nnames: [a]"}, "is a path of another computer; write it rel"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
@@ -192,11 +185,10 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
 
 def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ("no",))
-    writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
-    writer.add(LabelledPicture("b.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
-    writer.add(LabelledPicture("c.png", b"", 4, 2, (BOX,)))
-    writer.finish()
     kinds = [BoxKind.BOX, BoxKind.BOX, BoxKind.SILHOUETTE]
+    for name, kind in zip("abc", kinds, strict=True):
+        writer.add(PictureLabels(f"{name}.png", (BOX,), (4, 2), box_kind=kind), b"")
+    writer.finish()
     text = (tmp_path / "data.yaml").read_text()
     for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
         (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))

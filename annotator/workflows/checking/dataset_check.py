@@ -1,7 +1,7 @@
 """`annotator check PATH`: checks the datasets at a path, frame by frame, and then all frames of each together.
 
-Frames are read one at a time; after an unreadable frame the check continues. The size and place of each label are
-kept in memory until the end, because only then is the usual size of its class known.
+Frames are read one at a time; after an unreadable frame the check continues. Labels are kept in memory until the end,
+because only then is the usual size of their class known.
 """
 
 from __future__ import annotations
@@ -10,22 +10,21 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv import MANIFEST
 from annotator.formats.units import Angles
 from annotator.geometry.oriented_box import contains
-from annotator.types import Frame, OrientedBox
+from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
+from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_sizes, usual_sizes
 from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
 from annotator.workflows.checking.frame_rules import (
     Breach,
@@ -36,10 +35,17 @@ from annotator.workflows.checking.frame_rules import (
     rules_in_frame,
     rules_of_labels,
 )
-from annotator.workflows.checking.label_files import FoundLabel, stray_names
-from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources
+from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources, stray_names
 from annotator.workflows.importing.report import SizeDoubts
-from annotator.workflows.recorded.reading import has_masks, load_mask
+from annotator.workflows.recorded.reading import (
+    FoundLabel,
+    FrameLabels,
+    found_labels,
+    has_masks,
+    is_labelled,
+    label_file,
+    load_mask,
+)
 
 RULE_OF = {
     UnitKind.ANGLE: rules.ANGLE_UNIT,
@@ -63,43 +69,6 @@ def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
         findings.add(rules.LENGTH_UNIT, path, problem)
     elif (problem := sizes.orders.problem()) is not None:
         findings.add(rules.SIZE_ORDER, path, problem)
-
-
-class BoxSet:
-    """The boxes of a dataset so far."""
-
-    def __init__(self) -> None:
-        self._angles, self._sizes = Angles(), SizeDoubts()
-        self._boxes = 0
-        self._mirrored: Counter[int] = Counter()
-
-    def add(self, entry: FoundLabel) -> None:
-        """Adds the numbers of a label."""
-        if entry.row is not None and entry.line is not None:
-            self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
-        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
-
-    def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
-        """Adds a frame."""
-        self._boxes += boxes
-        for axis in MIRRORED:
-            counts = (int(np.count_nonzero(contains(mirrored(box, axis), xyz_m))) for box in empty)
-            self._mirrored[axis] += sum(count >= LEAST_POINTS for count in counts)
-
-    def report(self, findings: Findings, path: Path) -> None:
-        """Adds what the boxes show to `findings`; `path` is the dataset."""
-        try:
-            self._angles.require()
-        except UnitError as error:
-            findings.add_error(rules.ANGLE_UNIT, error, path)
-        report_sizes(self._sizes, findings, path)
-        axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
-        if number >= LEAST_MIRRORED and number * 2 > self._boxes:
-            message = (
-                f"{number} of {amount(self._boxes, 'box')} hold no points, but their mirror images do, with "
-                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
-            )
-            findings.add(rules.MIRRORED_BOXES, path, message)
 
 
 def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
@@ -128,23 +97,13 @@ class DatasetFacts(BaseModel):
     labels: int
 
 
-class _Sized(NamedTuple):
-    """The size and place of a label, kept until all labels are read."""
-
-    label: str
-    size_m: np.ndarray
-    file: Path
-    line: int | None
-    frame: str
-
-
 @dataclass
 class DatasetCheck:
     """Checks one dataset; fields without a default are the arguments, the others are its state."""
 
     source: Source
     findings: Findings
-    sizes: list[_Sized] = field(default_factory=list)
+    found: list[tuple[str, FoundLabel]] = field(default_factory=list)
     alignment: Alignment = field(default_factory=Alignment)
     wrong_files: int = 0
     with_row: int = 0
@@ -153,7 +112,7 @@ class DatasetCheck:
     faults: Counter[Rule] = field(default_factory=Counter)
     before: tuple[tuple[str, int], Sequence[FoundLabel]] | None = None
     time_ns: int | None = None
-    boxes: BoxSet = field(default_factory=BoxSet)
+    mirrored: Counter[int] = field(default_factory=Counter)
 
     def run(self, progress: Progress | None) -> DatasetFacts:
         """Checks everything and adds what is wrong to `findings`.
@@ -161,86 +120,90 @@ class DatasetCheck:
         Args:
             progress: called with (frames checked, frames).
         """
-        keys = self.source.keys
+        recording, source = self.source.recording, self.source
+        keys, has_labels = recording.keys, source.has_labels
         chosen = set(np.linspace(0, len(keys) - 1, min(len(keys), FRAMES)).astype(int).tolist())
         for index, key in enumerate(keys):
             frame = self._read(index, key)
             if frame is not None:
                 self._camera(index, key, frame)
                 self._time(index, key, frame)
-                if index in chosen and self.source.has_pictures:
+                if index in chosen and source.has_pictures:
                     self.alignment.add(frame)
-            self._labels(index, key, frame)
+            if has_labels:
+                self._labels(index, key, frame)
             if progress is not None:
                 progress(index + 1, len(keys))
         self._whole_files()
         self._whole_dataset()
-        return DatasetFacts(
-            path=str(self.source.path), format=self.source.format, frames=len(keys), labels=len(self.sizes)
-        )
+        return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.found))
 
     def _read(self, index: int, key: str) -> Frame | None:
         try:
-            return self.source.read(index)
+            return self.source.recording.frame(index)
         except AnnotatorError as error:
-            file = getattr(error, "path", self.source.path)
+            file = getattr(error, "path", self.source.recording.path)
             rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
-            self.findings.add_error(rule, error, self.source.path, frame=key)
+            self.findings.add_error(rule, error, self.source.recording.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
-            self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
+            self.findings.add(rules.UNREADABLE_FILE, self.source.recording.path, message, frame=key)
         return None
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
         file = self.source.calibration(index)
-        of_cloud = cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted")
+        of_cloud = cloud_rules(frame, of_depth_camera=self.source.recording.format == "sunrgbd_extracted")
         for rule, message in (*camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
         recording = self.source.recording
         try:
-            if recording is not None and has_masks(recording):
+            if has_masks(recording):
                 load_mask(recording, frame)
         except AnnotatorError as error:
             self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
-        if not self.source.in_time_order or frame.timestamp_ns is None:
+        if not self.source.recording.is_sequence or frame.timestamp_ns is None:
             return
         if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
             message = (
                 f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
             )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
+            self.findings.add(rules.TIME_BACKWARDS, self.source.recording.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
-        files = self.source.labels
-        if files is None:
+        recording = self.source.recording
+        file = label_file(recording, key)
+        if file is None or not file.exists():
+            missing = recording.path if file is None else file
+            self.findings.add(rules.MISSING_LABELS, missing, f"frame {key} has no label file", frame=key)
+            self.wrong_files += 1
             return
-        labels = files.of(index, key, frame)
-        if labels.missing is not None:
-            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
-        for error in labels.problems:
-            self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
+        labels = found_labels(recording, index, frame) if is_labelled(recording, key) else FrameLabels()
+        for error in labels.of_file:
+            self.findings.add_error(rule_of(error), error, recording.path)
+        for error in labels.faults:
+            self.findings.add_error(rule_of(error), error, recording.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
         self._add_all(key, labels.objects, rules_of_labels(labels.objects))
         objects = [each for each in labels.objects if is_plausible(each)]
-        valid = [each for each in objects if not each.rejected]
+        valid = [each for each in objects if each.state is not ReviewState.REJECTED]
         self._add_all(key, valid, rules_among_labels(valid))
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             in_frame = list(rules_in_frame(frame, objects))
             empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
-            self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
+            for axis, box in product(MIRRORED, empty):
+                held = np.count_nonzero(contains(mirrored(box, axis), frame.cloud.xyz_m))
+                self.mirrored[axis] += int(held >= LEAST_POINTS)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
-        for each in labels.objects:
-            self.boxes.add(each)
-        self.flat += labels.flat
-        self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
-        self.wrong_files += bool(labels.problems) or labels.missing is not None
+        self.flat += sum(row.is_flat for row in labels.rows)
+        self.found += [(key, each) for each in labels.objects]
+        self.wrong_files += bool(labels.faults)
 
     def _add_all(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
         for rule, number, message in breaches:
@@ -255,8 +218,8 @@ class DatasetCheck:
         if before is None or place is None or before[0] != (place[0], place[1] - 1):
             return
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
-        if self.source.in_time_order or self.source.format == "rcv":
-            for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.in_time_order):
+        if self.source.recording.is_sequence or self.source.recording.format == "rcv":
+            for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.recording.is_sequence):
                 yield rules.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
@@ -266,30 +229,29 @@ class DatasetCheck:
                 yield rules.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
-        files = self.source.labels
-        for error in files.problems if files is not None else ():
-            self.findings.add_error(rule_of(error), error, self.source.path)
-        of_labels = files.strays() if files is not None else iter(())
-        of_recording = iter(()) if self.source.recording is None else stray_names(self.source.recording)
-        for strays in (of_labels, of_recording):
-            try:
-                for file, line, name in strays:
-                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
-            except FormatError as error:  # a list that is not text
-                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
+        try:
+            for file, line, name in stray_names(self.source.recording):
+                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+        except FormatError as error:  # a list that is not text
+            self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.recording.path)
 
     def _whole_dataset(self) -> None:
-        usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
-        for each in self.sizes:
-            if each.label in usual and usual[each.label].odd(each.size_m):
-                message = odd_size_message(each.label, each.size_m, usual[each.label])
-                self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
-        path = self.source.path
-        self.boxes.report(self.findings, path)
+        usual = usual_sizes((each.truth.label, each.truth.box.size_m) for _, each in self.found)
+        for key, each in self.found:
+            self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in odd_sizes([each.truth], usual)))
+        path = self.source.recording.path
+        self._units(path)
+        axis, number = max(self.mirrored.items(), key=lambda each: each[1], default=(0, 0))
+        if number >= LEAST_MIRRORED and number * 2 > self.seen:
+            message = (
+                f"{number} of {amount(self.seen, 'box')} hold no points, but their mirror images do, with "
+                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
+            )
+            self.findings.add(rules.MIRRORED_BOXES, path, message)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
             self.findings.add(rules.FLAT_LABEL, path, message)
-        for names in _spellings({each.label for each in self.sizes}):
+        for names in _spellings({each.truth.label for _, each in self.found}):
             self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
         empty, off_image = self.faults[rules.EMPTY_BOX], self.faults[rules.IMAGE_BOX_OFF]
         if self.seen >= LEAST_BOXES and empty * 2 > self.seen:
@@ -298,13 +260,27 @@ class DatasetCheck:
         if self.with_row >= LEAST_BOXES and off_image * 2 > self.with_row:
             message = "2D boxes do not match their 3D boxes; check that the calibration is the right one"
             self.findings.add(rules.BOXES_OFF_IMAGE, path, f"{off_image} of {self.with_row} {message}")
-        declared = self.source.declared_objects
-        if declared is not None and declared != len(self.sizes) and not self.wrong_files:
-            message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
+        dataset = self.source.dataset
+        declared = None if dataset is None else dataset.manifest.counts.objects
+        if declared is not None and declared != len(self.found) and not self.wrong_files:
+            message = f"declares {amount(declared, 'object')}, but has {len(self.found)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
             self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
+
+    def _units(self, path: Path) -> None:
+        """Adds what the numbers of all boxes together show."""
+        angles, sizes = Angles(), SizeDoubts()
+        for _, each in self.found:
+            if each.row is not None:
+                angles.radians(each.row.rotation_y, each.file, each.line)
+            sizes.add(each.truth.label, each.truth.box.size_m)
+        try:
+            angles.require()
+        except UnitError as error:
+            self.findings.add_error(rules.ANGLE_UNIT, error, path)
+        report_sizes(sizes, self.findings, path)
 
 
 def _rule_of_file(file: Path) -> Rule:

@@ -16,7 +16,7 @@ from annotator.types import Camera, Frame
 from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_message
 from annotator.workflows.checking.findings import Rule
-from annotator.workflows.checking.label_files import FoundLabel
+from annotator.workflows.recorded.reading import FoundLabel
 
 SHORTEST_M, LONGEST_M = 0.005, 60.0
 FARTHEST_M = 1e4

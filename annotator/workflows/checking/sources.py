@@ -1,7 +1,7 @@
 """Finds the datasets below a path: recordings with their own labels, `rcv` datasets, and those of other software.
 
 Of the boxes of other software only units and sizes are checked, because the frames that they label belong to a project,
-not to the dataset.
+not to the dataset. Labels, files and lists that refer to frames which a dataset does not have are found here, too.
 """
 
 from __future__ import annotations
@@ -17,23 +17,25 @@ from jaxtyping import Float64
 
 from annotator.files import read_file
 from annotator.formats import sustechpoints
+from annotator.formats.frame_names import has_frames
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
-from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
-from annotator.formats.reading import OnFault, read_json
+from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
+from annotator.formats.reading import OnFault, read_json, text_rows
 from annotator.formats.recognising import format_of
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
 from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
+from annotator.recordings.kitti import KittiObject
+from annotator.recordings.listing import IMAGE_SUFFIXES, stems
 from annotator.recordings.open import FILE_SUFFIXES
-from annotator.recordings.sunrgbd import SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdExtracted, SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
-from annotator.workflows.checking.label_files import LabelFiles, label_files, rcv_files
 from annotator.workflows.importing.pictures import read_pictures
-from annotator.workflows.importing.readers import READERS
+from annotator.workflows.importing.readers import placed_boxes
+from annotator.workflows.recorded.reading import NO_FRAME, label_file, labels_by_frame
 
 # Formats of labels that open as a recording with their images and clouds.
 OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
@@ -106,8 +108,8 @@ def _boxes(format: AnyFormat, path: Path, on_fault: OnFault) -> Iterator[Sequenc
         for picture in read_pictures(format, path, on_fault=on_fault).pictures:
             yield [(label, None) for label in picture.labels]
     else:
-        for truths in READERS[format](path, None, on_fault).objects.values():
-            yield [(truth.label, truth.box.size_m) for truth in truths]
+        for frame in placed_boxes(format, path, on_fault=on_fault).labelled.values():
+            yield [(truth.label, truth.box.size_m) for truth in frame.truths]
 
 
 def _is_labelcloud(path: Path) -> bool:
@@ -156,68 +158,37 @@ CALIBRATIONS = (
 
 @dataclass(frozen=True)
 class Source:
-    """A dataset: frames that are read one at a time, and labels.
+    """A dataset: a recording whose frames are read one at a time, and its labels.
 
     Attributes:
-        path: the path that was opened.
-        format: the recording's format, or "rcv".
-        keys: the frames' names.
-        labels: the label files; None without labels.
-        read: reads a frame by its number; raises an AnnotatorError if it cannot be read.
-        calibration: returns the file of a frame's camera, by the frame's number.
-        place: returns the original recording of a frame, and its number there.
-        in_time_order: True if the frames' numbers are known to be in time order.
-        has_pictures: False if the images are rendered from the clouds.
-        declared_objects: the number of objects in the dataset's manifest; None without a manifest.
-        recording: None for an `rcv` dataset.
+        dataset: what the recording is as an `rcv` dataset, whose frames may come from several recordings.
     """
 
-    path: Path
-    format: str
-    keys: Sequence[str]
-    labels: LabelFiles | None
-    read: Callable[[int], Frame]
-    calibration: Callable[[int], Path]
-    place: Callable[[int], tuple[str, int]]
-    in_time_order: bool = False
-    has_pictures: bool = True
-    declared_objects: int | None = None
-    recording: Recording | None = None
+    recording: Recording
+    dataset: RcvDataset | None = None
 
-
-def _of_recording(recording: Recording) -> Source:
-    def calibration(index: int) -> Path:
+    def calibration(self, index: int) -> Path:
+        """Returns the file of a frame's camera."""
+        recording = self.recording
+        if self.dataset is not None:
+            return self.dataset.label_path(index)
         if isinstance(recording, SunRgbdScenes):
             return recording.scenes[index] / "intrinsics.txt"
         places = (spelled(recording.root, name.format(key=recording.keys[index])) for name in CALIBRATIONS)
         return next((place for place in places if place.is_file()), recording.path)
 
-    return Source(
-        recording.path,
-        recording.format,
-        recording.keys,
-        label_files(recording),
-        recording.frame,
-        calibration,
-        lambda index: (recording.name, index),
-        in_time_order=recording.is_sequence,
-        has_pictures=not (isinstance(recording, CloudFolder) and recording.images is None),
-        recording=recording,
-    )
+    def place(self, index: int) -> tuple[str, int]:
+        """Returns the original recording of a frame, and its number there."""
+        return (self.recording.name, index) if self.dataset is None else self.dataset.place(index)
 
+    @property
+    def has_labels(self) -> bool:
+        return bool(self.recording.keys) and label_file(self.recording, self.recording.keys[0]) is not None
 
-def _of_rcv(dataset: RcvDataset, recording: Recording) -> Source:
-    """Its frames may come from several recordings, which need not be sequences."""
-    return Source(
-        dataset.path,
-        "rcv",
-        dataset.manifest.frames,
-        rcv_files(dataset),
-        recording.frame,
-        dataset.label_path,
-        dataset.place,
-        declared_objects=dataset.manifest.counts.objects,
-    )
+    @property
+    def has_pictures(self) -> bool:
+        """False if the images are rendered from the clouds."""
+        return not (isinstance(self.recording, CloudFolder) and self.recording.images is None)
 
 
 SourceOrError = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
@@ -268,7 +239,7 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
         source = _open(path) if dataset.opened_as is not None else None
     except AnnotatorError:
         return None
-    if source is None or source.format != dataset.opened_as or source.labels is None:
+    if source is None or source.recording.format != dataset.opened_as or not source.has_labels:
         return None
     for _ in dataset.frames(faults.append):
         pass
@@ -276,8 +247,78 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
 
 
 def _open(path: Path) -> Source:
-    return (
-        _of_rcv(read_rcv(path), open_recording(path))
-        if (path / MANIFEST).is_file()
-        else _of_recording(open_recording(path))
-    )
+    dataset = read_rcv(path) if (path / MANIFEST).is_file() else None
+    return Source(open_recording(path), dataset)
+
+
+Stray = tuple[Path, int | None, str]
+"""A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
+
+
+def _without_frame(files: Iterable[Path], keys: Iterable[str]) -> Iterator[Stray]:
+    known = set(map(normal, keys))
+    return ((file, None, file.stem) for file in sorted(files) if normal(file.stem) not in known)
+
+
+LISTS, INDICES = "ImageSets", "*_data_idx.txt"
+# KITTI's test frames, whose labels are not public: their folder, and their list.
+TESTING, TEST_LIST = "testing", "test.txt"
+
+
+def stray_names(recording: Recording) -> Iterator[Stray]:
+    """Yields labels, calibrations, files of an export and list entries without a frame.
+
+    Lists are `ImageSets/*.txt` of KITTI (beside `training`, or in the folder itself), VoteNet's `*_data_idx.txt`, which
+    have the frames' numbers without leading zeros, and `splits/*.txt` of annotator's exports.
+
+    Raises:
+        FormatError: a list is not text.
+    """
+    labels = label_file(recording, recording.keys[0]) if recording.keys else None
+    if labels is not None and recording.format in ("kitti_object", "sunrgbd_extracted"):
+        yield from _without_frame(labels.parent.glob("*.txt"), recording.keys)
+    elif labels is not None and recording.format in ("kitti_tracking", "rgbd_folder"):
+        is_number = recording.format == "kitti_tracking"
+        known = {str(int(key)) if is_number and key.isdecimal() else normal(key) for key in recording.keys}
+        with suppress(FormatError):  # reported where the labels are read
+            for name, found in labels_by_frame(recording, labels).items():
+                # unlabelled areas alone are no labels
+                if name not in known and name != NO_FRAME and (found.objects or not is_number):
+                    yield labels, found.objects[0].line if found.objects else None, name
+    if isinstance(recording, KittiObject):
+        yield from _without_frame((recording.root / "calib").glob("*.txt"), recording.keys)
+        yield from _image_sets(recording)
+    elif isinstance(recording, SunRgbdExtracted):
+        yield from _without_frame((recording.path / "calib").glob("*.txt"), recording.keys)
+        for file in sorted(recording.path.glob(INDICES)):
+            yield from _not_listed(file, {int(key) for key in recording.keys if key.isdecimal()}, int)
+    elif recording.format == "rcv":
+        for folder in FOLDERS:
+            yield from _without_frame((recording.path / folder).glob("*"), recording.keys)
+        for file in sorted((recording.path / SPLITS).glob("*.txt")):
+            yield from _not_listed(file, map(normal, recording.keys))
+
+
+def _image_sets(recording: KittiObject) -> Iterator[Stray]:
+    # the recording may have been opened at training/ or at the folder above
+    folders = [recording.root, *([recording.root.parent] if recording.root.name == "training" else [])]
+    keys = set(map(normal, recording.keys))
+    for folder in folders:
+        pictures = folder / TESTING / recording.images
+        testing = set(map(normal, stems(pictures, IMAGE_SUFFIXES))) if pictures.is_dir() else set()
+        for file in sorted((folder / LISTS).glob("*.txt")):
+            # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
+            if file.name != TEST_LIST:
+                yield from _not_listed(file, keys)
+            elif testing or has_frames(folder):
+                yield from _not_listed(file, keys | testing)
+
+
+def _not_listed(file: Path, known: Iterable[object], named: Callable[[str], object] = normal) -> Iterator[Stray]:
+    """Yields the frames in a list that are not known. Raises FormatError: the list is not text."""
+    every = set(known)
+    for line, (name, *_) in text_rows(file):
+        with suppress(ValueError):  # no number
+            if named(name) in every:
+                continue
+        yield file, line, name

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from annotator import __version__
 from annotator.formats.dataset_writing import DatasetInfo, Detector, write_dataset
-from annotator.formats.losses import Losses, Lost
+from annotator.formats.losses import Losses
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.project import Project
-from annotator.types.errors import ConfigError, FrameError
+from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.choose import (
     Chosen,
-    ChosenPictures,
     ExportFilter,
     Split,
     choose_frames,
@@ -24,7 +22,6 @@ from annotator.workflows.exporting.choose import (
 )
 from annotator.workflows.exporting.job import ExportJob, ExportOptions, ExportReport
 from annotator.workflows.exporting.pictures import write_pictures
-from annotator.workflows.frame_source import FrameSource
 
 UNREGISTERED = "unregistered"
 
@@ -46,7 +43,7 @@ def write_boxes(job: ExportJob) -> ExportReport:
         free_tracks={name: project.labels.next_track_id(id) for name, id in recordings.items()} if is_tracking else {},
     )
     written = write_dataset(FORMATS[job.format], job.out, job.items(), info, job.losses, overwrite=job.overwrite)
-    return job.report(dict(written.counts), written.notes)
+    return job.report(dict(written.counts), [origin.split for origin in written.origins], written.notes)
 
 
 def _detectors(job: ExportJob) -> tuple[Detector, ...]:
@@ -106,59 +103,18 @@ def export_project(
 
     Args:
         split: how the dataset is divided into parts; None = one part.
-        progress: called with (frames written, frames to write); if unreadable frames are skipped, frames count twice.
+        progress: called with (frames done, frames to write).
     """
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), FORMATS[format], Losses()
     states = choose.states or writer.states
     chosen: Sequence[Chosen]
-    note, unreadable = None, tuple[str, ...]()
     if writer.flat:
         chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
     else:
         chosen = choose_frames(project, choose, states, split)
-    told = progress
-    if choose.skip_unreadable:
-        # all frames are read twice: the progress covers both passes, and either can be cancelled
-        first = None if progress is None else lambda done, total: progress(done, 2 * total)
-        told = None if progress is None else lambda done, total: progress(total + done, 2 * total)
-        chosen, unreadable = readable_frames(project, chosen, losses, first)
-    if not writer.flat:
-        note = waiting_note(project, choose, states, chosen)
-    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, told, losses, choose)
-    report = write_pictures(job) if writer.flat else write_boxes(job)
-    notes = report.notes if note is None else (*report.notes, note)
-    return report.model_copy(update={"notes": notes, "unreadable": unreadable})
-
-
-def readable_frames(
-    project: Project, chosen: Sequence[Chosen], losses: Losses, progress: Progress | None = None
-) -> tuple[list[Chosen], tuple[str, ...]]:
-    """Returns the frames that can be read, and the others as `RECORDING/KEY: reason`.
-
-    Every frame is read once in advance, because writers name and number frames before they read them. Pseudo-views of
-    an unreadable frame are still exported, because the project stores them.
-
-    Args:
-        progress: called with (frames read, frames to read).
-    """
-    source, left_out = FrameSource(project), []
-    readable: list[Chosen] = []
-    first: FrameError | None = None
-    for number, each in enumerate(chosen, 1):
-        views_alone = isinstance(each, ChosenPictures) and not each.image
-        try:
-            if not views_alone:
-                source.read(each.stored)
-        except FrameError as error:
-            first = first or error
-            left_out.append(f"{each.recording}/{each.stored.key}: {error}")
-            if isinstance(each, ChosenPictures) and each.views:
-                readable.append(replace(each, image=False))
-        else:
-            readable.append(each)
-        if progress is not None:
-            progress(number, len(chosen))
-    if first is not None and not readable:
-        raise first
-    losses.add(Lost.UNREADABLE, len(left_out))
-    return readable, tuple(left_out)
+    job = ExportJob(project, format, out, tuple(chosen), options, overwrite, progress, losses, choose)
+    if writer.flat:
+        return write_pictures(job)
+    report = write_boxes(job)
+    note = waiting_note(project, choose, states, chosen)
+    return report if note is None else report.model_copy(update={"notes": (*report.notes, note)})

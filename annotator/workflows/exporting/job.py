@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,8 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.recordings import Recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.look_around import LookAround, Scanned
+from annotator.types import Frame
+from annotator.types.errors import FrameError
 from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.frame_source import FrameSource
@@ -80,6 +82,7 @@ class ExportJob:
         overwrite: replace an older export of the same format at `out`.
         progress: called with (frames written, frames to write).
         losses: counted by the writer.
+        unreadable: why frames were left out so far, by `RECORDING/KEY`.
         choose: the filter that selected `chosen`.
     """
 
@@ -92,6 +95,28 @@ class ExportJob:
     progress: Callable[[int, int], None] | None = None
     losses: Losses = field(default_factory=Losses)
     choose: ExportFilter = field(default_factory=ExportFilter)
+    unreadable: dict[str, FrameError] = field(default_factory=dict)
+
+    @cached_property
+    def source(self) -> FrameSource:
+        return FrameSource(self.project)
+
+    def read(self, chosen: Chosen) -> Frame | None:
+        """Reads a frame; None if it cannot be read and such frames are left out.
+
+        Raises:
+            FrameError: it cannot be read, and must be; or none of the frames can.
+        """
+        try:
+            return self.source.read(chosen.stored)
+        except FrameError as error:
+            self.unreadable[f"{chosen.recording}/{chosen.stored.key}"] = error
+            if not self.choose.skip_unreadable:
+                raise
+            if len(self.unreadable) == len(self.chosen):
+                raise next(iter(self.unreadable.values())) from None
+            self.losses.add(Lost.UNREADABLE)
+            return None
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -100,21 +125,25 @@ class ExportJob:
 
     def items(self) -> Iterator[DatasetItem]:
         """Reads the frames one by one."""
-        source, has_areas = FrameSource(self.project), FORMATS[self.format].areas
         for number, chosen in enumerate(self.chosen, 1):
-            recording = source.recording(chosen.stored.recording_id)
-            labels = [
-                replace(entry.label, said=tuple(each.said() for each in entry.said)) if entry.said else entry.label
-                for entry in chosen.labels
-            ]
-            if _is_cut(recording):
-                self.losses.add(Lost.CUT)
-            rows = dont_care_rows(recording, chosen.stored.key) if has_areas else ()
-            areas = [(row.left, row.top, row.right, row.bottom) for row in rows]
-            values = self.frame_values(chosen.stored.id)
-            yield DatasetItem(chosen.recording, source.read(chosen.stored), labels, chosen.split, values, areas)
+            frame = self.read(chosen)
+            if frame is not None:
+                yield self._item(chosen, frame)
             if self.progress is not None:
                 self.progress(number, len(self.chosen))
+
+    def _item(self, chosen: Chosen, frame: Frame) -> DatasetItem:
+        recording = self.source.recording(chosen.stored.recording_id)
+        labels = [
+            replace(entry.label, said=tuple(each.said() for each in entry.said)) if entry.said else entry.label
+            for entry in chosen.labels
+        ]
+        if _is_cut(recording):
+            self.losses.add(Lost.CUT)
+        rows = dont_care_rows(recording, chosen.stored.key) if FORMATS[self.format].areas else ()
+        areas = [(row.left, row.top, row.right, row.bottom) for row in rows]
+        values = self.frame_values(chosen.stored.id)
+        return DatasetItem(chosen.recording, frame, labels, chosen.split, values, areas)
 
     def frame_values(self, frame_id: int) -> Values:
         """Returns the values of a frame's attributes, with the defaults of those that it lacks."""
@@ -127,16 +156,23 @@ class ExportJob:
         defaults = {each.name: each.default for each in of_frames if each.default is not None}
         return self.project.frames.attributes(), defaults
 
-    def report(self, objects_by_class: dict[str, int], notes: tuple[str, ...] = ()) -> ExportReport:
-        """Returns the report, with the losses counted so far."""
+    def report(
+        self, objects_by_class: dict[str, int], parts: Sequence[str | None], notes: tuple[str, ...] = ()
+    ) -> ExportReport:
+        """Returns the report, with the losses counted so far.
+
+        Args:
+            parts: of each frame or image that was written.
+        """
         return ExportReport(
             format=self.format,
             out=self.out,
-            frames=len(self.chosen),
+            frames=len(parts),
             objects=sum(objects_by_class.values()),
             objects_by_class={name: objects_by_class.get(name, 0) for name in self.classes},
-            splits=dict(Counter(c.split for c in self.chosen if c.split is not None)),
+            splits=dict(Counter(part for part in parts if part is not None)),
             losses=self.losses.report(),
+            unreadable=tuple(f"{name}: {error}" for name, error in self.unreadable.items()),
             notes=notes,
         )
 

@@ -18,13 +18,12 @@ from annotator.formats.attributes import NO_VALUES, Values
 from annotator.formats.dataset_writing import (
     DatasetItem,
     FileNames,
-    LabelledPicture,
     count_lost,
     encoded_image,
     write_frames,
     writing,
 )
-from annotator.formats.frame_names import FrameOrigin
+from annotator.formats.frame_names import FrameOrigin, PictureLabels
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.outline import clip_to_image
@@ -32,7 +31,7 @@ from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
-from annotator.workflows.frame_source import FrameSource, seen_labels
+from annotator.workflows.frame_source import seen_labels
 from annotator.workflows.views import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.
@@ -45,6 +44,10 @@ UNDIVIDED = (
 )
 
 
+Picture = tuple[PictureLabels, bytes, str | None]
+"""An image, the bytes of its file, and its part of the dataset."""
+
+
 def write_pictures(job: ExportJob) -> ExportReport:
     """Writes the dataset atomically."""
     format = FORMATS[job.format]
@@ -54,17 +57,18 @@ def write_pictures(job: ExportJob) -> ExportReport:
         with writing(job.out):
             writer = format.pictures(folder, job.classes, parts)
         tally = _Tally(job, parts, format.values is None)
-        for picture in tally.pictures():
+        for picture, content, part in tally.pictures():
             with writing(job.out):
-                writer.add(picture)
-            tally.add(picture)
+                writer.add(picture, content, part)
+            tally.by_class.update(picture.labels)
+            tally.parts_written.append(part)
         with writing(job.out):
             folders = writer.finish()
             write_frames(folder, tally.origins)
             tally.write_places(folders)
     is_whole = job.format is ExportFormat.YOLO and not parts
-    report = job.report(dict(tally.by_class), (UNDIVIDED,) if is_whole else ())
-    return report.model_copy(update={"frames": tally.written, "splits": {part: tally.by_part[part] for part in parts}})
+    report = job.report(dict(tally.by_class), tally.parts_written, (UNDIVIDED,) if is_whole else ())
+    return report.model_copy(update={"splits": {part: tally.parts_written.count(part) for part in parts}})
 
 
 @dataclass
@@ -78,21 +82,15 @@ class _Tally:
     origins: list[FrameOrigin] = field(default_factory=list)
     places: dict[str | None, list[ViewPlace]] = field(default_factory=lambda: defaultdict(list))
     by_class: Counter[str] = field(default_factory=Counter)
-    by_part: Counter[str | None] = field(default_factory=Counter)
-    written: int = 0
+    parts_written: list[str | None] = field(default_factory=list)
 
-    def add(self, picture: LabelledPicture) -> None:
-        self.by_class.update(box.label for box in picture.boxes)
-        self.by_part[picture.part] += 1
-        self.written += 1
-
-    def pictures(self) -> Iterator[LabelledPicture]:
-        job, source = self.job, FrameSource(self.job.project)
+    def pictures(self) -> Iterator[Picture]:
+        job = self.job
         for number, chosen in enumerate(job.chosen, 1):
             assert isinstance(chosen, ChosenPictures)  # formats of 2D boxes use `choose_pictures`
-            if chosen.image:
-                frame = source.read(chosen.stored)
-                yield self._image(chosen, frame, self._of_other_cameras(chosen, source))
+            frame = job.read(chosen) if chosen.image else None
+            if frame is not None:
+                yield self._image(chosen, frame, self._of_other_cameras(chosen))
             for view in chosen.views:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
             if job.progress is not None:
@@ -107,18 +105,18 @@ class _Tally:
             part = "train" if "train" in self.parts else next(iter(self.parts), None)
             yield self._view(view, part, None)
 
-    def _of_other_cameras(self, chosen: ChosenPictures, source: FrameSource) -> list[Label]:
+    def _of_other_cameras(self, chosen: ChosenPictures) -> list[Label]:
         """Returns reviewed labels that were made in other cameras of the moment: objects on this image, too."""
         project, classes = self.job.project, self.job.choose.classes
         others = {each.label.uid for each in project.labels.of_moment(chosen.stored.id) if not each.is_own}
-        seen = seen_labels(project, source, chosen.stored) if others else ()
+        seen = seen_labels(project, self.job.source, chosen.stored) if others else ()
         return [
             each
             for each in seen
             if each.uid in others and each.state in REVIEWED and (classes is None or each.label in classes)
         ]
 
-    def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> LabelledPicture:
+    def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> Picture:
         losses, image_format = self.job.losses, self.job.options.image_format
         labels = [*(entry.label for entry in chosen.labels), *others]
         drawn = () if chosen.drawn is None else of_classes(chosen.drawn.boxes, self.job.choose.classes)
@@ -149,19 +147,17 @@ class _Tally:
         losses.add(Lost.KIND, 0 if kind is BoxKind.BOX else len(seen))
         with writing(self.job.out):
             content = encoded_image(frame.rgb, image_format)
-        return LabelledPicture(
+        picture = PictureLabels(
             f"{stem}.{image_format}",
-            content,
-            width_px,
-            height_px,
             tuple(box for box, _ in kept),
-            chosen.split,
-            kind,
-            of_boxes,
-            of_frame,
+            (width_px, height_px),
+            box_kind=kind,
+            values=of_boxes,
+            attributes=of_frame,
         )
+        return picture, content, chosen.split
 
-    def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> LabelledPicture:
+    def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> Picture:
         """Returns a pseudo-view, always as PNG: an import recognises it by its bytes."""
         recording, key = origin or (None, None)
         parts = ("view", view.view_id[:12]) if recording is None or key is None else (recording, key, "view")
@@ -175,7 +171,7 @@ class _Tally:
         content, (width_px, height_px) = views.content(view.view_id), views.size(view.view_id)
         boxes = [(box, NO_VALUES) for box in of_classes(view.boxes, self.job.choose.classes)]
         kept = tuple(box for box, _ in _fit(boxes, width_px, height_px, self.job.losses))
-        return LabelledPicture(name, content, width_px, height_px, kept, part, view.box_kind)
+        return PictureLabels(name, kept, (width_px, height_px), box_kind=view.box_kind), content, part
 
     def write_places(self, folders: Mapping[str, Path]) -> None:
         only_part = next(iter(folders))

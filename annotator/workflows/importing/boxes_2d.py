@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import read_file
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.table import FlatFormat
 from annotator.project import FramePart, Project, WriteContext
 from annotator.project.changes import ImageBoxesSet
@@ -25,7 +26,6 @@ from annotator.types.errors import FormatError, StaleRevisionError
 from annotator.workflows.importing.pictures import (
     OnImage,
     OnView,
-    PictureLabels,
     PictureSet,
     checked_images,
     checked_views,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import Values
-from annotator.formats.packed_truths import PackedTruths
+from annotator.formats.frame_names import LabelledFrame
 from annotator.project import REVIEWED, Project
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, FrameError
@@ -166,41 +166,28 @@ def near(dataset: LabelSet, name: str, read: Callable[[], Sequence[Truth]]) -> S
     return truths
 
 
-Pose = Callable[[str, Callable[[], Frame]], RigidTransform | None]
-"""Transform of the boxes of a frame, by its name, to its camera; None: they are in its frame already. The second
-argument reads the project's frame, which takes long."""
-
-
 @dataclass(frozen=True)
 class PlacedBoxes(LabelSet):
     """Boxes that belong to one frame each.
 
     Attributes:
-        objects: objects by frame name, with their scores as in the file.
-        pose: None: all are in the camera frame.
-        flat: number of 2D boxes without a 3D box, by frame name.
-        states: of the objects of each frame, for formats with review states; None: accepted.
-        values: attributes of frames, by frame name.
+        labelled: the frames by their names.
     """
 
     path: Path
-    objects: PackedTruths
-    pose: Pose | None = None
-    flat: Mapping[str, int] = field(default_factory=dict)
-    states: Mapping[str, Sequence[ReviewState | None]] = field(default_factory=dict)
-    values: Mapping[str, Values] = field(default_factory=dict)
+    labelled: Mapping[str, LabelledFrame]
 
     @property
     def frames(self) -> Sequence[str]:
-        return tuple(self.objects)
+        return tuple(self.labelled)
 
     @cached_property
     def scores(self) -> ScoreRange | None:  # type: ignore[override]
-        return ScoreRange.of(self.objects.scores)
+        return ScoreRange.of(truth.score for frame in self.labelled.values() for truth in frame.truths)
 
     @property
     def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:  # type: ignore[override]
-        return self.objects.sizes_m
+        return (truth.box.size_m for frame in self.labelled.values() for truth in frame.truths)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         """As `LabelSet.truths`. Scores are kept only if all of the dataset are in 0..1, as confidences are."""
@@ -215,56 +202,41 @@ class PlacedBoxes(LabelSet):
         return [each.label for each in self._chosen(name, _is_open)]
 
     def values_of(self, name: str) -> Values:
-        return self.values.get(name, {})
+        return self._frame(name).values
 
     def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self._objects(name)]
+        return [each.attributes for each in self._frame(name).truths]
 
     def left_out_of(self, name: str) -> LeftOut:
         accepted = self._chosen(name, lambda state: state is None or state in REVIEWED)
-        every = self._objects(name)
+        frame = self._frame(name)
+        every = frame.truths
         return LeftOut(
             len(every) - len(accepted),
             len(every) - len(self._chosen(name, _is_open)),
             0 if self._are_confident else sum(each.score is not None for each in accepted),
-            self.flat.get(name, 0),
+            frame.flat,
         )
 
     @property
     def _are_confident(self) -> bool:
         return self.scores is None or self.scores.are_confidences
 
-    def _objects(self, name: str) -> Sequence[Truth]:
-        return self.objects[name]
+    def _frame(self, name: str) -> LabelledFrame:
+        return self.labelled[name]
 
     def _chosen(self, name: str, is_chosen: Callable[[ReviewState | None], bool]) -> Sequence[Truth]:
-        states = self.states.get(name)
-        objects = self._objects(name)
-        if states is None:
-            return objects
-        return [each for each, state in zip(objects, states, strict=True) if is_chosen(state)]
+        frame = self._frame(name)
+        if frame.states is None:
+            return frame.truths
+        return [each for each, state in zip(frame.truths, frame.states, strict=True) if is_chosen(state)]
 
     def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
-        return transformed(truths, None if self.pose is None else self.pose(name, read))
+        return transformed(truths, self._frame(name).T_camera(read))
 
 
 def _is_open(state: ReviewState | None) -> bool:
     return state is not ReviewState.REJECTED
-
-
-def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Frame]) -> RigidTransform | None:
-    """Returns the transform from the camera of an exported frame to that of the project's frame.
-
-    They stand at different places of one map if the recording was added with another origin before.
-
-    Args:
-        T_world_there: where the dataset says that its camera (or other frame of reference) is; None if it does not.
-
-    Returns:
-        None if the dataset or the project does not know the place: then both are taken as one.
-    """
-    T_world_here = None if T_world_there is None else read().T_world_camera
-    return None if T_world_there is None or T_world_here is None else T_world_here.inv() * T_world_there
 
 
 def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:

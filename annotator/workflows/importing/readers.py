@@ -10,160 +10,44 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from scipy.spatial.transform import RigidTransform
-
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
-from annotator.formats.attributes import Values
 from annotator.formats.box_csv import read_upright_boxes
-from annotator.formats.boxes_json import boxes_file, each_frame
-from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_shifts
-from annotator.formats.kitti_rows import label_frame
+from annotator.formats.boxes_json import boxes_file, read_boxes
+from annotator.formats.frame_names import LabelledFrame
+from annotator.formats.kitti_objects import read_kitti
 from annotator.formats.kitti_tracking import read_kitti_tracks
-from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
-from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results, read_world_poses
+from annotator.formats.labelcloud import read_labelcloud
+from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results
 from annotator.formats.openlabel import read_openlabel
-from annotator.formats.packed_truths import PackedTruths
-from annotator.formats.rcv import read_rcv
+from annotator.formats.rcv import labelled_frames
 from annotator.formats.reading import OnFault, raise_fault
-from annotator.formats.sunrgbd import read_extracted_folder, read_meta, upright_frame
-from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
+from annotator.formats.sunrgbd import read_extracted_folder, read_meta
+from annotator.formats.sustechpoints import read_sustechpoints
 from annotator.formats.table import FORMATS, BoxFormat
-from annotator.formats.units import Angles, AngleUnit, Lengths
+from annotator.formats.units import AngleUnit, Lengths
 from annotator.project import Project
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import read_extracted_calibration
-from annotator.types import Frame, Label, Truth
+from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, Pose, moved_in_world, transformed
-
-# Two cameras with matrices that differ less, as a share of the focal length, are the same.
-SAME_CAMERA = 0.01
+from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, transformed
 
 
-def boxes_labels(path: Path) -> PlacedBoxes:
-    """Reads a `boxes.json` file, or that of a folder."""
-    return PlacedBoxes(path, PackedTruths(each_frame(boxes_file(path))))
-
-
-def kitti_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a folder of KITTI object labels."""
-    found = KittiRows(Angles(angles))
-    objects = PackedTruths(each_kitti_frame(path, found))
-    return PlacedBoxes(path, objects, _from_rectified(read_kitti_shifts(path)), found.flat)
-
-
-def kitti_tracking_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads KITTI tracking labels of whole sequences."""
-    found = KittiRows(Angles(angles))
-    objects, shifts = read_kitti_tracks(path, found)
-    return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts), found.flat)
-
-
-def _from_rectified(shifts: Mapping[str, np.ndarray]) -> Pose:
-    """From the frame of rectified camera 0, by the dataset's calibration, else that of the frame's recording. Without
-    either, the labels are taken as being in the camera frame.
-
-    Args:
-        shifts: shift from rectified camera 0 to the colour camera, (3,) metres, of frames with a calibration.
-    """
-
-    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
-        shift = shifts.get(name)
-        return label_frame(read()) if shift is None else RigidTransform.from_translation(shift)
-
-    return pose
-
-
-def sunrgbd_labels(path: Path) -> PlacedBoxes:
-    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes)."""
+def _sunrgbd(path: Path) -> dict[str, LabelledFrame]:
+    """SUN RGB-D: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes)."""
     if path.suffix == ".mat":
-        frames = read_meta(path)
-        poses = {each.name: each.T_camera_upright for each in frames}
-        return PlacedBoxes(path, PackedTruths((each.name, each.truths) for each in frames), _from_upright(poses))
-    labelled = read_extracted_folder(path)
-    poses = {
-        name: read_extracted_calibration(each.calibration).T_camera_upright
-        for name, each in labelled.items()
-        if each.calibration is not None and each.calibration.is_file()
-    }
-    objects = PackedTruths((name, each.truths) for name, each in labelled.items())
-    return PlacedBoxes(path, objects, _from_upright(poses))
-
-
-def box_csv_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads a CSV file of boxes in upright depth."""
-    return PlacedBoxes(path, PackedTruths(read_upright_boxes(path, angles).items()), _from_upright({}))
-
-
-def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
-    """From upright depth.
-
-    Args:
-        poses: T_camera_upright of frames with a calibration in the dataset; for others it follows from the frame.
-    """
-
-    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform:
-        return poses[name] if name in poses else upright_frame(read())
-
-    return pose
-
-
-def labelcloud_labels(path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a labelCloud project."""
-    return of_labelcloud(path, read_labelcloud(path, on_fault, angles))
-
-
-def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBoxes:
-    """Boxes in the frames of their clouds; transformed to the camera by the dataset's calibration, else the frame's."""
-    poses = {name: each.T_camera_cloud for name, each in frames.items()}
-
-    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
-        return read().T_camera_label if (T := poses[name]) is None else T
-
-    return PlacedBoxes(path, PackedTruths((name, each.objects) for name, each in frames.items()), pose)
-
-
-def nuscenes_tables(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads the annotations of every camera's images in a folder of nuScenes tables."""
-    objects = PackedTruths(read_nuscenes(path, on_fault).items())
-    poses = read_world_poses(path)
-    return PlacedBoxes(path, objects, lambda name, read: moved_in_world(poses.get(name), read))
-
-
-def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads SUSTechPOINTS' labels, which are in the frames of their clouds.
-
-    They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
-    are in the frame of the recording's own labels: for a folder of clouds, that of the clouds.
-    """
-    frames = read_sustechpoints(path, angles)
-    cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
-
-    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
-        of_scene, is_export, T_world_cloud = cameras[name]
-        if not is_export:
-            return _by_camera(of_scene, read())
-        return of_scene[0].T_camera_cloud if (T := moved_in_world(T_world_cloud, read)) is None else T
-
-    return PlacedBoxes(path, PackedTruths((name, each.objects) for name, each in frames.items()), pose)
-
-
-def _by_camera(cameras: tuple[SceneCamera, ...], frame: Frame) -> RigidTransform | None:
-    K = frame.camera.matrix
-    off = [float(np.abs(camera.K - K).max() / K[0, 0]) for camera in cameras]
-    best = int(np.argmin(off)) if off else None
-    return frame.T_camera_label if best is None or off[best] > SAME_CAMERA else cameras[best].T_camera_cloud
+        return read_meta(path)
+    return read_extracted_folder(path, lambda file: read_extracted_calibration(file).T_camera_upright)
 
 
 @dataclass(frozen=True)
 class _SampleBoxes(PlacedBoxes):
     """Boxes around a vehicle, of which each camera's frame gets those that its image shows.
 
-    `objects` are by their sample, in the frame of the recordings' own labels.
+    `labelled` are by their sample, in the frame of the recordings' own labels.
 
     Attributes:
         places: the sample of each of a project's frames, by "RECORDING/KEY"; see `in_project`.
@@ -176,21 +60,21 @@ class _SampleBoxes(PlacedBoxes):
     @property
     def frames(self) -> Sequence[str]:
         found = set(self.places.values())
-        return (*self.places, *(sample for sample in self.objects if sample not in found))
+        return (*self.places, *(sample for sample in self.labelled if sample not in found))
 
     def _placed(self, places: Mapping[str, str | None], what: str, of: str) -> LabelSet:
         """Returns the boxes by the project's frames, by "RECORDING/KEY" with their sample."""
-        found = {name: sample for name, sample in places.items() if sample is not None and sample in self.objects}
+        found = {name: sample for name, sample in places.items() if sample is not None and sample in self.labelled}
         if not found:
-            problem = f"the project has none of its {what} ({len(self.objects)}); add {of} to the project first"
+            problem = f"the project has none of its {what} ({len(self.labelled)}); add {of} to the project first"
             raise FormatError(self.path, problem)
         return replace(self, places=found)
 
     def unseen(self) -> int:
-        return sum(len(self.objects[sample]) - len(seen) for sample, seen in self._seen.items())
+        return sum(len(self.labelled[sample].truths) - len(seen) for sample, seen in self._seen.items())
 
-    def _objects(self, name: str) -> Sequence[Truth]:
-        return self.objects[self.places.get(name, name)]
+    def _frame(self, name: str) -> LabelledFrame:
+        return self.labelled[self.places.get(name, name)]
 
     def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
         frame = read()
@@ -216,13 +100,6 @@ class NuScenesResults(_SampleBoxes):
         return self._placed(places, "samples", "their scenes")
 
 
-def nuscenes_labels(path: Path, on_fault: OnFault = raise_fault) -> PlacedBoxes:
-    """Reads a file of results, or a folder of tables."""
-    return (
-        NuScenesResults(path, PackedTruths(read_results(path))) if path.is_file() else nuscenes_tables(path, on_fault)
-    )
-
-
 class ArgoverseLabels(_SampleBoxes):
     """The annotations of an Argoverse 2 log, in the ego frame, by the time of their sweep."""
 
@@ -236,85 +113,52 @@ class ArgoverseLabels(_SampleBoxes):
         )
 
 
-def argoverse_labels(path: Path) -> ArgoverseLabels:
-    """Reads `annotations.feather`, or that of a log."""
-    file = path / ANNOTATIONS if path.is_dir() else path
-    return ArgoverseLabels(path, PackedTruths((str(time_ns), boxes) for time_ns, boxes in read_argoverse(file).items()))
+def _nuscenes(path: Path, on_fault: OnFault) -> PlacedBoxes:
+    """A file of results, or a folder of tables."""
+    if not path.is_file():
+        return PlacedBoxes(path, read_nuscenes(path, on_fault))
+    return NuScenesResults(path, {sample: LabelledFrame(truths) for sample, truths in read_results(path)})
 
 
-def rcv_labels(path: Path) -> PlacedBoxes:
-    """Reads an `rcv` dataset."""
-    dataset = read_rcv(path)
-    frames = [dataset.named_labels(i) for i in range(len(dataset))]
-    values = {name: values for name, _, values, _ in frames}
-    poses = {name: pose for name, *_, pose in frames}
-    return _reviewed(
-        path,
-        {name: labels for name, labels, *_ in frames},
-        lambda name, read: moved_in_world(poses[name], read),
-        values,
-    )
+def _argoverse(path: Path) -> ArgoverseLabels:
+    """`annotations.feather`, or that of a log."""
+    boxes = read_argoverse(path / ANNOTATIONS if path.is_dir() else path)
+    return ArgoverseLabels(path, {str(time_ns): LabelledFrame(truths) for time_ns, truths in boxes.items()})
 
 
-def of_rcv(path: Path, key: str, labels: Sequence[Label]) -> PlacedBoxes:
-    """The labels of one frame of an `rcv` dataset, in its camera frame."""
-    return _reviewed(path, {key: labels}, None, {})
+def _boxes(path: Path) -> dict[str, LabelledFrame]:
+    """A `boxes.json` file, or that of a folder."""
+    return {key: LabelledFrame(truths) for key, truths in read_boxes(boxes_file(path)).items()}
 
 
-def _reviewed(
-    path: Path, frames: Mapping[str, Sequence[Label]], pose: Pose | None, values: Mapping[str, Values]
-) -> PlacedBoxes:
-    objects = ((name, [_truth(each) for each in labels]) for name, labels in frames.items())
-    states = {name: tuple(each.state for each in labels) for name, labels in frames.items()}
-    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)
-
-
-def _truth(label: Label) -> Truth:
-    return Truth(
-        label.label,
-        label.box,
-        label.track_id,
-        label.score,
-        box_kind=label.box_kind,
-        attributes=label.attributes,
-        said=label.said,
-    )
-
-
-def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
-    """Reads OpenLABEL documents."""
-    frames = read_openlabel(path, angles)
-
-    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
-        own = frames[name]
-        return moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
-
-    return PlacedBoxes(
-        path,
-        PackedTruths((name, each.boxes) for name, each in frames.items()),
-        pose,
-        states={name: tuple(box.state for box in each.boxes) for name, each in frames.items()},
-        values={name: each.attributes for name, each in frames.items()},
-    )
-
-
-Reader = Callable[[Path, AngleUnit | None, OnFault], PlacedBoxes]
-"""Reads all labels at a path. The second argument is the unit of angles (None: as the format says), the third takes
-faults of single boxes, which are skipped then; most readers raise at the first one."""
+Reader = Callable[[Path, AngleUnit | None, OnFault], Mapping[str, LabelledFrame] | PlacedBoxes]
 
 READERS: dict[BoxFormat, Reader] = {
-    BoxFormat.RCV: lambda path, angles, on_fault: rcv_labels(path),
-    BoxFormat.KITTI: lambda path, angles, on_fault: kitti_labels(path, angles),
-    BoxFormat.KITTI_TRACKING: lambda path, angles, on_fault: kitti_tracking_labels(path, angles),
-    BoxFormat.SUNRGBD: lambda path, angles, on_fault: sunrgbd_labels(path),
-    BoxFormat.OPENLABEL: lambda path, angles, on_fault: openlabel_labels(path, angles),
-    BoxFormat.LABELCLOUD: labelcloud_labels,
-    BoxFormat.NUSCENES: lambda path, angles, on_fault: nuscenes_labels(path, on_fault),
-    BoxFormat.SUSTECHPOINTS: lambda path, angles, on_fault: sustechpoints_labels(path, angles),
-    BoxFormat.BOXES: lambda path, angles, on_fault: boxes_labels(path),
-    BoxFormat.ARGOVERSE2: lambda path, angles, on_fault: argoverse_labels(path),
-    BoxFormat.BOX_CSV: lambda path, angles, on_fault: box_csv_labels(path, angles),
+    BoxFormat.RCV: lambda path, angles, on_fault: labelled_frames(path),
+    BoxFormat.KITTI: lambda path, angles, on_fault: read_kitti(path, angles),
+    BoxFormat.KITTI_TRACKING: lambda path, angles, on_fault: read_kitti_tracks(path, angles),
+    BoxFormat.SUNRGBD: lambda path, angles, on_fault: _sunrgbd(path),
+    BoxFormat.OPENLABEL: lambda path, angles, on_fault: read_openlabel(path, angles),
+    BoxFormat.LABELCLOUD: lambda path, angles, on_fault: read_labelcloud(path, on_fault, angles),
+    BoxFormat.NUSCENES: lambda path, angles, on_fault: _nuscenes(path, on_fault),
+    BoxFormat.SUSTECHPOINTS: lambda path, angles, on_fault: read_sustechpoints(path, angles),
+    BoxFormat.BOXES: lambda path, angles, on_fault: _boxes(path),
+    BoxFormat.ARGOVERSE2: lambda path, angles, on_fault: _argoverse(path),
+    BoxFormat.BOX_CSV: lambda path, angles, on_fault: read_upright_boxes(path, angles),
 }
+
+
+def placed_boxes(
+    format: BoxFormat, path: Path, angles: AngleUnit | None = None, on_fault: OnFault = raise_fault
+) -> PlacedBoxes:
+    """Reads all labels at `path`; the sizes of the boxes are not judged.
+
+    Args:
+        angles: their unit; None: as the format says.
+        on_fault: takes faults of single boxes, which are skipped then; most readers raise at the first one.
+    """
+    read = READERS[format](path, angles, on_fault)
+    return read if isinstance(read, PlacedBoxes) else PlacedBoxes(path, read)
 
 
 def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> LabelSet:
@@ -326,6 +170,6 @@ def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) 
     if angles is not None and not FORMATS[format].angles:
         with_angles = ", ".join(name for name, each in FORMATS.items() if each.angles)
         raise ConfigError(f"{format} has no angles; leave out --angles (it is for {with_angles})")
-    dataset = READERS[format](path, angles, raise_fault)
+    dataset = placed_boxes(format, path, angles)
     Lengths(dataset.sizes_m).require(path)
     return dataset

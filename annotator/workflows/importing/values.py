@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from annotator.formats.attributes import Values as Given
 from annotator.formats.attributes import typed_value
+from annotator.formats.frame_names import PictureLabels
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
 from annotator.project.changes import FrameAttributesSet, LabelAttributesSet, Payload
@@ -25,7 +26,7 @@ from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.pictures import OnImage, PictureLabels, read_pictures
+from annotator.workflows.importing.pictures import OnImage, read_pictures
 from annotator.workflows.importing.placing import AUTHOR, Importer
 from annotator.workflows.importing.report import ImportReport, Note
 from annotator.workflows.views import drawn_of, outlines

@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
-from annotator.formats.boxes_json import PLACES, read_boxes
+from annotator.formats.boxes_json import PLACES, each_entries, entry_truth
 from annotator.formats.frame_names import read_frames
 from annotator.formats.kitti_objects import read_kitti_file
-from annotator.formats.kitti_rows import (
-    DONT_CARE,
-    KittiLabel,
-    kitti_row,
-    read_object_labels,
-    read_tracking_areas,
-    read_tracking_labels,
-)
+from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_rows, row_truth
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
-from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
-from annotator.formats.reading import read_mask
-from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
+from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
+from annotator.formats.reading import read_mask, text_rows
+from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
+from annotator.formats.table import BoxFormat
+from annotator.formats.units import Angles
+from annotator.geometry.occlusion import Sight
 from annotator.geometry.outline import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
+from annotator.project import REVIEWED
 from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
@@ -41,10 +41,10 @@ from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Box2D, Frame, OrientedBox, Truth
-from annotator.types.errors import FormatError, RecordingError
+from annotator.types import Frame, OrientedBox, ReviewState, Truth
+from annotator.types.errors import AnnotatorError, FormatError, RecordingError
 from annotator.workflows.importing.label_set import LabelSet, transformed
-from annotator.workflows.importing.readers import of_labelcloud, of_rcv, openlabel_labels
+from annotator.workflows.importing.readers import placed_boxes
 
 Read = TypeVar("Read")
 # Generated recordings have their truth in a separate folder.
@@ -53,6 +53,42 @@ TRUTH_FOLDER = "truth"
 SCENE_LABELS = "annotation3Dfinal/index.json"
 # Longest table without a row: nuScenes' test split has an empty one, and is not labelled.
 EMPTY_LIST_BYTES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLabel:
+    """One object and its place in a file.
+
+    Attributes:
+        truth: in the camera frame (in the labels' own frame if the frame could not be read).
+        line: line of its row; None for formats without lines.
+        row: its KITTI row; None for other formats.
+        state: its review state, in formats with such; None: accepted.
+    """
+
+    truth: Truth
+    file: Path
+    line: int | None = None
+    row: KittiLabel | None = None
+    state: ReviewState | None = None
+
+
+class FrameLabels(NamedTuple):
+    """The labels of a frame.
+
+    Attributes:
+        objects: in file order, without those that are invalid.
+        faults: those of invalid rows of this frame, or of a file of its own.
+        of_file: those of rows of a file of all frames, if their frame is not known.
+        error: the first fault of the whole file, or that its angles have another unit; None if all of it is sound.
+        rows: all KITTI rows.
+    """
+
+    objects: Sequence[FoundLabel] = ()
+    faults: Sequence[AnnotatorError] = ()
+    of_file: Sequence[AnnotatorError] = ()
+    error: AnnotatorError | None = None
+    rows: Sequence[KittiLabel] = ()
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
@@ -65,28 +101,53 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
         RecordingError: the recording has no labels at all.
         FormatError: its labels are broken, or a box is out of range after the transform to the camera frame.
     """
-    file = label_file(recording, recording.keys[index])
+    found = found_labels(recording, index, frame)
+    if found.error is not None:
+        raise found.error.with_traceback(None)  # it is kept, and would keep the frames of all callers
+    return [each.truth for each in found.objects if each.state is None or each.state in REVIEWED]
+
+
+def found_labels(recording: Recording, index: int, frame: Frame | None) -> FrameLabels:
+    """Returns the labels of a frame; an invalid row does not hide the others.
+
+    Args:
+        frame: None if it cannot be read; then only labels that do not need it are read.
+    """
+    key = recording.keys[index]
+    file = label_file(recording, key)
     if file is None:
         raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
-    key = recording.keys[index]
+    if frame is None and recording.format not in _WITHOUT_FRAME:
+        return FrameLabels()
+    base = recording.base if isinstance(recording, LookAround) else recording
     try:
-        if isinstance(recording, KittiRaw):
-            # in LiDAR coordinates, unlike all other KITTI labels
-            truths = _tracked(read_tracklets, file, key, recording.calibration(key).T_camera_lidar)
-        elif isinstance(recording, NuScenes):
-            truths = _from_samples(file, recording, key, _as_recorded(frame))
-        elif isinstance(recording, LookAround) and isinstance(recording.base, NuScenes):
-            truths = _seen(_from_samples(file, recording.base, key, _as_recorded(frame)), frame)
-        elif isinstance(recording, LookAround):
-            truths = _from_annotations(file, key, _as_recorded(frame))
-        else:
-            truths = _READERS[recording.format](file, key, _as_recorded(frame))
-        T = frame.T_camera_recorded
-        truths = transformed(truths, T)
-        return _seen(truths, frame) if isinstance(recording, NuScenes) and not recording.is_export else truths
+        found = _READERS[base.format](base, key, file, None if frame is None else _as_recorded(frame))
+        if frame is None:
+            return found
+        found = _moved(found, frame.T_camera_recorded)
+        if isinstance(base, NuScenes | ArgoverseLog) and not (recording is base and _is_export(base)):
+            K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+            found = found._replace(objects=[each for each in found.objects if is_seen(each.truth.box, K, *size)])
+        return found
+    except AnnotatorError as error:
+        return FrameLabels(faults=(error,), error=error)
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
-        raise FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration") from error
+        fault = FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration")
+        return FrameLabels(faults=(fault,), error=fault)
+
+
+def _is_export(recording: Recording) -> bool:
+    """True for an export of annotator, whose boxes all belong to its one camera."""
+    return isinstance(recording, NuScenes) and recording.is_export
+
+
+def _moved(found: FrameLabels, T: RigidTransform | None) -> FrameLabels:
+    if T is None:
+        return found
+    truths = transformed([each.truth for each in found.objects], T)
+    objects = [replace(each, truth=truth) for each, truth in zip(found.objects, truths, strict=True)]
+    return found._replace(objects=objects)
 
 
 def _as_recorded(frame: Frame) -> Frame:
@@ -177,48 +238,6 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
     return mask
 
 
-def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | None) -> Box2D | None:
-    """Returns a label's own 2D box: the one in its file, or the extent of its mask; None without both.
-
-    Args:
-        number: position of the label in `load_truth`.
-    """
-    if truth.image_box is not None or mask is None:
-        return truth.image_box
-    rows, columns = np.nonzero(mask == number + 1)
-    if len(rows) == 0:
-        return None
-    return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
-
-
-def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
-    """Returns the boxes of a frame's sample; none between samples."""
-    sample = recording.sample(key)
-    if sample is None or frame.T_camera_label is None:
-        return []
-    boxes = _whole(_samples, path, recording.tables, recording.samples)[sample]
-    return transformed(boxes, frame.T_camera_label)
-
-
-def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
-    """Returns the boxes of a sweep that the image shows."""
-    T = frame.T_camera_label
-    rows = () if T is None else _whole(argoverse.read_argoverse, path).get(int(key), ())
-    return _seen(transformed(rows, T), frame)
-
-
-def _tracked(
-    read: Callable[..., dict[int, list[Truth]]], path: Path, key: str, T: RigidTransform | None
-) -> list[Truth]:
-    """Returns the boxes of a frame in a file of KITTI's tracks or tracklets, which numbers its frames."""
-    return transformed(_whole(read, path).get(frame_number(path, key), ()), T)
-
-
-def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:
-    K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
-    return [truth for truth in truths if is_seen(truth.box, K, *size)]
-
-
 def frame_number(path: Path, key: str) -> int:
     """Returns the number of a frame in the label file of a whole recording.
 
@@ -232,21 +251,6 @@ def frame_number(path: Path, key: str) -> int:
     return int(key)
 
 
-def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
-    manifest = path.parent.parent / MANIFEST
-    labels = _whole(_rcv, manifest).labels(frame.index)
-    return of_rcv(path, key, labels).truths(key, frame)
-
-
-def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
-    labels, names = _whole(_openlabel, path)
-    return labels.truths(names.get(normal(key), key), frame)
-
-
-def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return of_labelcloud(path, {key: read_labelcloud_file(path)}).truths(key, frame)
-
-
 def _whole(read: Callable[..., Read], path: Path, *args: object) -> Read:
     """Returns what a reader gives for a whole file, which is not parsed again for every frame until it changes."""
     status = path.stat()
@@ -258,8 +262,120 @@ def _kept(read: Callable[..., object], path: Path, _version: tuple[int, int], *a
     return read(path, *args)
 
 
-def _boxes(path: Path) -> dict[str, list[Truth]]:
-    return {normal(key): truths for key, truths in read_boxes(path).items()}
+def _plain(truths: Iterable[Truth], file: Path, T: RigidTransform | None = None) -> FrameLabels:
+    """Objects of a file that is sound."""
+    return FrameLabels([FoundLabel(each, file) for each in transformed(list(truths), T)])
+
+
+@contextmanager
+def _collected(faults: list[FormatError]) -> Iterator[None]:
+    try:
+        yield
+    except FormatError as fault:
+        faults.append(fault)
+
+
+def _first(faults: Iterable[FormatError], angles: Angles) -> FormatError | None:
+    """The first fault, also if it is the unit of the angles."""
+    of_set: list[FormatError] = []
+    with _collected(of_set):
+        angles.require()
+    return next(chain(faults, of_set), None)
+
+
+def _objects(
+    rows: Iterable[KittiLabel], path: Path, T: RigidTransform | None, faults: list[FormatError], angles: Angles
+) -> list[FoundLabel]:
+    """The 3D boxes of KITTI rows; adds faults and angles."""
+    found: list[FoundLabel] = []
+    for row in rows:
+        with _collected(faults):
+            if row.is_solid:
+                found.append(FoundLabel(row_truth(row, T, path, angles), path, row.line, row))
+    return found
+
+
+def _of_kitti(_recording: Recording, _key: str, path: Path, frame: Frame | None) -> FrameLabels:
+    faults, angles = list[FormatError](), Angles()
+    rows = list(read_rows(path, on_fault=faults.append))
+    found = _objects(rows, path, _label_pose(frame), faults, angles)
+    return FrameLabels(found, faults, error=_first(faults, angles), rows=rows)
+
+
+def _label_pose(frame: Frame | None) -> RigidTransform | None:
+    return None if frame is None else frame.T_camera_label
+
+
+def _of_votenet(_recording: Recording, _key: str, path: Path, frame: Frame | None) -> FrameLabels:
+    faults, found = list[FormatError](), list[FoundLabel]()
+    for line, fields in text_rows(path):
+        with _collected(faults):
+            found.append(FoundLabel(extracted_truth(fields, _label_pose(frame), path, line), path, line))
+    return FrameLabels(found, faults, error=next(iter(faults), None))
+
+
+def labels_by_frame(recording: Recording, path: Path) -> dict[str, FrameLabels]:
+    """The labels of a file of all frames, in its own coordinates, since the transform may differ between frames.
+
+    Returns:
+        by the `normal` key in `boxes.json`, the frame's number in `label_02.txt`; by `NO_FRAME` those of other frames.
+    """
+    return _whole(_tracks if recording.format == TRACKING else _boxes, path)
+
+
+NO_FRAME = ""
+
+
+def _tracks(path: Path) -> dict[str, FrameLabels]:
+    faults, angles, rows = list[FormatError](), Angles(), defaultdict[str, list[KittiLabel]](list)
+    for row in read_rows(path, tracking=True, on_fault=faults.append):
+        rows[str(row.frame)].append(row)
+    found = {key: FrameLabels(_objects(each, path, None, faults, angles), rows=each) for key, each in rows.items()}
+    return _with_error(found, faults, _first(faults, angles))
+
+
+def _boxes(path: Path) -> dict[str, FrameLabels]:
+    of_file, found = list[FormatError](), dict[str, FrameLabels]()
+    with _collected(of_file):
+        for key, entries in each_entries(path):
+            faults, objects = list[FormatError](), list[FoundLabel]()
+            for number, entry in enumerate(entries):
+                with _collected(faults):
+                    objects.append(FoundLabel(entry_truth(entry, path, key, number), path))
+            found[normal(key)] = FrameLabels(objects, faults)
+    every = chain(of_file, *(each.faults for each in found.values()))
+    return _with_error(found, of_file, next(every, None))
+
+
+def _with_error(
+    found: dict[str, FrameLabels], of_file: Sequence[AnnotatorError], error: AnnotatorError | None
+) -> dict[str, FrameLabels]:
+    found[NO_FRAME] = FrameLabels()
+    return {key: each._replace(of_file=of_file, error=error) for key, each in found.items()}
+
+
+def _of_tracking(recording: Recording, key: str, path: Path, frame: Frame | None) -> FrameLabels:
+    found = labels_by_frame(recording, path)
+    return _moved(found.get(str(frame_number(path, key)), found[NO_FRAME]), _label_pose(frame))
+
+
+def _of_boxes(recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
+    found = labels_by_frame(recording, path)
+    return found.get(normal(key), found[NO_FRAME])
+
+
+def _of_raw(recording: KittiRaw, key: str, path: Path, _frame: Frame) -> FrameLabels:
+    """In LiDAR coordinates, unlike all other KITTI labels."""
+    truths = _whole(read_tracklets, path).get(frame_number(path, key), ())
+    return _plain(truths, path, recording.calibration(key).T_camera_lidar)
+
+
+def _of_nuscenes(recording: NuScenes, key: str, path: Path, frame: Frame) -> FrameLabels:
+    """The boxes of a frame's sample; none between samples."""
+    sample = recording.sample(key)
+    if sample is None or frame.T_camera_label is None:
+        return FrameLabels()
+    return _plain(_whole(_samples, path, recording.tables, recording.samples)[sample], path, frame.T_camera_label)
 
 
 def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tuple[Truth, ...]]:
@@ -267,19 +383,30 @@ def _samples(_path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tu
     return read_sample_boxes(tables, samples)
 
 
-def _tracks(path: Path) -> dict[int, list[Truth]]:
-    """In label coordinates, since the transform may differ between frames."""
-    return read_tracking_labels(path, None)
+def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels:
+    T = frame.T_camera_label
+    return FrameLabels() if T is None else _plain(_whole(argoverse.read_argoverse, path).get(int(key), ()), path, T)
+
+
+def _of_rcv(_recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
+    dataset = _whole(_rcv, path.parent.parent / MANIFEST)
+    labels = dataset.labels(dataset.manifest.frames.index(key))
+    return FrameLabels([FoundLabel(truth_of(each), path, state=each.state) for each in labels])
 
 
 def _rcv(path: Path) -> RcvDataset:
     return read_rcv(path.parent)
 
 
+def _of_openlabel(_recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels:
+    labels, names = _whole(_openlabel, path)
+    return _plain(labels.truths(names.get(normal(key), key), frame), path)
+
+
 def _openlabel(path: Path) -> tuple[LabelSet, dict[str, str]]:
     """A document, and the frames' names in it, by key."""
     origins = read_frames(path.parent) or read_frames(path.parent.parent)
-    return openlabel_labels(path), {key: origin.name for key, origin in origins.items()}
+    return placed_boxes(BoxFormat.OPENLABEL, path), {key: origin.name for key, origin in origins.items()}
 
 
 def _looked_for(recording: Recording) -> str:
@@ -301,17 +428,21 @@ _PLACES = {
 # Suffix of the label files of single frames; others have .txt.
 _SUFFIXES = {"rcv": ".json", "cloud_folder": ".json"}
 _MASKED = frozenset({"rgbd_folder"})
-_READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
-    "rgbd_folder": lambda path, key, frame: list(_whole(_boxes, path).get(normal(key), ())),
-    "kitti_object": lambda path, key, frame: read_object_labels(path, frame.T_camera_label),
-    "kitti_tracking": lambda path, key, frame: _tracked(_tracks, path, key, frame.T_camera_label),
-    "argoverse2": _from_annotations,
-    "sunrgbd_extracted": lambda path, key, frame: read_extracted_labels(path, frame.T_camera_label),
-    "sunrgbd_scenes": lambda path, key, frame: read_scene_labels(path, frame.T_camera_label),
-    "rcv": _from_rcv,
-    "openlabel": _from_openlabel,
-    "cloud_folder": _from_labelcloud,
+_READERS: dict[str, Callable[..., FrameLabels]] = {
+    "rgbd_folder": _of_boxes,
+    "kitti_object": _of_kitti,
+    "kitti_tracking": _of_tracking,
+    "kitti_raw": _of_raw,
+    "nuscenes": _of_nuscenes,
+    "argoverse2": _of_argoverse,
+    "sunrgbd_extracted": _of_votenet,
+    "sunrgbd_scenes": lambda _r, _k, path, frame: _plain(read_scene_labels(path, frame.T_camera_label), path),
+    "rcv": _of_rcv,
+    "openlabel": _of_openlabel,
+    "cloud_folder": lambda _r, _k, path, frame: _plain(read_labelcloud_file(path), path, frame.T_camera_label),
 }
+# Their labels are read without the frame, too.
+_WITHOUT_FRAME = frozenset({"rgbd_folder", "kitti_object", "kitti_tracking", "sunrgbd_extracted", "rcv"})
 
 
 # The only format whose labels have the difficulty fields of KITTI's evaluation.
@@ -328,7 +459,7 @@ def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[
     """
     file = label_file(recording, frame.key)
     if recording.format == OBJECT and file is not None:
-        return read_kitti_file(file, scored=False)
+        return read_kitti_file(file)
     rows = rows_of_truth(((truth.label, truth.box) for truth in load_truth(recording, index, frame)), frame)
     return [*rows, *dont_care_rows(recording, frame.key)]
 
@@ -343,9 +474,14 @@ def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
     # a label folder may lack files of some frames
     if file is None or not file.is_file():
         return []
-    if recording.format == TRACKING:
-        return list(_whole(read_tracking_areas, file).get(frame_number(file, key), ()))
-    return [row for row in read_kitti_file(file, scored=False) if row.label == DONT_CARE]
+    if recording.format == OBJECT:
+        rows: Sequence[KittiLabel] = read_kitti_file(file)
+    else:
+        found = _of_tracking(recording, key, file, None)
+        if found.error is not None:
+            raise found.error.with_traceback(None)
+        rows = found.rows
+    return [row for row in rows if row.label == DONT_CARE]
 
 
 def rows_of_truth(boxes: Iterable[tuple[str, OrientedBox]], frame: Frame) -> list[KittiLabel]:

@@ -177,7 +177,7 @@ def test_coco_and_yolo_have_the_same_splits(people: Project, tmp_path: Path) -> 
         for image in images:
             for file in (tmp_path / "coco" / part, tmp_path / "yolo/images" / part):
                 shown = cv2.imread(str(file / image.file_name))
-                assert shown.shape[:2] == (image.height_px, image.width_px)
+                assert shown.shape[1::-1] == image.size_px
     # an image and its views are in the same split
     rows = (tmp_path / "coco/frames.csv").read_text().splitlines()
     part_of = dict(row.split(",")[2::1] for row in rows[1:])

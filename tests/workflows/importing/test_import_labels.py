@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.coco import write_coco
+from annotator.formats.frame_names import PictureLabels
 from annotator.project import NewLabel, Project, WriteContext, new_action
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
@@ -215,7 +216,7 @@ def test_images_are_described_before_they_are_imported(
     people.boxes.set_on_image(first.id, [replace(box, label="person")], BoxKind.SILHOUETTE, WriteContext(0, "me"))
 
     def found(project: Project, *names: str, recording: str | None = None) -> Preview:
-        write_coco(tmp_path / "c.json", [CocoImage(name, 320, 240, (box,)) for name in names])
+        write_coco(tmp_path / "c.json", [PictureLabels(name, (box,), (320, 240)) for name in names])
         return preview_boxes(project, tmp_path / "c.json", FlatFormat.COCO, recording)
 
     before = people.log.last()

@@ -19,6 +19,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
+from annotator.recordings.sunrgbd import read_extracted_calibration
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
@@ -85,7 +86,9 @@ def box_csv(project: Project, folder: Path, score: float = 0.7) -> Path:
     """The labels of a project as rows; their numbers are those of its export as SUN RGB-D."""
     export_project(project, folder / "upright", ExportFormat.SUNRGBD)
     rows = ["image,class,cx,cy,cz,l,w,h,yaw,score"]
-    for name, frame in read_extracted_folder(folder / "upright").items():
+    for name, frame in read_extracted_folder(
+        folder / "upright", lambda file: read_extracted_calibration(file).T_camera_upright
+    ).items():
         for each in frame.truths:
             yaw = np.arctan2(*each.box.rotation[1::-1, 0])
             numbers = (*each.box.center_m, *each.box.size_m, yaw, score)

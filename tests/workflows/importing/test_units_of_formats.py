@@ -117,7 +117,7 @@ WITH_ANGLES = [
 def boxes(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> list[OrientedBox]:
     """The boxes in the labels' own frame."""
     labels: Any = read_labels(format, path, angles)
-    return [truth.box for name in sorted(labels.frames) for truth in labels.objects[name]]
+    return [truth.box for name in sorted(labels.frames) for truth in labels.labelled[name].truths]
 
 
 @pytest.mark.parametrize(("format", "write"), WITH_ANGLES)

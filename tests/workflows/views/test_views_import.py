@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.formats.coco import read_coco, write_coco
+from annotator.formats.frame_names import PictureLabels
 from annotator.project import Project, WriteContext
 from annotator.project.changes import FrameFinalised
 from annotator.project.overview import FramePage
@@ -51,7 +52,7 @@ def coco_of_frames(path: Path, project: Project, indices: list[int], label: str 
     for index in indices:
         boxes = true_image_boxes(project, index)
         boxes = boxes if label is None else [replace(box, label=label) for box in boxes]
-        images.append(CocoImage(f"color/{project.frames.of()[index].key}.jpg", *SIZE, tuple(boxes)))
+        images.append(PictureLabels(f"color/{project.frames.of()[index].key}.jpg", tuple(boxes), SIZE))
     write_coco(path, images)
     return path
 
@@ -138,7 +139,7 @@ def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Pa
     assert json.loads((tmp_path / "out" / "coco.json").read_text())["categories"][0]["name"] == "hand"
     for image in images:
         picture = cv2.imread(str(tmp_path / "out" / image.file_name))
-        assert picture.shape[:2] == (image.height_px, image.width_px)
+        assert picture.shape[1::-1] == image.size_px
         assert image.boxes == ()
         place = places[image.file_name]
         assert (place.recording, place.frame, place.step) == ("hands", "000001", 0)
@@ -200,7 +201,7 @@ def test_pictures_without_metadata_are_imported_without_a_frame(hands: Project, 
     box = Box2D("hand", 3.5, 4.5, 20.5, 30.5)
     file = tmp_path / "views.coco.json"
     for boxes in ((box,), (box, replace(box, x_max=10.5))):  # a second import replaces the first
-        write_coco(file, [CocoImage("a.png", 60, 40, boxes), CocoImage("b.png", 60, 40, ())])
+        write_coco(file, [PictureLabels("a.png", boxes, (60, 40)), PictureLabels("b.png", (), (60, 40))])
         assert import_view_boxes(hands, file, tmp_path, BoxKind.BOX).boxes.total() == len(boxes)
     a, b = sorted(hands.boxes.on_views(), key=lambda view: -len(view.boxes))
     assert (len(a.boxes), b.boxes) == (2, ())
@@ -232,8 +233,7 @@ def jpeg_last(file: Path, pictures: Path) -> None:
 def repeat_last(file: Path, pictures: Path) -> None:
     images = read_coco(file)
     shutil.copyfile(pictures / images[-1].file_name, pictures / images[0].file_name)
-    size = {"width_px": images[-1].width_px, "height_px": images[-1].height_px}
-    write_coco(file, [replace(images[0], boxes=images[-1].boxes, **size), *images[1:]])
+    write_coco(file, [replace(images[0], boxes=images[-1].boxes, size_px=images[-1].size_px), *images[1:]])
 
 
 def break_sidecar(file: Path, pictures: Path) -> None:
@@ -270,15 +270,15 @@ def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Proj
 # --- camera images ---------------------------------------------------------------------------------------------------
 
 
-def image(name: str, *boxes: Box2D, size: tuple[int, int] = SIZE) -> CocoImage:
-    return CocoImage(name, *size, boxes)
+def image(name: str, *boxes: Box2D, size: tuple[int, int] = SIZE) -> PictureLabels:
+    return PictureLabels(name, boxes, size)
 
 
 BOX = Box2D("person", 10.5, 20.5, 60.5, 90.5)
 OTHER = Box2D("dog", 100.5, 20.5, 160.5, 90.5)
 
 
-def imported(project: Project, tmp_path: Path, *images: CocoImage, **options: str) -> ImportReport:
+def imported(project: Project, tmp_path: Path, *images: PictureLabels, **options: str) -> ImportReport:
     write_coco(tmp_path / "boxes.json", images)
     return import_image_boxes(project, tmp_path / "boxes.json", BoxKind.SILHOUETTE, **options)
 
@@ -347,7 +347,7 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
     ids=["only other classes", "another size"],
 )
 def test_an_unusable_file_is_an_error_and_changes_nothing(
-    people: Project, tmp_path: Path, images: list[CocoImage], problem: str
+    people: Project, tmp_path: Path, images: list[PictureLabels], problem: str
 ) -> None:
     with pytest.raises(FormatError, match=problem):
         imported(people, tmp_path, *images)
