@@ -9,11 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.detection.dataset import (
-    GENERATED,
-    TrainingSample,
-)
+from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import GENERATED, TrainingSample
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_views
@@ -27,8 +24,7 @@ BASE_TRAINING = TrainingConfig(
     image_size_px=64,
     pictures_seen=400_000,
     batch=32,
-    warmup_epochs=0.1,
-    augmentation=Augmentation(flip_horizontal=0.5, scale=0.25, hue=0.5, saturation=0.5, brightness=0.4),
+    recipe={"warmup_epochs": 0.1, "scale": 0.25, "hsv_h": 0.5, "hsv_s": 0.5, "hsv_v": 0.4},
 )
 
 

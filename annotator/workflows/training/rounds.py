@@ -30,7 +30,7 @@ MIN_PART_S = 45.0
 # The first part of at least this length begins anew. In a shorter one, random weights learn too little. Seconds.
 ANEW_S = 600.0
 # The rate rises quickly, because a detector that knows objects has no bad beginning.
-WARMUP_EPOCHS = 0.5
+WARMUP = {"warmup_epochs": 0.5}
 # More epochs than any training has.
 NEVER = 1_000_000
 
@@ -104,7 +104,7 @@ def image_config(project: Project, config: TrainingConfig, dataset_sha256: str, 
     if (decides and _has_learned(project, last)) or not _fits(last, config, any_size=False):
         return config
     trained = read_trained(last.path.parent)
-    continued = config.model_copy(update={"pretrained": last.path, "warmup_epochs": WARMUP_EPOCHS})
+    continued = config.model_copy(update={"pretrained": last.path, "recipe": config.recipe | WARMUP})
     again = config, continued.model_copy(update={"pretrained": trained.config.pretrained})
     if trained.dataset_sha256 == dataset_sha256 and trained.config in again:
         return trained.config
@@ -142,7 +142,7 @@ def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | N
         "pretrained": start.path,
         "seconds": seconds,
         "batch": BASE_TRAINING.batch,
-        "warmup_epochs": WARMUP_EPOCHS,
+        "recipe": config.recipe | WARMUP,
         # the held-out objects decide about the result of a part, not the views of its validation
         "measure_every": None if seconds is None else NEVER,
         "seed": seed,
