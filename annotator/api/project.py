@@ -156,26 +156,12 @@ class Project:
         return self.stored.labels.of_frame(frame.id)
 
     @overload
-    def detect(
-        self,
-        frames: Frame,
-        *,
-        image_boxes: Sequence[Box2D] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> FrameProposals: ...
+    def detect(self, frames: Frame, **options: Any) -> FrameProposals: ...
 
     @overload
-    def detect(
-        self,
-        frames: Sequence[Frame],
-        *,
-        image_boxes: Sequence[Sequence[Box2D]] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> list[FrameProposals]: ...
+    def detect(self, frames: Sequence[Frame], **options: Any) -> list[FrameProposals]: ...
 
-    def detect(
+    def detect(  # type: ignore[misc]  # the overloads leave the options to it
         self,
         frames: Frame | Sequence[Frame],
         *,

@@ -30,7 +30,7 @@ MIN_PART_S = 45.0
 # The first part of at least this length begins anew. In a shorter one, random weights learn too little. Seconds.
 ANEW_S = 600.0
 # The rate rises quickly, because a detector that knows objects has no bad beginning.
-WARMUP = {"warmup_epochs": 0.5}
+WARMUP: dict[str, float | str] = {"warmup_epochs": 0.5}
 # More epochs than any training has.
 NEVER = 1_000_000
 
