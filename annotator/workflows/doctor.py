@@ -58,7 +58,6 @@ SYSTEM_LIBRARIES = {
     "libgomp.so.1": "libgomp1",
 }
 LIBRARY = re.compile(r"lib[\w.+-]*?\.so[\w.]*")
-KERNELS = ("annotator.geometry.kernels", "annotator.rcv.drawing_kernels", "annotator.rcv.fit_kernels")
 
 
 class State(StrEnum):
@@ -293,31 +292,8 @@ def onnxruntime(_: Path) -> Iterator[Line]:
 
 
 def numba(_: Path) -> Iterator[Line]:
-    """Checks whether numba can be loaded, and counts the kernels whose machine code is in its cache."""
-    from annotator.compiled import cached_code, is_compiled
-
-    try:
-        modules = [import_module(name) for name in KERNELS]
-    except (ImportError, OSError) as error:
-        yield _broken("numba", "numba", error, failed=True)
-        return
-    # functions that a module imports from another module are counted there
-    functions = {
-        f"{value.__module__}.{name}": value
-        for module in modules
-        for name, value in vars(module).items()
-        if is_compiled(value) and value.__module__ == module.__name__
-    }
-    kept = [cached_code(function) for function in functions.values()]
-    folders = sorted({str(place) for place, _ in kept if place is not None})
-    done = sum(is_kept for _, is_kept in kept)
-    remedy = ""
-    if not folders:
-        remedy = "every process compiles for half a minute; set NUMBA_CACHE_DIR to a folder that you may write to"
-    elif not done:
-        remedy = "the first use takes half a minute; `python -m annotator.workflows.warm_up` compiles them now"
-    found = f"{done} of {len(kept)} kernels are compiled, each on its first use; cached in {', '.join(folders) or 'no'}"
-    yield packages("numba", f"{_version('numba')}; {found}", remedy, kernels=len(kept), compiled=done)
+    """Checks whether numba can be loaded."""
+    yield _loaded("numba", "numba", lambda: str(import_module("numba").__version__), "recursion needs it", failed=True)
 
 
 def open3d(_: Path) -> Iterator[Line]:

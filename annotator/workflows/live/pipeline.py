@@ -278,7 +278,7 @@ class Pipeline:
         self._max_frames, self._report = max_frames, report
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
-        self._is_idle = threading.Event()  # no frame waits for detection, or is in it
+        # of detection without the first frame, which takes long, and of reading
         self._durations_s: deque[float] = deque(maxlen=HISTORY)
         self._reads_s: deque[float] = deque(maxlen=HISTORY)
         self._stop = threading.Event()
@@ -301,7 +301,7 @@ class Pipeline:
 
     def stop(self) -> None:
         """Asks all stages to end; frames between them are dropped."""
-        for event in (self._stop, self._running, self._ready, self._is_idle):
+        for event in (self._stop, self._running, self._ready):
             event.set()
         for slot in (self._taken, self._detected):
             slot.close(empty=True)
@@ -373,7 +373,6 @@ class Pipeline:
                     break
                 self.meter.read += 1
                 self._reads_s.append(taken.read_s)
-                self._is_idle.clear()
                 self._taken.put(taken)
                 if not self._ready.is_set():
                     self._ready.wait()
@@ -387,14 +386,14 @@ class Pipeline:
         self._taken.wait_until_empty()
         if self._durations_s and self._reads_s:
             ends_s = self._taken.taken_s + statistics.median(self._durations_s)
-            self._is_idle.wait(max(ends_s - statistics.median(self._reads_s) - SPARE_S - time.perf_counter(), 0.0))
+            self._stop.wait(max(ends_s - statistics.median(self._reads_s) - SPARE_S - time.perf_counter(), 0.0))
 
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
                 detected = self._detection.detect(taken)
-                self._durations_s.append(time.perf_counter() - self._taken.taken_s)
-                self._is_idle.set()
+                if self._ready.is_set():
+                    self._durations_s.append(time.perf_counter() - self._taken.taken_s)
                 self.meter.detected += 1
                 if self._record is not None:
                     self._record.put(detected)
