@@ -22,7 +22,7 @@ from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
+from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import (

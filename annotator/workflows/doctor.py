@@ -14,6 +14,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
 from importlib import import_module
@@ -398,17 +399,14 @@ BACKEND_PACKAGES: dict[Backend, tuple[str, ...]] = {
 
 
 def backends(_: Path) -> Iterator[Line]:
-    """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights.
-
-    What it was converted to stays in the user's cache, as for any detector.
-    """
+    """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights."""
     from annotator.detection.backends.openvino_network import computes_bfloat16
     from annotator.detection.pretrained import write_seeded_network
     from annotator.detection.ultralytics_api import cuda_devices
 
     of = partial(line, "self-test")
     pictures = np.random.default_rng(0).integers(0, 256, (2, *PICTURE_PX, 3), np.uint8)
-    with TemporaryDirectory() as temporary:
+    with TemporaryDirectory() as temporary, _cache_in(temporary):
         weights = Path(temporary) / "network.safetensors"
 
         def opened(backend: Backend, device: str = "cpu") -> Network:
@@ -440,6 +438,18 @@ def backends(_: Path) -> Iterator[Line]:
                 yield of(name, str(error), REPORT_IT, failed=True)
                 continue
             yield _compared(name, answer, expected, bounds)
+
+
+@contextmanager
+def _cache_in(folder: str) -> Iterator[None]:
+    """What a network is converted to in the block leaves nothing in the user's cache."""
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = folder
+    try:
+        yield
+    finally:
+        os.environ.pop("XDG_CACHE_HOME")
+        os.environ |= {} if before is None else {"XDG_CACHE_HOME": before}
 
 
 def _compared(name: str, answer: Answer, expected: Answer, bounds: tuple[float, float, float]) -> Line:
