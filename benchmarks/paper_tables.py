@@ -44,8 +44,14 @@ YOLOV5 = TrainingConfig(
     image_size_px=640,
     epochs=300,
     recipe={
-        "optimizer": "SGD", "momentum": 0.937, "warmup_epochs": 3.0, "mosaic": 1.0, "close_mosaic": 10,
-        "scale": 0.5, "hsv_s": 0.7, "hsv_v": 0.4,
+        "optimizer": "SGD",
+        "momentum": 0.937,
+        "warmup_epochs": 3.0,
+        "mosaic": 1.0,
+        "close_mosaic": 10,
+        "scale": 0.5,
+        "hsv_s": 0.7,
+        "hsv_v": 0.4,
     },
 )
 

@@ -34,7 +34,7 @@ from annotator.workflows.detectors import (
     trained_detectors,
     view_model,
 )
-from annotator.workflows.evaluate import Choice, Measured, Protocol, evaluate_project
+from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, import_labels
@@ -290,8 +290,8 @@ class Project:
             ConfigError: there is nothing to compare.
             RecordingError, FormatError: the truth cannot be read.
         """
-        chosen = Choice(choice("measured", measured, Measured))
-        return evaluate_project(self.stored, choice("protocol", protocol, Protocol), chosen)
+        options = Options(measured=choice("measured", measured, Measured))
+        return evaluate_project(self.stored, choice("protocol", protocol, Protocol), options)
 
     def close(self) -> None:
         """Closes the project."""
