@@ -43,7 +43,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.axes import camera_axes
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.first_look import in_middle, width_at
 from annotator.rcv.rotations import spread_rotations
 from annotator.recordings import Recording, open_recording
@@ -311,7 +311,7 @@ def run(args: Arguments) -> dict[str, Any]:
     results: list[dict[str, object]] = []
     if 0 in args.taught:
         detector, size_px = base_detector(args)
-        config = RcvConfig(view=ViewConfig(size_px=size_px)).for_detector(BoxKind.BOX, True)
+        config = RcvConfig(view_px=size_px).for_detector(BoxKind.BOX, True)
         results += rows(tried(recording, indices[half:], detector, config, args), 0, 0.0)
         results += rows(guessed(recording, indices[half:], args), 0, 0.0)
     known = taught_objects(recording, indices[:half], args)

@@ -267,7 +267,7 @@ def import_frames(
     for side, keys in ((TRAIN, split.train), (VAL, split.val)):
         link_frames(recording, keys, frames / side)
     if not project_path.is_dir():
-        settings = ProjectSettings(rcv={"view": {"size_px": view_px}})
+        settings = ProjectSettings(rcv={"view_px": view_px})
         create_project(project_path.parent, project_path.name, classes, settings=settings).close()
     with open_project(project_path) as project:
         for side in (TRAIN, VAL):

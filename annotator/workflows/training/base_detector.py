@@ -11,7 +11,7 @@ import numpy as np
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import GENERATED, TrainingSample
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_views
 from annotator.synthetic.snapshots import snapshot
@@ -38,7 +38,7 @@ def generated_views(seed: int, draws: int, size_px: int) -> Iterator[TrainingSam
     shot = snapshot(seed)
     random = np.random.default_rng([seed, draws])
     objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
-    config = RcvConfig(view=ViewConfig(size_px=size_px))
+    config = RcvConfig(view_px=size_px)
     for index, item in enumerate(objects):
         level = shot.frame.up is not None and np.abs(shot.frame.up @ item.box.rotation).max() > np.cos(UPRIGHT_RAD)
         for _ in range(draws):
