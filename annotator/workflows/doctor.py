@@ -237,12 +237,13 @@ def ultralytics(_: Path) -> Iterator[Line]:
 def torch(_: Path) -> Iterator[Line]:
     """Reports the version of torch, and the CUDA devices that it can use."""
     from annotator.detection.backends.choose import driver_devices
-    from annotator.detection.ultralytics_api import cuda_devices, torch_facts
+    from annotator.detection.ultralytics_api import cuda_devices
 
     def facts() -> str:
-        known = torch_facts()
-        built = f"built for CUDA {known.cuda}" if known.cuda else "built without CUDA"
-        return f"{known.version}, {built}" + (", with Apple's MPS" if known.has_mps else "")
+        import torch
+
+        built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built without CUDA"
+        return f"{torch.__version__}, {built}" + (", with Apple's MPS" if torch.backends.mps.is_available() else "")
 
     found = _loaded("torch", "torch", facts, "detectors need it", failed=True)
     yield found
@@ -256,8 +257,7 @@ def torch(_: Path) -> Iterator[Line]:
         return
     for device in devices:
         total, free = device.memory_bytes, device.free_bytes
-        gib = f"{free / GIB:.1f} of {total / GIB:.1f} GiB free"
-        known = f"{device.model}, compute capability {device.capability}, {gib}"
+        known = f"{device.model}, {free / GIB:.1f} of {total / GIB:.1f} GiB free"
         yield packages(device.name, known, memory_bytes=total, free_bytes=free)
     if not devices and (number := driver_devices()):
         remedy = "install a torch with CUDA (pytorch.org shows the command), then run this again"

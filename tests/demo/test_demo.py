@@ -177,8 +177,3 @@ def test_the_demo_runs_all_stages(
         assert project.config.settings.rotation is rotation
         assert project.statistics().labels.total == dataset.manifest.counts.objects
         assert project.problems() == []
-
-
-def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown preset 'cats'"):
-        run_trained(tmp_path, Plan("cats", 4), lambda *_: None)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import contains
 from annotator.synthetic.materials import Lights, Material, Palette
-from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined
 from annotator.synthetic.render import Rendering, Sensor, Stage, depth_image, silhouette
 from annotator.synthetic.scene import Actor
 from annotator.synthetic.writer import actor_box
@@ -32,7 +32,7 @@ def palette() -> Palette:
 def ball(
     center: tuple[float | int, float | int, float | int], radius: float, track: int = 1, power: float = 2.0
 ) -> Mesh:
-    blobs = Blobs(track)
+    blobs = Parts(track)
     blobs.ball(np.array(center), (radius, radius, radius), 0, power=power)
     return blobs.mesh()
 

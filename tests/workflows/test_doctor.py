@@ -136,7 +136,7 @@ def test_a_missing_system_library_is_reported_with_its_package(monkeypatch: pyte
     assert "apt-get install libgl1 " in found.remedy
 
 
-GPU = ultralytics_api.CudaDevice("cuda:0", "NVIDIA Something", "8.9", 8 * 2**30, 6 * 2**30)
+GPU = ultralytics_api.CudaDevice("cuda:0", "NVIDIA Something, compute capability 8.9", 8 * 2**30, 6 * 2**30)
 
 
 def test_cuda_devices_and_their_errors_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,7 +265,7 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
         name = config.device if config.backend == "torch" else "openvino"
         return network if name == "cpu" else Wrong(network, changes[name])
 
-    gpus = [ultralytics_api.CudaDevice(name, "", "", 0, 0) for name in changes if name != "openvino"]
+    gpus = [ultralytics_api.CudaDevice(name, "", 0, 0) for name in changes if name != "openvino"]
     monkeypatch.setattr(doctor, "open_network", opened)
     monkeypatch.setattr(ultralytics_api, "cuda_devices", lambda: gpus)
     monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: False)
