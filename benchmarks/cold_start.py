@@ -54,9 +54,10 @@ from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.training import held_out
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
-from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
+from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, train
 from benchmarks.report import BoxOptions, Table, guarded, program, seconds_of
 
 # Points closer than this share of the object's width are connected.
@@ -118,8 +119,6 @@ class Arguments(BoxOptions):
     """Length of each training, minutes."""
     epochs: int | None = None
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
-    generated: float = GENERATED_SHARE
-    """Share of generated views in each training."""
     untrained: bool = False
     """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
     min_points: int = 20
@@ -274,10 +273,11 @@ def after(
             detector, size_px = base_detector(args)
             config = rcv_config(project, view_px=size_px).for_detector(BoxKind.BOX, True)
         else:
-            plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
-            view = plan.view.model_copy(update={"epochs": args.epochs})
-            plan = replace(plan, samples=SampleConfig(seed=args.seed), view=view)
+            view = VIEW_DEFAULTS.model_copy(update={"epochs": args.epochs})
+            plan = TrainPlan(view=view, samples=SampleConfig(seed=args.seed), minutes=args.minutes)
+            held_out.is_held_out = lambda _: False  # all taught objects train, and the result is what is measured
             seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
+            project.models.activate(project.models.all(DetectorKind.VIEW)[-1].id)
             model = view_model(project)
             config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
             config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
