@@ -73,11 +73,7 @@ class DatasetManifest(BaseModel):
 
 
 def read_record(path: Path, model: type[Record], missing: str, remedy: str) -> Record:
-    """Reads a JSON file beside a training; `missing` and `remedy` are what the error says.
-
-    Raises:
-        FormatError: the file is missing, cannot be read, or has other content.
-    """
+    """Reads a JSON file beside a training; `missing` and `remedy` are what the error says."""
     try:
         return model.model_validate_json(read_file(path, TABLE_BYTES))
     except FileNotFoundError as error:
@@ -160,11 +156,6 @@ def write_dataset(
         is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
         kind: what the boxes measure; recorded in the manifest.
-
-    Raises:
-        ConfigError: an invalid class list, or a box of an unknown class.
-        DetectionError: there is no box to train on, an image is unreadable, or `folder` is not a training set.
-        FormatError: the folder cannot be created.
     """
     _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder

@@ -202,13 +202,6 @@ def train_detector(
         out: folder of the run; `detector.safetensors`, `model.json` and `curves.csv` are written there.
         progress: called after every batch and every epoch.
         stop: called after every batch; true stops the run.
-
-    Raises:
-        ConfigError: the model name is unknown, the weights file is missing or damaged, or ultralytics cannot read the
-            path.
-        DetectionError: the device is missing, or the training fails.
-        FormatError: `dataset` is not a training set.
-        TrainingStoppedError: `stop` returned true.
     """
     if "?" in str(out.resolve()):  # ultralytics would fail, but only after the training
         raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")

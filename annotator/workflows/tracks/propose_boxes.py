@@ -110,12 +110,7 @@ def proposal_events(
 
 
 def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
-    """Returns the present state of a frame that an operator has seen at a revision.
-
-    Raises:
-        StaleRevisionError: the frame was changed in the meantime.
-        NotFoundError: no such frame.
-    """
+    """Returns the state of a frame that an operator has seen at a revision; StaleRevisionError if it has changed."""
     page = read_page(project, frame_id)
     if page.frame.revision != revision:
         raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)

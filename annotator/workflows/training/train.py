@@ -96,11 +96,7 @@ class Run:
     def train(
         self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None
     ) -> Trained:
-        """Trains on the written set, and registers the model without activating it.
-
-        Raises:
-            ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
-        """
+        """Trains on the written set, and registers the model without activating it."""
         # depends on the labels and settings only
         settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
         out = self._folder / f"{manifest.sha256[:12]}-{settings[:8]}"
@@ -222,11 +218,6 @@ def train(
 
     Args:
         stop: returns True to end the training early; asked after each sample, batch and measured frame.
-
-    Raises:
-        ConfigError: invalid settings.
-        DetectionError: there are no labels to learn from, or the training failed.
-        TrainingStoppedError: `stop` returned true.
     """
     rcv_config(project)  # invalid settings are reported before the samples are made
     material = gather(project, roles)
@@ -344,10 +335,6 @@ class _ViewTraining:
 
 
 def _check_stop(stop: Stop | None) -> None:
-    """
-    Raises:
-        TrainingStoppedError: `stop` returned true.
-    """
     if stop is not None and stop():
         raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
 
