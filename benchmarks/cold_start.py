@@ -54,9 +54,8 @@ from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training import held_out
+from annotator.workflows.training import held_out, samples
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
-from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, train
 from benchmarks.report import BoxOptions, Table, guarded, program, seconds_of
 
@@ -119,6 +118,8 @@ class Arguments(BoxOptions):
     """Length of each training, minutes."""
     epochs: int | None = None
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
+    generated: float = samples.GENERATED_SHARE
+    """Share of generated views in each training."""
     untrained: bool = False
     """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
     min_points: int = 20
@@ -192,10 +193,9 @@ def shots(recording: Recording, indices: Sequence[int], args: Arguments) -> Iter
         frame = recording.frame(index)
         truths = load_truth(recording, index, frame)
         frame = with_up(frame, truths, args.upright)
-        objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
-        shot = Shot(index, frame, tuple(objects))
-        if shot.objects:
-            yield shot
+        objects = tuple(given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index])))
+        if objects:
+            yield Shot(index, frame, objects)
 
 
 def tried(
@@ -232,11 +232,10 @@ def taught_objects(recording: Recording, indices: Sequence[int], args: Arguments
     for shot in shots(recording, indices, args):
         for item in shot.objects:
             found[item.truth.label].append((shot.index, item.number))
-
-    def rank(place: tuple[int, int]) -> bytes:
-        return hashlib.sha256(f"{args.seed} {place}".encode()).digest()
-
-    return {label: sorted(places, key=rank) for label, places in found.items()}
+    return {
+        label: sorted(places, key=lambda place: hashlib.sha256(f"{args.seed} {place}".encode()).digest())
+        for label, places in found.items()
+    }
 
 
 @contextmanager
@@ -274,8 +273,9 @@ def after(
             config = rcv_config(project, view_px=size_px).for_detector(BoxKind.BOX, True)
         else:
             view = VIEW_DEFAULTS.model_copy(update={"epochs": args.epochs})
-            plan = TrainPlan(view=view, samples=SampleConfig(seed=args.seed), minutes=args.minutes)
-            held_out.is_held_out = lambda _: False  # all taught objects train, and the result is what is measured
+            plan = TrainPlan(view=view, samples=samples.SampleConfig(seed=args.seed), minutes=args.minutes)
+            samples.GENERATED_SHARE = args.generated
+            held_out.is_held_out = lambda *_: False  # type: ignore[attr-defined]  # all taught objects train
             seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
             project.models.activate(project.models.all(DetectorKind.VIEW)[-1].id)
             model = view_model(project)

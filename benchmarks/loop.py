@@ -250,7 +250,7 @@ def _label_and_train(
         default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
         operator = args.operator or _box_kind(project) or default
         _label(project, recording, step, operator, plan(args).view.image_size_px, seconds)
-        held_out.is_held_out = lambda _: False  # all labelled frames train, and the result is what is measured
+        held_out.is_held_out = lambda *_: False  # type: ignore[attr-defined]  # all labelled frames train
         for trained in train(project, plan(args), progress=print_epoch):
             project.models.activate(trained.model.id)
             seconds[f"train_{trained.role}"] = trained.seconds
