@@ -214,6 +214,14 @@ class CudaDevice(NamedTuple):
     free_bytes: int
 
 
+def torch_build() -> str:
+    """The version of torch and what it was built for, for people."""
+    import torch
+
+    built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built without CUDA"
+    return f"{torch.__version__}, {built}" + (", with Apple's MPS" if torch.backends.mps.is_available() else "")
+
+
 def cuda_devices() -> list[CudaDevice]:
     """The CUDA devices that torch can use.
 

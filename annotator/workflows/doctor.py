@@ -237,15 +237,9 @@ def ultralytics(_: Path) -> Iterator[Line]:
 def torch(_: Path) -> Iterator[Line]:
     """Reports the version of torch, and the CUDA devices that it can use."""
     from annotator.detection.backends.choose import driver_devices
-    from annotator.detection.ultralytics_api import cuda_devices
+    from annotator.detection.ultralytics_api import cuda_devices, torch_build
 
-    def facts() -> str:
-        import torch
-
-        built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built without CUDA"
-        return f"{torch.__version__}, {built}" + (", with Apple's MPS" if torch.backends.mps.is_available() else "")
-
-    found = _loaded("torch", "torch", facts, "detectors need it", failed=True)
+    found = _loaded("torch", "torch", torch_build, "detectors need it", failed=True)
     yield found
     if found.state is not State.OK:
         return
