@@ -301,7 +301,7 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
         out.parent.mkdir(parents=True, exist_ok=True)
         part, lock = locked_folder(lambda: Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent)))
     except OSError as error:
-        raise FormatError(out, f"cannot be created ({error.strerror})") from error
+        raise FormatError(out, f"cannot be created ({error.strerror}); choose another folder") from error
     try:
         yield part
         # another process may have filled `out` meanwhile
@@ -420,4 +420,4 @@ def _put_in_place(part: Path, out: Path) -> None:
             raise
         shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
-        raise FormatError(out, f"cannot be created ({error.strerror})") from error
+        raise FormatError(out, f"cannot be created ({error.strerror}); choose another folder") from error

@@ -134,11 +134,7 @@ def write(
     action: str | None = None,
     new_tracks: Collection[int] = (),
 ) -> Changed:
-    """Appends events to several frames, each at its revision, as one action, which has the effort.
-
-    Args:
-        action, new_tracks: as for `append_to_frames`.
-    """
+    """Appends events to several frames, each at its revision, as one action, which has the effort."""
     parts = [
         FramePart(frame.id, events, WriteContext(frame.revision, author, effort=None if number else effort))
         for number, (frame, events) in enumerate(changes)

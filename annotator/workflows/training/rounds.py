@@ -169,9 +169,6 @@ class Choice:
         """Measures a new detector, activates it or another one, and stores the reasons beside its weights.
 
         A detector that was chosen by hand during the training stays in use.
-
-        Args:
-            note: what its training started from, for people.
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None

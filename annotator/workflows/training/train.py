@@ -76,10 +76,6 @@ class Run:
     """A run of one detector's training."""
 
     def __init__(self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind) -> None:
-        """
-        Args:
-            kind: what its boxes measure.
-        """
         self.project, self.role, self.classes, self.kind = project, role, classes, kind
         # classes that are renamed from now on are translated
         self._since_ns = project.store.clock()
