@@ -4,6 +4,8 @@ The names in `__all__` are the public Python API (docs/python.md); everything el
 imported on first use, so that `import annotator` is quick.
 """
 
+# ruff: noqa: F403, F405
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -11,40 +13,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
-    from annotator.api.frames import frame_from_points, frame_from_rgbd
-    from annotator.api.labels import (
-        draw_boxes,
-        evaluate,
-        evaluate_files,
-        generate_recording,
-        open_recording,
-        perfect_detector,
-        read_labels,
-        read_truth,
-        write_labels,
-    )
-    from annotator.api.project import Project, create_project, open_project
-    from annotator.api.proposing import propose, watch
-    from annotator.detection.perfect import NearestCluster
-    from annotator.geometry.iou import iou_3d, nms_3d
-    from annotator.rcv.finish import FrameProposals
-    from annotator.recordings import Recording
-    from annotator.types import (
-        Box2D,
-        BoxKind,
-        Camera,
-        Detector,
-        Frame,
-        Image,
-        Label,
-        OrientedBox,
-        PointCloud,
-        Proposal,
-        PseudoView,
-        ReviewState,
-        Truth,
-    )
-    from annotator.types.errors import AnnotatorError, ArgumentError
+    from annotator.api import *
 else:
 
     def __getattr__(name: str) -> object:

@@ -6,9 +6,10 @@ Modules with compiled functions are imported inside the functions that use them,
 from __future__ import annotations
 
 import inspect
+import logging
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TypeVar, cast
+from functools import cache
+from typing import TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -31,24 +32,13 @@ def compiled(function: Function) -> Function:
     try:
         code = numba.njit(plain, nogil=True, error_model="numpy", cache=True)
     except RuntimeError:  # numba finds no folder for its cache
+        _warn()
         code = numba.njit(plain, nogil=True, error_model="numpy")
     return cast(Function, code)
 
 
-def cached_code(function: Callable[..., object]) -> tuple[Path | None, bool]:
-    """The cache folder of a `compiled` function (None without one), and whether it contains the machine code.
-
-    Code from another numba version or an older source is ignored.
-    """
-    cache: Any = getattr(function, "_cache", None)
-    folder = getattr(cache, "cache_path", None)
-    if folder is None:
-        return None, False
-    return Path(folder), bool(cache._cache_file._load_index())
-
-
-def is_compiled(value: object) -> bool:
-    """True for a function that `compiled` has returned."""
-    from numba.core.dispatcher import Dispatcher
-
-    return isinstance(value, Dispatcher)
+@cache
+def _warn() -> None:
+    logging.getLogger("annotator.compiled").warning(
+        "every process compiles for half a minute: no folder for machine code can be written to; set NUMBA_CACHE_DIR"
+    )

@@ -7,8 +7,8 @@ two detectors, which propose boxes that are scored and exported.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -26,7 +26,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
-from annotator.types import Box2D, BoxKind, Label, ReviewState, Source
+from annotator.types import Box2D, BoxKind, DetectorKind, Label, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
@@ -81,38 +81,41 @@ def require_free(root: Path, preset: str) -> None:
             raise ConfigError(f"{path}: exists already; choose another folder for the demo")
 
 
-def generate(root: Path, preset: str, frames: int, seed: int, progress: Progress) -> None:
-    write_generated(root / RECORDING, preset, frames, seed, report=counted(progress, "ray-cast the recording"))
-
-
-def new_project(root: Path, preset: str) -> AbstractContextManager[store.Project]:
-    return store.create_project(
-        root, PROJECT, (LABELS[preset],), settings=store.ProjectSettings(rotation=ROTATIONS[preset])
-    )
-
-
-def add_recording(project: store.Project, root: Path) -> int:
-    """Adds the recording to the project, without its labels; returns its id."""
-    return register_recording(project, open_recording(root / RECORDING)).id
-
-
 @dataclass(frozen=True)
-class TrainedPlan:
-    """Settings of the demo with training.
+class Plan:
+    """What is generated.
 
     Attributes:
         preset: people, hands or objects.
         frames: length of the recording.
-        every: every `every`-th frame is labelled; boxes are proposed on the others.
-        image_pictures, view_pictures: number of images shown in each training.
     """
 
-    preset: str = "people"
-    frames: int = 48
-    every: int = 2
+    preset: str
+    frames: int
     seed: int = 0
-    image_pictures: int = 2600
-    view_pictures: int = 19000
+
+
+# With training: every second frame is labelled, and boxes are proposed on the others; the number of images shown to
+# each detector, enough to find most objects after some minutes.
+EVERY = 2
+SHOWN = {DetectorKind.IMAGE: 2600, DetectorKind.VIEW: 19000}
+
+
+@contextmanager
+def _begun(root: Path, plan: Plan, watch: Stopwatch, progress: Progress) -> Iterator[tuple[store.Project, int]]:
+    """Generates the recording, and yields a new project with it, without its labels, and its id there."""
+    write_generated(
+        root / RECORDING, plan.preset, plan.frames, plan.seed, report=counted(progress, "ray-cast the recording")
+    )
+    watch.end("generate")
+    settings = store.ProjectSettings(rotation=ROTATIONS[plan.preset])
+    with store.create_project(root, PROJECT, (LABELS[plan.preset],), settings=settings) as project:
+        yield project, register_recording(project, open_recording(root / RECORDING)).id
+
+
+def _exported(project: store.Project, root: Path, plan: Plan, progress: Progress) -> ExportReport:
+    out = dataset_folder(root, plan.preset)
+    return export_project(project, out, progress=counted(progress, "write the dataset"))
 
 
 @dataclass(frozen=True)
@@ -127,40 +130,35 @@ class TrainedResult:
     seconds: dict[str, float]
 
 
-def run_trained(root: Path, plan: TrainedPlan, progress: Progress) -> TrainedResult:
+def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
     """Runs the loop in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`."""
     require_free(root, plan.preset)
     watch = Stopwatch()
-    generate(root, plan.preset, plan.frames, plan.seed, progress)
-    watch.end("generate")
-    with new_project(root, plan.preset) as project:
-        recording = add_recording(project, root)
+    with _begun(root, plan, watch, progress) as (project, recording):
         config = rcv_config(project)
         report = counted(progress, "draw 2D boxes")
-        drawn = simulate_recording(project, recording, BoxKind.BOX, config, plan.every, report)
+        drawn = simulate_recording(project, recording, BoxKind.BOX, config, EVERY, report)
         watch.end("label")
         trained = train(
             project,
-            _training(plan),
+            _training(),
             progress=lambda role, step: progress(f"train the {role} detector", step.epochs_done, step.epochs),
         )
         watch.end("train")
         annotated = annotate(project, active_detectors(project), config, progress=counted(progress, "propose 3D boxes"))
         watch.end("propose")
         name = project.recordings.get(recording).name
-        unlabelled = [f"{name}/{f.key}" for n, f in enumerate(project.frames.of([recording])) if n % plan.every]
+        unlabelled = [f"{name}/{f.key}" for n, f in enumerate(project.frames.of([recording])) if n % EVERY]
         scores = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=unlabelled))
-        dataset = export_project(
-            project, dataset_folder(root, plan.preset), progress=counted(progress, "write the dataset")
-        )
+        dataset = _exported(project, root, plan, progress)
         watch.end("score and export")
     return TrainedResult(drawn, trained, annotated, scores, dataset, watch.seconds)
 
 
-def _training(plan: TrainedPlan) -> TrainPlan:
+def _training() -> TrainPlan:
     return TrainPlan(
-        image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": plan.image_pictures}),
-        view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": plan.view_pictures}),
+        image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.IMAGE]}),
+        view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.VIEW]}),
         samples=SampleConfig(views=320),
     )
 
@@ -332,20 +330,6 @@ def _ious(labels: Sequence[Label], truths: Sequence[TaughtObject]) -> np.ndarray
 
 
 @dataclass(frozen=True)
-class FirstDragPlan:
-    """Settings of the demo without training.
-
-    Attributes:
-        preset: people, hands or objects.
-        frames: length of the recording.
-    """
-
-    preset: str = "people"
-    frames: int = 24
-    seed: int = 0
-
-
-@dataclass(frozen=True)
 class FirstDragResult:
     """What the operator did, how good the proposals were, and the duration of each stage.
 
@@ -363,7 +347,7 @@ class FirstDragResult:
 
 
 def run_first_drag(
-    root: Path, plan: FirstDragPlan, progress: Progress, on_proposals: Callable[[], None] = lambda: None
+    root: Path, plan: Plan, progress: Progress, on_proposals: Callable[[], None] = lambda: None
 ) -> FirstDragResult:
     """Runs the demo in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`.
 
@@ -374,10 +358,7 @@ def run_first_drag(
     if not has_base():
         raise DetectionError("this installation has no base detector; run the demo with --train")
     watch = Stopwatch()
-    generate(root, plan.preset, plan.frames, plan.seed, progress)
-    watch.end("generate")
-    with new_project(root, plan.preset) as project:
-        recording = add_recording(project, root)
+    with _begun(root, plan, watch, progress) as (project, recording):
         view, operator = require_view(project), SimulatedOperator(project, recording)
         frames = [frame for frame in project.frames.of([recording]) if frame.index is not None]
         report = counted(progress, "draw, follow and review")
@@ -402,9 +383,7 @@ def run_first_drag(
                     follow_recording(project, recording, None, AUTHOR, tracks=tracks)
             report(number, len(frames))
         watch.end("follow and review")
-        dataset = export_project(
-            project, dataset_folder(root, plan.preset), progress=counted(progress, "write the dataset")
-        )
+        dataset = _exported(project, root, plan, progress)
         watch.end("export")
     ious = operator.done.ious
     return FirstDragResult(operator.done, float(np.mean(ious)) if ious else 0.0, dataset, watch.seconds)

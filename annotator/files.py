@@ -301,7 +301,7 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
             _require_free(out, may_replace)
             part = stack.enter_context(unfinished_folder(out.parent, out.name))
         except OSError as error:
-            raise FormatError(out, f"cannot be created ({error.strerror})") from error
+            raise FormatError(out, f"cannot be created ({error.strerror}); choose another folder") from error
         yield part
         # another process may have filled `out` meanwhile
         _require_free(out, may_replace)
@@ -429,4 +429,4 @@ def _put_in_place(part: Path, out: Path) -> None:
             raise
         shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
-        raise FormatError(out, f"cannot be created ({error.strerror})") from error
+        raise FormatError(out, f"cannot be created ({error.strerror}); choose another folder") from error

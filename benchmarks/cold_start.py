@@ -43,7 +43,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.project import NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.axes import camera_axes
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.first_look import in_middle, width_at
 from annotator.rcv.rotations import spread_rotations
 from annotator.recordings import Recording, open_recording
@@ -54,9 +54,9 @@ from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.training import held_out, samples
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
-from annotator.workflows.training.samples import SampleConfig
-from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
+from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, train
 from benchmarks.report import BoxOptions, Table, guarded, program, seconds_of
 
 # Points closer than this share of the object's width are connected.
@@ -118,7 +118,7 @@ class Arguments(BoxOptions):
     """Length of each training, minutes."""
     epochs: int | None = None
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
-    generated: float = GENERATED_SHARE
+    generated: float = samples.GENERATED_SHARE
     """Share of generated views in each training."""
     untrained: bool = False
     """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
@@ -207,10 +207,9 @@ def shots(recording: Recording, indices: Sequence[int], args: Arguments) -> Iter
         frame = recording.frame(index)
         truths = load_truth(recording, index, frame)
         frame = with_up(frame, truths, args.upright)
-        objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
-        shot = Shot(index, frame, tuple(objects))
-        if shot.objects:
-            yield shot
+        objects = tuple(given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index])))
+        if objects:
+            yield Shot(index, frame, objects)
 
 
 def tried(
@@ -247,11 +246,10 @@ def taught_objects(recording: Recording, indices: Sequence[int], args: Arguments
     for shot in shots(recording, indices, args):
         for item in shot.objects:
             found[item.truth.label].append((shot.index, item.number))
-
-    def rank(place: tuple[int, int]) -> bytes:
-        return hashlib.sha256(f"{args.seed} {place}".encode()).digest()
-
-    return {label: sorted(places, key=rank) for label, places in found.items()}
+    return {
+        label: sorted(places, key=lambda place: hashlib.sha256(f"{args.seed} {place}".encode()).digest())
+        for label, places in found.items()
+    }
 
 
 @contextmanager
@@ -288,10 +286,12 @@ def after(
             detector, size_px = base_detector(args)
             config = rcv_config(project, view_px=size_px).for_detector(BoxKind.BOX, True)
         else:
-            plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
-            view = plan.view.model_copy(update={"epochs": args.epochs})
-            plan = replace(plan, samples=SampleConfig(seed=args.seed), view=view)
+            view = VIEW_DEFAULTS.model_copy(update={"epochs": args.epochs})
+            plan = TrainPlan(view=view, samples=samples.SampleConfig(seed=args.seed), minutes=args.minutes)
+            samples.GENERATED_SHARE = args.generated
+            held_out.is_held_out = lambda *_: False  # type: ignore[attr-defined]  # all taught objects train
             seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
+            project.models.activate(project.models.all(DetectorKind.VIEW)[-1].id)
             model = view_model(project)
             config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
             config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
@@ -325,7 +325,7 @@ def run(args: Arguments) -> dict[str, Any]:
     results: list[dict[str, object]] = []
     if 0 in args.taught:
         detector, size_px = base_detector(args)
-        config = RcvConfig(view=ViewConfig(size_px=size_px)).for_detector(BoxKind.BOX, True)
+        config = RcvConfig(view_px=size_px).for_detector(BoxKind.BOX, True)
         results += rows(tried(recording, indices[half:], detector, config, args), 0, 0.0)
         results += rows(guessed(recording, indices[half:], args), 0, 0.0)
     known = taught_objects(recording, indices[:half], args)

@@ -39,6 +39,7 @@ from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
+from annotator.workflows.training import held_out
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
 from benchmarks.report import QUIET, BoxOptions, Table, guarded, print_epoch, program
@@ -194,9 +195,7 @@ def _labels(args: Arguments, recording: Recording) -> list[str]:
     if _masks_alone(recording):
         return [args.label or UNNAMED]
     if args.label is not None:
-        raise ConfigError(
-            f"{recording.path}: --label is only for recordings with masks and no true boxes; leave it out"
-        )
+        raise ConfigError(f"{recording.path}: --label is only for recordings with masks and no true boxes")
     labels: set[str] = set()
     for index in range(len(recording)):
         try:
@@ -251,7 +250,9 @@ def _label_and_train(
         default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
         operator = args.operator or _box_kind(project) or default
         _label(project, recording, step, operator, plan(args).view.image_size_px, seconds)
+        held_out.is_held_out = lambda *_: False  # type: ignore[attr-defined]  # all labelled frames train
         for trained in train(project, plan(args), progress=print_epoch):
+            project.models.activate(trained.model.id)
             seconds[f"train_{trained.role}"] = trained.seconds
             QUIET.print(f"{trained.role}: {trained.manifest.images['train']} images, {trained.result.metrics}")
     counts = project.statistics()
@@ -287,7 +288,6 @@ def plan(args: Arguments) -> TrainPlan:
         view=VIEW_DEFAULTS.model_copy(update=view_changes),
         samples=SampleConfig(views=args.views),
         minutes=args.minutes,
-        decides=False,  # all labelled frames train, and the result is what is measured
     )
 
 

@@ -21,7 +21,7 @@ from pydantic import JsonValue, ValidationError
 
 from annotator.detection.config import TrainingConfig
 from annotator.project import open_project
-from annotator.rcv.config import Strategy, ViewConfig
+from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import open_recording
 from annotator.types.errors import ConfigError
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan
@@ -89,7 +89,7 @@ class Arguments(Options):
     @property
     def view_px(self) -> int:
         """Longer side of a rendered pseudo-view, pixels; with the paper's settings that of the network's input."""
-        return self.view_training.image_size_px if self.settings is Preset.PAPER else ViewConfig().size_px
+        return self.view_training.image_size_px if self.settings is Preset.PAPER else RcvConfig().view_px
 
     def _training(self, product: TrainingConfig, epochs: int | None, size_px: int | None) -> TrainingConfig:
         """The preset's settings, changed by the arguments, and checked."""

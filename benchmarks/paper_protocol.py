@@ -24,7 +24,7 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluate import Choice, Measured, Protocol, evaluate_project, read_frame_names
+from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project, read_frame_names
 from annotator.workflows.importing import Note
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d, share_of
@@ -267,7 +267,7 @@ def import_frames(
     for side, keys in ((TRAIN, split.train), (VAL, split.val)):
         link_frames(recording, keys, frames / side)
     if not project_path.is_dir():
-        settings = ProjectSettings(rcv={"view": {"size_px": view_px}})
+        settings = ProjectSettings(rcv={"view_px": view_px})
         create_project(project_path.parent, project_path.name, classes, settings=settings).close()
     with open_project(project_path) as project:
         for side in (TRAIN, VAL):
@@ -373,12 +373,13 @@ class ProjectStages:
 
     def evaluate(self) -> Facts:
         """Scores the proposals against the ground truth."""
-        choice, protocol = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),)), Protocol(self.dataset.value)
+        protocol = Protocol(self.dataset.value)
+        options = Options(measured=Measured.PROPOSALS, recordings=(self._recording(VAL),))
         if self.dataset is Dataset.SUNRGBD:
-            content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json")
+            content = evaluate_project(self.project, protocol, options).content.model_dump(mode="json")
             return sunrgbd_ap(content, self.project.config.classes)
         # KITTI's evaluation omits classes without a detection, and raises an error if there is no detection at all
         proposals = self.stages.done["propose"].result["proposals"]
-        content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if proposals else {}
+        content = evaluate_project(self.project, protocol, options).content.model_dump(mode="json") if proposals else {}
         true_classes = labelled_classes(open_recording(self.project.recordings.find(VAL).path))
         return kitti_ap(content, self.project.config.classes, true_classes)

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from pydantic import JsonValue
 
-from annotator.detection.config import Augmentation, TrainingConfig
+from annotator.detection.config import TrainingConfig
 from annotator.evaluation.kitti import DIFFICULTIES, Metric
 from annotator.rcv.config import Strategy
 from annotator.workflows.training.train import IMAGE_DEFAULTS
@@ -43,15 +43,16 @@ YOLOV5 = TrainingConfig(
     model="yolov5x6",
     image_size_px=640,
     epochs=300,
-    optimizer="SGD",
-    learning_rate=0.01,
-    final_learning_rate=0.01,
-    momentum=0.937,
-    weight_decay=0.0005,
-    warmup_epochs=3.0,
-    augmentation=Augmentation(
-        flip_horizontal=0.5, shift=0.1, scale=0.5, hue=0.015, saturation=0.7, brightness=0.4, mosaic=1.0
-    ),
+    recipe={
+        "optimizer": "SGD",
+        "momentum": 0.937,
+        "warmup_epochs": 3.0,
+        "mosaic": 1.0,
+        "close_mosaic": 10,
+        "scale": 0.5,
+        "hsv_s": 0.7,
+        "hsv_v": 0.4,
+    },
 )
 
 KITTI_CLASSES = ("Car", "Pedestrian", "Cyclist")

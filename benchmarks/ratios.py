@@ -28,7 +28,7 @@ from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.project.config import BoxRotation
-from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, TypicalSize, ViewConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, TypicalSize
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import plan_step, start
@@ -111,8 +111,8 @@ def cpu_ratios() -> list[Ratio]:
     """The work without detectors, compared with sorting numbers or with drawing six views."""
     rng = np.random.default_rng(0)
     numbers = rng.random(SORTED, np.float32)
-    cloud, view = frustum(POINTS, rng), ViewConfig(size_px=VIEW_PX)
-    config = RcvConfig(view=view)
+    cloud = frustum(POINTS, rng)
+    config = RcvConfig(view_px=VIEW_PX)
     true = OrientedBox.from_parts(np.array([0.1, 0.0, 2.0]), np.eye(3), np.array([0.6, 0.4, 0.3]))
     intervals = _measured_intervals(true, [*wide_axes(None), *near_axes(true.rotation, None)], rng)
     axes = near_axes(true.rotation, None)
@@ -124,7 +124,7 @@ def cpu_ratios() -> list[Ratio]:
         return [plan_step(state, agnostic) for state in start_rivals(CAMERA, unknown, agnostic)]
 
     def six_views() -> object:
-        return render_pairs(cloud, axes, view)
+        return render_pairs(cloud, axes, VIEW_PX)
 
     def sort() -> object:
         return np.argsort(numbers, kind="stable")  # numpy's stable sort does not depend on special CPU instructions
@@ -151,9 +151,9 @@ def detector_ratios(folder: Path) -> list[Ratio]:
     weights = folder / "untrained.safetensors"
     api().torch.manual_seed(0)
     write_network(weights, build(NetworkDescription(architecture="yolo11n", labels=("object",))))
-    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX))
+    config = RcvConfig(view_px=VIEW_PX)
     cloud = frustum(20_000, np.random.default_rng(1))
-    views = render_pairs(cloud, near_axes(np.eye(3), None), config.view)
+    views = render_pairs(cloud, near_axes(np.eye(3), None), config.view_px)
 
     def loaded(backend: Backend) -> Detector:
         return YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))
@@ -185,7 +185,7 @@ def live_ratios(network: Detector) -> list[Ratio]:
     truth = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], BOX)])
     image = PerfectDetector.for_frame(frame, [Truth(TYPICAL.label, BOX)])
     detectors = Detectors(image, _Known(network, truth), class_agnostic=True, trained=True)
-    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX), typical_sizes=(TYPICAL,))
+    config = RcvConfig(view_px=VIEW_PX, typical_sizes=(TYPICAL,))
 
     def live(warm_start: bool) -> Callable[[], object]:
         detection = LiveDetection(detectors, config, BoxRotation.FREE, warm_start=warm_start)

@@ -98,7 +98,7 @@ PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
 class Arguments(Options):
     points: int = 50_000
     """Number of points in the object's frustum."""
-    size_px: int = RcvConfig().view.size_px
+    size_px: int = RcvConfig().view_px
     """Longer side of the pseudo-views, pixels."""
     repeats: int = 20
     """Number of frames; the median is printed."""
@@ -172,7 +172,7 @@ def run(args: Arguments) -> dict[str, Any]:
     require(args, 1, 1_000_000, "repeats")
     cv2.setNumThreads(1)
     plain_config = RcvConfig(orientation=Orientation.FREE)
-    config = plain_config.model_copy(update={"view": plain_config.view.model_copy(update={"size_px": args.size_px})})
+    config = plain_config.model_copy(update={"view_px": args.size_px})
     points = []
     for repeat in range(args.repeats + 1):
         if repeat < 2:  # the first frame only fills caches

@@ -32,7 +32,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["demo", "d", "--frames", "1"], "--frames must be 2 or more, not 1"),
         (["generate", "g", "--seed", "-1"], "the seed must be 0 or more, not -1"),
         (["generate", "file/g"], "cannot be created"),
-        (["generate", "n" * 300], "File name too long; choose another path"),
+        (["generate", "n" * 300], "File name too long); choose another folder"),
         (["inspect", "n" * 300], "File name too long; give a shorter path"),
         (["new", "q", "--classes", ""], "error: project q: classes: '' is not a valid class name"),
     ],

@@ -140,11 +140,11 @@ def generate_recording(
     """Generates an RGB-D recording of a synthetic room with exact ground truth, for experiments.
 
     Args:
-        path: the folder to create; it must not exist.
+        path: the folder to create; missing or empty.
         preset: hands (two hands in the air) or people (who stand and walk in a furnished room).
 
     Raises:
-        ConfigError: the folder exists, or a number is out of its range.
+        FormatError: the folder is not empty, or cannot be created.
     """
     write_generated(Path(path), preset, frames, seed, width_px, height_px)
     return open_recording(path)

@@ -22,7 +22,7 @@ from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
+from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import (
@@ -34,7 +34,7 @@ from annotator.workflows.detectors import (
     trained_detectors,
     view_model,
 )
-from annotator.workflows.evaluate import Choice, Measured, Protocol, evaluate_project
+from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, import_labels
@@ -156,26 +156,12 @@ class Project:
         return self.stored.labels.of_frame(frame.id)
 
     @overload
-    def detect(
-        self,
-        frames: Frame,
-        *,
-        image_boxes: Sequence[Box2D] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> FrameProposals: ...
+    def detect(self, frames: Frame, **options: Any) -> FrameProposals: ...
 
     @overload
-    def detect(
-        self,
-        frames: Sequence[Frame],
-        *,
-        image_boxes: Sequence[Sequence[Box2D]] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> list[FrameProposals]: ...
+    def detect(self, frames: Sequence[Frame], **options: Any) -> list[FrameProposals]: ...
 
-    def detect(
+    def detect(  # type: ignore[misc]  # the overloads leave the options to it
         self,
         frames: Frame | Sequence[Frame],
         *,
@@ -199,10 +185,10 @@ class Project:
         """
         several = [frames] if isinstance(frames, Frame) else list(frames)
         if image_boxes is None and image_detector is None:
-            image_detector, own = self._detector(DetectorKind.IMAGE), active_model(self.stored, DetectorKind.IMAGE)
-            image_kind = own.box_kind if image_kind is None else image_kind
+            image_detector, own = self._own_image()
+            image_kind = own if image_kind is None else image_kind
         boxes = image_boxes_of(frames, image_boxes, image_detector)
-        pair = self._pair(image_detector, image_kind_of(image_detector, image_kind))
+        pair = self._pair(None, image_kind_of(image_detector, image_kind))
         config, rotation = pair.settings(rcv_config(self.stored)), self.stored.config.settings.rotation
         proposals = propose_image_boxes(several, boxes, pair.view, config, rotation) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
@@ -213,9 +199,9 @@ class Project:
         Raises:
             DetectionError, FormatError, ConfigError: as `detect`.
         """
-        image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
-        pair = self._pair(self._detector(DetectorKind.IMAGE), image_kind)
-        return watch_with(frames, pair, rcv_config(self.stored), self.stored.config.settings.rotation)
+        return watch_with(
+            frames, self._pair(*self._own_image()), rcv_config(self.stored), self.stored.config.settings.rotation
+        )
 
     def annotate(
         self,
@@ -304,8 +290,8 @@ class Project:
             ConfigError: there is nothing to compare.
             RecordingError, FormatError: the truth cannot be read.
         """
-        chosen = Choice(choice("measured", measured, Measured))
-        return evaluate_project(self.stored, choice("protocol", protocol, Protocol), chosen)
+        options = Options(measured=choice("measured", measured, Measured))
+        return evaluate_project(self.stored, choice("protocol", protocol, Protocol), options)
 
     def close(self) -> None:
         """Closes the project."""
@@ -317,12 +303,21 @@ class Project:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _pair(self, image: ImageDetector | None, image_kind: BoxKind) -> Detectors:
-        view = self._detector(DetectorKind.VIEW)
-        # if the image boxes are given, the image detector is never called; the view detector takes its place
-        detector = image if isinstance(image, Detector) else view
-        model = view_model(self.stored)
-        return Detectors(detector, view, model.box_kind, model.class_agnostic, image_kind, model.trained)
+    def _pair(
+        self, image: Detector | None, image_kind: BoxKind, view: Detector | None = None, box_kind: Any = None
+    ) -> Detectors:
+        """With the project's view detector unless one is given; without `image`, only that one may be called."""
+        kinds: tuple[BoxKind, bool, BoxKind, bool]
+        if view is None:
+            model, view = view_model(self.stored), self._detector(DetectorKind.VIEW)
+            kinds = model.box_kind, model.class_agnostic, image_kind, model.trained
+        else:
+            kinds = kind_of(view, box_kind), False, image_kind, False
+        return Detectors(view if image is None else image, view, *kinds)
+
+    def _own_image(self) -> tuple[Detector, BoxKind]:
+        """The project's image detector, and what its boxes enclose."""
+        return self._detector(DetectorKind.IMAGE), active_model(self.stored, DetectorKind.IMAGE).box_kind
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
@@ -344,13 +339,5 @@ class Project:
                 raise ArgumentError(
                     f"{detector!r} is not a detector; pass an object with labels, fingerprint and detect"
                 )
-        if view is None:
-            model = view_model(self.stored)
-            view, kind, agnostic = self._detector(DetectorKind.VIEW), model.box_kind, model.class_agnostic
-            trained = model.trained
-        else:
-            kind, agnostic, trained = kind_of(view, box_kind), False, False
-        if image is not None:
-            return GivenDetectors(Detectors(image, view, kind, agnostic, image_kind_of(image, image_kind), trained))
-        image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
-        return GivenDetectors(Detectors(self._detector(DetectorKind.IMAGE), view, kind, agnostic, image_kind, trained))
+        image, kind = self._own_image() if image is None else (image, image_kind_of(image, image_kind))
+        return GivenDetectors(self._pair(image, kind, view, box_kind))

@@ -51,11 +51,7 @@ def run(
 
 
 def _is_dataset(what: str, projects: Path | None) -> bool:
-    """Whether `what` is the path of a dataset, not the name of a project.
-
-    Raises:
-        ConfigError: both a project and a path have this name, or the path is the folder of a project.
-    """
+    """Whether `what` is the path of a dataset, not the name of a project."""
     path = Path(what)
     is_name = len(path.parts) == 1 and not what.startswith(".")
     is_project = is_name and (projects_root(projects) / what).is_dir()

@@ -17,10 +17,9 @@ from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
 from annotator.demo import (
     PROJECT,
-    FirstDragPlan,
     FirstDragResult,
+    Plan,
     Progress,
-    TrainedPlan,
     TrainedResult,
     run_first_drag,
     run_trained,
@@ -29,6 +28,9 @@ from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
+
+# Without and with training: it needs frames to learn from, and others to be scored on.
+FRAMES = {False: 24, True: 48}
 
 
 class Preset(StrEnum):
@@ -72,8 +74,6 @@ def demo(
     frames: int | None = None,
     seed: Seed = 0,
     train: bool = False,
-    image_pictures: int | None = None,
-    view_pictures: int | None = None,
     no_serve: bool = False,
 ) -> None:
     """Label a generated recording with one 2D box per object; or, with --train, train detectors first.
@@ -91,17 +91,13 @@ def demo(
             of many shapes on a table or on the floor.
         frames: number of frames to generate; default: 24, or 48 with --train.
         train: train an image detector and a pseudo-view detector.
-        image_pictures: with --train: number of training images of the image detector, repeats included.
-        view_pictures: with --train: number of training images of the pseudo-view detector, repeats included.
         no_serve: do not open the workbench.
     """
-    _require_counts(2, frames=frames)
-    _require_counts(1, image_pictures=image_pictures, view_pictures=view_pictures)
-    _require_counts(0, seed=seed)
-    given = {"frames": frames, "image_pictures": image_pictures, "view_pictures": view_pictures}
-    options = {name: number for name, number in given.items() if number is not None}
-    if not train and options.keys() - {"frames"}:
-        raise ConfigError("--image-pictures and --view-pictures belong to the demo with training; add --train")
+    # before the work starts, which would fail after minutes
+    if frames is not None and frames < 2:
+        raise ConfigError(f"--frames must be 2 or more, not {frames}")
+    if seed < 0:
+        raise ConfigError(f"--seed must be 0 or more, not {seed}")
     root = out if out is not None else _new_folder()
     if not train and not has_base():
         print_line(
@@ -109,13 +105,11 @@ def demo(
         )
         train = True
     opens = not no_serve and _is_interactive()
-    if train:
-        _with_training(root, TrainedPlan(preset=preset.value, seed=seed, **options), opens=opens)
-    else:
-        _without_training(root, FirstDragPlan(preset=preset.value, seed=seed, **options), opens=opens)
+    plan = Plan(preset.value, frames or FRAMES[train], seed)
+    (_with_training if train else _without_training)(root, plan, opens=opens)
 
 
-def _without_training(root: Path, plan: FirstDragPlan, *, opens: bool) -> None:
+def _without_training(root: Path, plan: Plan, *, opens: bool) -> None:
     is_open = False
     with ExitStack() as workbench:
 
@@ -133,7 +127,7 @@ def _without_training(root: Path, plan: FirstDragPlan, *, opens: bool) -> None:
             _wait_for_interrupt()
 
 
-def _with_training(root: Path, plan: TrainedPlan, *, opens: bool) -> None:
+def _with_training(root: Path, plan: Plan, *, opens: bool) -> None:
     with progress_bar() as bar:
         result = run_trained(root, plan, _shown_on(bar))
     for line in _summary_with_training(root, result):
@@ -172,13 +166,6 @@ def _shown_on(bar: Bar) -> Progress:
 def _is_interactive() -> bool:
     """True at a terminal, except in continuous integration, which may have a terminal too."""
     return sys.stdin is not None and sys.stdin.isatty() and not os.environ.get("CI")
-
-
-def _require_counts(least: int, **options: int | None) -> None:
-    """Checks numbers before the work starts; otherwise the demo would fail after minutes."""
-    for name, number in options.items():
-        if number is not None and number < least:
-            raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")
 
 
 def _new_folder() -> Path:

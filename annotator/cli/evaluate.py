@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from annotator.cli.options import AsJson, Projects, RecordingNames, open_named
@@ -62,7 +63,9 @@ def run(
             raise ConfigError("give either files or --project, not both")
         with open_named(project, projects) as opened:
             ids = tuple(opened.recordings.find(name).id for name in recordings) or None
-            report = evaluate.evaluate_project(opened, protocol, evaluate.Choice(measured, against, ids), options)
+            report = evaluate.evaluate_project(
+                opened, protocol, replace(options, measured=measured, against=against, recordings=ids)
+            )
     # print first: the numbers may have taken minutes, and writing the curves may fail
     _show(report, as_json)
     if curves is not None:

@@ -9,8 +9,6 @@ import numpy as np
 from jaxtyping import Float, Float64
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.types import DetectorKind
-
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
 Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
 
@@ -44,32 +42,6 @@ class EdgeErrors(BaseModel):
         return np.asarray(self.factor * within**self.exponent)
 
 
-class Augmentation(BaseModel):
-    """Random changes of training images, limited to those that map an axis-aligned box onto an axis-aligned box.
-
-    Rotation by other angles, shear and perspective are left out: the box around a rotated box is larger than the box of
-    the rotated object, so the detector would learn boxes that are too large.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    flip_horizontal: float = Field(0.0, ge=0, le=1, description="probability of a left-right mirror image")
-    shift: float = Field(0.1, ge=0, le=0.5, description="largest shift, share of the image size")
-    scale: float = Field(0.2, ge=0, lt=1, description="largest change of size, share")
-    hue: float = Field(0.015, ge=0, le=0.5, description="largest change of hue, share of the colour circle")
-    saturation: float = Field(0.2, ge=0, le=1, description="largest change of saturation, share")
-    brightness: float = Field(0.2, ge=0, le=1, description="largest change of brightness, share")
-    mosaic: float = Field(0.0, ge=0, le=1, description="probability of an image composed of four")
-
-
-# The default augmentation of each detector; docs/detector_training.md has the measurements. Mirroring pseudo-views
-# reduces overfitting on small sets, although real views are never mirrored.
-AUGMENTATION = {
-    DetectorKind.IMAGE: Augmentation(flip_horizontal=0.5, scale=0.3, saturation=0.5, brightness=0.4),
-    DetectorKind.VIEW: Augmentation(flip_horizontal=0.5),
-}
-
-
 class TrainingConfig(BaseModel):
     """Settings of a training run; docs/detector_training.md explains the defaults."""
 
@@ -93,23 +65,11 @@ class TrainingConfig(BaseModel):
     measure_every: int | None = Field(
         None, ge=1, description="epochs between validations; None: about 12 validations per run"
     )
-
-    optimizer: Literal["MuonSgd", "SGD"] = Field(
-        "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; SGD: torch's"
+    recipe: dict[str, float | str] = Field(
+        default_factory=dict, description="ultralytics' settings in place of those of `training.trainer_settings`"
     )
-    learning_rate: float = Field(0.01, gt=0, description="peak learning rate")
-    final_learning_rate: float = Field(0.01, gt=0, le=1, description="final learning rate, share of the peak")
-    momentum: float = Field(0.9, ge=0, lt=1)
-    weight_decay: float = Field(0.0005, ge=0)
-    warmup_epochs: float = Field(1.0, ge=0, description="epochs over which the learning rate rises")
-
-    augmentation: Augmentation | None = Field(None, description="None: the default for the detector's kind")
     seed: int = Field(0, ge=0)
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
-
-    def augmentation_for(self, role: DetectorKind) -> Augmentation:
-        """The configured augmentation, or the default for the detector's kind."""
-        return self.augmentation or AUGMENTATION[role]
 
     def epochs_for(self, images: int) -> int:
         """Epochs for a number of training images: `epochs` if set, else as `pictures_seen` needs, from 10 to 300.

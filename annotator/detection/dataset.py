@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -25,9 +25,11 @@ from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
+from annotator.types.messages import first_problem
 
 MANIFEST_NAME = "manifest.json"
 Split = Literal["train", "val"]
+Record = TypeVar("Record", bound=BaseModel)
 
 
 class ManifestEntry(BaseModel):
@@ -70,19 +72,22 @@ class DatasetManifest(BaseModel):
     entries: tuple[ManifestEntry, ...]
 
 
-def read_manifest(folder: Path) -> DatasetManifest:
-    """Reads the manifest of a training set folder.
-
-    Raises:
-        FormatError: there is no manifest, or it cannot be read.
-    """
-    path = folder / MANIFEST_NAME
+def read_record(path: Path, model: type[Record], missing: str, remedy: str) -> Record:
+    """Reads a JSON file beside a training; `missing` and `remedy` are what the error says."""
     try:
-        return DatasetManifest.model_validate_json(read_file(path, TABLE_BYTES))
+        return model.model_validate_json(read_file(path, TABLE_BYTES))
     except FileNotFoundError as error:
-        raise FormatError(path, "no such file; this folder is not a training set written by annotator") from error
-    except (OSError, ValidationError) as error:
-        raise FormatError(path, f"not a training set manifest ({error}); write the training set again") from error
+        raise FormatError(path, f"no such file; {missing}") from error
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror or error}); {remedy}") from error
+    except ValidationError as error:
+        raise FormatError(path, f"has other content ({first_problem(error)}); {remedy}") from error
+
+
+def read_manifest(folder: Path) -> DatasetManifest:
+    """Reads the manifest of a training set folder."""
+    missing = "this folder is not a training set written by annotator"
+    return read_record(folder / MANIFEST_NAME, DatasetManifest, missing, "write the training set again")
 
 
 SHARE = 0.2
@@ -151,11 +156,6 @@ def write_dataset(
         is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
         kind: what the boxes measure; recorded in the manifest.
-
-    Raises:
-        ConfigError: an invalid class list, or a box of an unknown class.
-        DetectionError: there is no box to train on, an image is unreadable, or `folder` is not a training set.
-        FormatError: the folder cannot be created.
     """
     _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder

@@ -23,6 +23,8 @@ from annotator.types.errors import DetectionError
 
 # Minimum width and height of a detected box, pixels.
 MIN_SIDE_PX = 1.0
+# An object is detected on a view that shows this many of its points, and this share of them.
+LEAST_SHOWN, LEAST_SHARE_SHOWN = 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,6 @@ class PerfectDetector:
         jitter: float = 0.0,
         seed: int = 0,
         min_points: int = 1,
-        min_view_share: float = 0.1,
     ) -> None:
         """
         Args:
@@ -71,14 +72,11 @@ class PerfectDetector:
                 (on a camera image: of the box's extent).
             seed: seed of the noise, which depends on the image, not on the order of calls.
             min_points: objects with fewer points in the cloud are not detected.
-            min_view_share: an object is detected on a view that shows at least this share of its points, and at least
-                3 points.
         """
         self._scenes = {scene.key: scene for scene in scenes}
         if len(self._scenes) != len(scenes):
             raise ValueError("two frames have the same key")
-        self._kind, self._jitter, self._seed = kind, jitter, seed
-        self._min_points, self._min_view_share = min_points, min_view_share
+        self._kind, self._jitter, self._seed, self._min_points = kind, jitter, seed, min_points
 
     @classmethod
     def for_frame(
@@ -105,9 +103,7 @@ class PerfectDetector:
     @property
     def fingerprint(self) -> str:
         """Hash of the boxes and the settings."""
-        digest = hashlib.sha256(
-            f"{self._kind} {self._jitter} {self._seed} {self._min_points} {self._min_view_share}".encode()
-        )
+        digest = hashlib.sha256(f"{self._kind} {self._jitter} {self._seed} {self._min_points}".encode())
         for key, scene in sorted(self._scenes.items()):
             digest.update(key.encode())
             for truth in scene.truths:
@@ -190,7 +186,7 @@ class PerfectDetector:
         boxes = []
         for index in np.argsort(shown, kind="stable")[::-1]:
             truth, points = scene.truths[index], scene.points[index]
-            if points < self._min_points or shown[index] < max(3, self._min_view_share * points):
+            if points < self._min_points or shown[index] < max(LEAST_SHOWN, LEAST_SHARE_SHOWN * points):
                 continue
             if self._kind is BoxKind.BOX:
                 xyz = box_corners(truth.box)

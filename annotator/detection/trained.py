@@ -8,12 +8,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.config import EdgeErrors, TrainingConfig
-from annotator.detection.dataset import Split
+from annotator.detection.dataset import Split, read_record
 from annotator.detection.weights import DESCRIPTION, describe, filled, half, read_facts, read_tensors, write_tensors
-from annotator.files import read_file, write_atomic
+from annotator.files import write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import DetectionError, FormatError
-from annotator.types.messages import first_problem
 
 MODEL_NAME, RUN_NAME = "model.json", "run.json"
 
@@ -94,39 +93,19 @@ class RunRecord(BaseModel):
 
 
 def read_trained(folder: Path) -> TrainedModel:
-    """Reads a finished run.
-
-    Raises:
-        FormatError: the folder has no finished run, or it cannot be read.
-    """
-    path = folder / MODEL_NAME
-    try:
-        stored = TrainedModel.model_validate_json(read_file(path))
-    except FileNotFoundError as error:
-        raise FormatError(path, "no such file; the detector is not trained, or its training was interrupted") from error
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror or error}); train the detector again") from error
-    except ValidationError as error:
-        raise FormatError(path, f"not a trained model ({first_problem(error)}); train the detector again") from error
+    """Reads a finished run."""
+    path, remedy = folder / MODEL_NAME, "train the detector again"
+    missing = "the detector is not trained, or its training was interrupted"
+    stored = read_record(path, TrainedModel, missing, remedy)
     if stored.weights.name != str(stored.weights):
-        raise FormatError(path, f"names weights outside its folder ({stored.weights}); train the detector again")
+        raise FormatError(path, f"names weights outside its folder ({stored.weights}); {remedy}")
     return stored.model_copy(update={"weights": folder / stored.weights})
 
 
 def read_run(folder: Path) -> RunRecord | None:
     """Reads the run in a folder; None if the folder has no run."""
-    path = folder / RUN_NAME
-    if not path.is_file():
-        return None
-    try:
-        return RunRecord.model_validate_json(read_file(path))
-    except OSError as error:
-        raise FormatError(
-            path, f"cannot be read ({error.strerror or error}); remove the folder and train again"
-        ) from error
-    except ValidationError as error:
-        problem = f"not a training run ({first_problem(error)}); remove the folder and train again"
-        raise FormatError(path, problem) from error
+    path, remedy = folder / RUN_NAME, "remove the folder and train again"
+    return read_record(path, RunRecord, remedy, remedy) if path.is_file() else None
 
 
 LAST, BEST = "last.safetensors", "best.safetensors"

@@ -177,8 +177,11 @@ class Watch:
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
-# Epochs without mosaic at the end of a training with it; as in Ultralytics.
-MOSAIC_OFF_EPOCHS = 10
+# Random changes of training images that differ between the detectors: of size, saturation and brightness, shares.
+COLOURS_AND_SCALE = {
+    DetectorKind.IMAGE: {"scale": 0.3, "hsv_s": 0.5, "hsv_v": 0.4},
+    DetectorKind.VIEW: {"scale": 0.2, "hsv_s": 0.2, "hsv_v": 0.2},
+}
 
 
 def train_detector(
@@ -199,13 +202,6 @@ def train_detector(
         out: folder of the run; `detector.safetensors`, `model.json` and `curves.csv` are written there.
         progress: called after every batch and every epoch.
         stop: called after every batch; true stops the run.
-
-    Raises:
-        ConfigError: the model name is unknown, the weights file is missing or damaged, or ultralytics cannot read the
-            path.
-        DetectionError: the device is missing, or the training fails.
-        FormatError: `dataset` is not a training set.
-        TrainingStoppedError: `stop` returned true.
     """
     if "?" in str(out.resolve()):  # ultralytics would fail, but only after the training
         raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")
@@ -284,7 +280,6 @@ def _run(
 
 def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, device: str, out: Path) -> dict[str, Any]:
     """The settings under ultralytics' names."""
-    augmentation = config.augmentation_for(role)
     # Unlike ultralytics' other mixed precision, bfloat16 needs no trial run with downloaded weights.
     mixed = "bf16" if device.startswith("cuda") and api().torch.cuda.is_bf16_supported() else False
     return {
@@ -298,29 +293,26 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "batch": config.batch,
         "nbs": config.batch,
         "patience": 0,  # never stops early
-        "optimizer": config.optimizer,
-        "lr0": config.learning_rate,
-        "lrf": config.final_learning_rate,
-        "momentum": config.momentum,
-        "weight_decay": config.weight_decay,
-        "warmup_epochs": config.warmup_epochs,
+        "optimizer": "MuonSgd",
+        "lr0": 0.01,  # the peak, and the share of it that is left at the end
+        "lrf": 0.01,
+        "momentum": 0.9,
+        "weight_decay": 0.0005,
+        "warmup_epochs": 1.0,
         "warmup_bias_lr": 0.0,
         # weights of the losses on the overlap of boxes, on classes and on edges
         "box": 7.5,
         "cls": 0.5,
         "dfl": 1.5,
-        "fliplr": augmentation.flip_horizontal,
-        "flipud": 0.0,
-        "translate": augmentation.shift,
-        "scale": augmentation.scale,
-        "degrees": 0.0,
-        "shear": 0.0,
-        "perspective": 0.0,
-        "hsv_h": augmentation.hue,
-        "hsv_s": augmentation.saturation,
-        "hsv_v": augmentation.brightness,
-        "mosaic": augmentation.mosaic,
-        "close_mosaic": MOSAIC_OFF_EPOCHS if augmentation.mosaic else 0,
+        # No rotation, shear or perspective: the box around a rotated box is larger than that of the rotated object, so
+        # the detector would learn boxes that are too large. Mirroring pseudo-views reduces overfitting on small sets,
+        # although real views are never mirrored (docs/detector_training.md).
+        **dict.fromkeys(("flipud", "degrees", "shear", "perspective", "mosaic"), 0.0),
+        "close_mosaic": 0,
+        "fliplr": 0.5,
+        "translate": 0.1,
+        "hsv_h": 0.015,
+        **COLOURS_AND_SCALE[role],
         "seed": config.seed,
         "deterministic": False,
         "device": device.removeprefix("cuda:") if device != "cuda" else "0",
@@ -329,6 +321,7 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "amp": mixed,
         "plots": False,
         "verbose": False,
+        **config.recipe,
     }
 
 

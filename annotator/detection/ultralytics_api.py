@@ -12,13 +12,12 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 from annotator.types.errors import DetectionError
 
@@ -206,36 +205,21 @@ def pick_device(device: str) -> Any:
     return picked
 
 
-@dataclass(frozen=True)
-class CudaDevice:
-    """A CUDA device.
-
-    Attributes:
-        capability: its compute capability, such as "8.9".
-        memory_bytes, free_bytes: total memory, and the part that is free now.
-    """
+class CudaDevice(NamedTuple):
+    """A CUDA device: torch's name of it, its model and compute capability, and its total and free memory."""
 
     name: str
     model: str
-    capability: str
     memory_bytes: int
     free_bytes: int
 
 
-@dataclass(frozen=True)
-class TorchFacts:
-    """The installed torch."""
-
-    version: str
-    cuda: str | None
-    has_mps: bool
-
-
-def torch_facts() -> TorchFacts:
-    """Facts about the installed torch."""
+def torch_build() -> str:
+    """The version of torch and what it was built for, for people."""
     import torch
 
-    return TorchFacts(str(torch.__version__), torch.version.cuda, bool(torch.backends.mps.is_available()))
+    built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built without CUDA"
+    return f"{torch.__version__}, {built}" + (", with Apple's MPS" if torch.backends.mps.is_available() else "")
 
 
 def cuda_devices() -> list[CudaDevice]:
@@ -252,6 +236,7 @@ def cuda_devices() -> list[CudaDevice]:
     devices = []
     for number in range(torch.cuda.device_count()):
         facts = torch.cuda.get_device_properties(number)
+        model = f"{facts.name}, compute capability {facts.major}.{facts.minor}"
         free, total = torch.cuda.mem_get_info(number)
-        devices.append(CudaDevice(f"cuda:{number}", str(facts.name), f"{facts.major}.{facts.minor}", total, free))
+        devices.append(CudaDevice(f"cuda:{number}", model, total, free))
     return devices

@@ -191,11 +191,7 @@ MOST_NAME = 1000
 
 
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
-    """Loads a detection model in eval mode, in single precision. No code of the file is run.
-
-    Raises:
-        DetectionError: the file is missing, unreadable, too large or not a detection model of ultralytics.
-    """
+    """Loads a detection model in eval mode, in single precision. No code of the file is run."""
     if not path.is_file():
         raise DetectionError(f"{path}: no such weights file; train a detector first")
     if is_network_file(path):

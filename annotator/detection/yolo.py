@@ -227,11 +227,6 @@ class YoloDetector:
         """
         Args:
             weights: the file of a training run, or ultralytics' own detection weights.
-
-        Raises:
-            ConfigError: the backend cannot use the device.
-            DetectionError: the weights, the device or the backend cannot be used.
-            MissingExtraError: the backend is not installed.
         """
         self.weights = weights
         self._config = config
@@ -274,11 +269,7 @@ class YoloDetector:
         return self._fingerprint
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One list of boxes per image, best score first, clipped to the image.
-
-        Raises:
-            DetectionError: an image is not (H, W, 3) uint8, or the backend fails.
-        """
+        """One list of boxes per image, best score first, clipped to the image."""
         pictures = [_checked(image.rgb) for image in images]
         stride = self._network.facts.stride
         placements = [

@@ -32,7 +32,6 @@ from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFram
 from annotator.formats.losses import Lost
 from annotator.formats.reading import MOST, text_files, text_rows
 from annotator.formats.units import Angles, AngleUnit
-from annotator.geometry.occlusion import Sight
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.text import spelled, to_number

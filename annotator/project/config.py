@@ -91,7 +91,7 @@ class ProjectSettings(BaseModel):
     """Defaults for options that are not given on the command line.
 
     Attributes:
-        rcv: settings of the recursion that differ from the defaults, groups as JSON objects. They are validated when
+        rcv: settings of the recursion that differ from the defaults. They are validated when
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
             None: never.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.normals import normals_from_depth, normals_knn
 from annotator.geometry.projection import every_nth, in_frustums
-from annotator.rcv.config import RcvConfig, Strategy
+from annotator.rcv.config import MIN_POINTS, RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PointCloud
 
 # Relative gap between eigenvalues below which they determine no axes.
@@ -101,14 +101,14 @@ def upright_axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
 
 
 def eigenvector_axes(
-    xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, min_points: int
+    xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None
 ) -> Float64[np.ndarray, "3 3"]:
     """Principal axes of the points; of their footprint if `up` is given.
 
     Raises:
         NoAxesError: too few points, or eigenvalues that are too similar.
     """
-    if len(xyz_m) < max(4, min_points):
+    if len(xyz_m) < MIN_POINTS:
         raise NoAxesError(f"too few points for eigenvectors ({len(xyz_m)})")
     centred = np.asarray(xyz_m, np.float64) - np.mean(xyz_m, axis=0, dtype=np.float64)
     if up is not None:
@@ -217,7 +217,7 @@ def find_axes(
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
                 axes = normal_axes(normals, up)
             else:
-                axes = eigenvector_axes(cloud.xyz_m, up, config.min_points)
+                axes = eigenvector_axes(cloud.xyz_m, up)
         except NoAxesError as error:
             failed.append(f"{candidate}: {error}")
             continue

@@ -96,6 +96,10 @@ REVISION = 6
 AGNOSTIC_LABELS = {BoxKind.BOX: "whole", BoxKind.SILHOUETTE: "seen"}
 
 
+# With fewer points, the recursion ends.
+MIN_POINTS = 5
+
+
 class Strategy(StrEnum):
     """How the projection axes of a step are found, from the simplest to the most complex strategy."""
 
@@ -112,18 +116,6 @@ class Orientation(StrEnum):
     FREE = "free"
 
 
-class ViewConfig(BaseModel):
-    """How pseudo-views are drawn."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    size_px: int = Field(64, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
-    deep_size_px: int = Field(
-        224, ge=32, le=2048, description="longer side of a first-step view of a deep frustum, pixels"
-    )
-    deep: float = Field(2.0, gt=0, description="depth/width ratio of a frustum above which `deep_size_px` applies")
-
-
 class RcvConfig(BaseModel):
     """Settings of the recursion. The defaults gave the best results (docs/benchmarks.md)."""
 
@@ -133,7 +125,7 @@ class RcvConfig(BaseModel):
     orientation: Orientation = Orientation.FREE
     box_kind: BoxKind = Field(BoxKind.BOX, description="what the view detector's boxes measure")
     image_box_kind: BoxKind = Field(BoxKind.BOX, description="what the boxes on the camera image enclose")
-    view: ViewConfig = ViewConfig()
+    view_px: int = Field(64, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     typical_sizes: tuple[TypicalSize, ...] = Field(
         (), description="typical sizes of classes, in place of those of reviewed boxes and of well-known classes"
     )
@@ -157,7 +149,6 @@ class RcvConfig(BaseModel):
         le=16,
         description="consensus: refinement steps after the wide step; cut-off objects get more, up to `max_steps`",
     )
-    min_points: int = Field(5, ge=1, description="minimum number of points; with fewer, the recursion ends")
 
     min_image_score: float = Field(0.25, ge=0, le=1, description="image detections with a lower score are ignored")
     min_view_score: float = Field(0.05, ge=0, le=1, description="view detections with a lower score are ignored")

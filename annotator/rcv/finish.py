@@ -13,7 +13,7 @@ from annotator.geometry.iou import box_iou, iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.first_look import expected_outline
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Candidates, best_expected, changed
@@ -162,7 +162,7 @@ def _coarse_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
     """The last box of a lost object, or the box around its frustum's points (RCV paper, section II.B)."""
     if state.box is not None:
         return state.box
-    if len(state.cloud) < config.min_points:
+    if len(state.cloud) < MIN_POINTS:
         return None
     return canonical_box(aligned_box(state.cloud.xyz_m, camera_axes(state.up).T), state.up)
 

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.outline import edges_at_border
 from annotator.geometry.projection import project, undistort_px
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, BoxKind, Camera
 
@@ -52,20 +52,17 @@ def depth_crop(xyz_m: Float[np.ndarray, "n 3"], depth_m: float, length_m: float)
     return np.asarray(np.abs(xyz_m[:, 2] - depth_m) <= length_m / 2)
 
 
-def depth_crops(
-    camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D, min_points: int
-) -> list[Bool[np.ndarray, "n"]]:
+def depth_crops(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D) -> list[Bool[np.ndarray, "n"]]:
     """The masks of different crops along the depth, the short ones first.
 
     Args:
         xyz_m: the points in the frustum of `image_box`, camera frame.
-        min_points: crops with fewer points are left out.
     """
     depths = np.percentile(xyz_m[in_middle(camera, xyz_m, image_box), 2], DEPTH_PERCENTILES)
     crops: list[np.ndarray] = []
     for length, depth in product(LENGTHS, depths.tolist()):
         crop = depth_crop(xyz_m, depth, length * width_at(camera, image_box, depth))
-        if crop.sum() >= min_points and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
+        if crop.sum() >= MIN_POINTS and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
             crops.append(crop)
     return crops
 

@@ -18,7 +18,7 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import NEAR_M, box_on_image
 from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes, find_axes, frame_with_normals, with_normals
-from annotator.rcv.config import RcvConfig, Strategy
+from annotator.rcv.config import MIN_POINTS, RcvConfig, Strategy
 from annotator.rcv.measure import any_cut, make_pair
 from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
@@ -78,7 +78,7 @@ def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvCon
 def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | None:
     """Front and side view of an image box's frustum along the camera axes; None if it has too few points."""
     cloud = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
-    if len(cloud) < config.min_points:
+    if len(cloud) < MIN_POINTS:
         return None
     return frustum_views(cloud, camera_axes(held_direction(frame.up, config)), config)
 
@@ -101,7 +101,7 @@ def next_views(
     """
     (axes, front_span), (_, side_span) = spans
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
-    if mask.sum() < config.min_points:
+    if mask.sum() < MIN_POINTS:
         return None
     frustum = with_normals(frame, mask).select(mask)
     # as in the recursion, so that these views look like those that the detector will process
@@ -110,12 +110,12 @@ def next_views(
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
     box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
     cloud = cut_cloud(frustum, box, (front, side))
-    if len(cloud) < config.min_points:
+    if len(cloud) < MIN_POINTS:
         return None
     if next_axes is None:
         next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
     show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0))))
-    front, side = render_pairs(cloud, [next_axes], config.view, show)
+    front, side = render_pairs(cloud, [next_axes], config.view_px, show)
     return front, side
 
 

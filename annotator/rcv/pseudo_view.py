@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8, UInt32
 
 from annotator.geometry.projection import thin
 from annotator.geometry.transforms import unit
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.config import RcvConfig
 from annotator.types import PointCloud, PseudoView
 
 # Rendering of points: each is drawn as a square that closes gaps; a pixel shows the nearest point.
@@ -26,6 +26,8 @@ BACKGROUND = 114
 MIN_EXTENT_M, MAX_SPLAT_PX = 0.02, 9
 # Empty border of a view on each side, share of the shown extent.
 PADDING = 0.06
+# Depth/width ratio of a frustum above which its first views are larger, and their longer side, pixels.
+DEEP, DEEP_VIEW_PX = 2.0, 224
 # Larger clouds are thinned to this many points per pixel of a square view.
 POINTS_PER_PX = 4
 # The bits of the smallest and the largest normal positive float32: the range of keys.
@@ -44,13 +46,11 @@ class Window:
     height_px: int
 
 
-def fit_windows(
-    low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], config: ViewConfig
-) -> list[Window]:
+def fit_windows(low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], size_px: int) -> list[Window]:
     """The windows that show view coordinates from `low_m` to `high_m`, with a border."""
     extent = np.maximum(high_m - low_m, MIN_EXTENT_M) * (1 + 2 * PADDING)
-    scale = extent.max(axis=1) / config.size_px
-    size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
+    scale = extent.max(axis=1) / size_px
+    size = np.clip(np.ceil(extent / scale[:, None]), min(8, size_px), size_px)
     origin = (low_m + high_m) / 2 - (size - 1) / 2 * scale[:, None]
     origin.flags.writeable = False
     sides = size.astype(int).tolist()
@@ -160,7 +160,7 @@ def point_colors(cloud: PointCloud) -> UInt8[np.ndarray, "n 3"] | None:
 def render_pairs(
     cloud: PointCloud,
     axes: Sequence[Float64[np.ndarray, "3 3"]],
-    config: ViewConfig,
+    size_px: int,
     show: Float[np.ndarray, "m 3"] | None = None,
     *,
     every_point: bool = False,
@@ -169,6 +169,7 @@ def render_pairs(
 
     Args:
         cloud: at least one point, camera frame.
+        size_px: longer side of a view.
         axes: each with rows a1, a2, a3, right-handed and orthonormal. The front view looks along a3 with a1 to
             the right and a2 down; the side view shares a2 and has a3 to the right.
         show: additional points, metres, that must lie within the views (the corners of the last step's box).
@@ -178,14 +179,14 @@ def render_pairs(
 
     if not axes:
         return []
-    keep = None if every_point else drawn_points(len(cloud), config.size_px)
+    keep = None if every_point else drawn_points(len(cloud), size_px)
     drawn = cloud if keep is None else cloud.select(keep)
     # one row per coordinate, so that the loops run along contiguous memory
     xyz = np.array(drawn.xyz_m.T, order="C")
     front_axes = np.stack(axes)
     least, most = np.empty((2, len(front_axes), 3), np.float32)
     kernel.extents(xyz, front_axes.astype(np.float32), least, most)
-    windows = pair_windows(front_axes, least, most, config, show)
+    windows = pair_windows(front_axes, least, most, size_px, show)
     view_axes = np.stack([front_axes, side_axes(front_axes)], axis=1).reshape(-1, 3, 3)
     view_axes.flags.writeable = False
     # the side view looks along -a1
@@ -228,7 +229,7 @@ def pair_windows(
     axes: Float64[np.ndarray, "k 3 3"],
     least_m: Float32[np.ndarray, "k 3"],
     most_m: Float32[np.ndarray, "k 3"],
-    config: ViewConfig,
+    size_px: int,
     show: Float[np.ndarray, "m 3"] | None,
 ) -> list[Window]:
     """The windows of the views along each set of axes: front 0, side 0, front 1, ...
@@ -243,7 +244,7 @@ def pair_windows(
         corners = axes @ show.T
         low, high = np.minimum(low, corners.min(axis=2)), np.maximum(high, corners.max(axis=2))
     front_and_side = np.array([[0, 1], [2, 1]])
-    return fit_windows(low[:, front_and_side].reshape(-1, 2), high[:, front_and_side].reshape(-1, 2), config)
+    return fit_windows(low[:, front_and_side].reshape(-1, 2), high[:, front_and_side].reshape(-1, 2), size_px)
 
 
 def frustum_views(
@@ -260,18 +261,17 @@ def frustum_views(
         axes: as in `render_pairs`.
         enlarge_deep: False for crops of a frustum, which class-agnostic detectors see at the usual size.
     """
-    view, is_large = config.view, enlarge_deep and is_deep(cloud, config)
-    if is_large:
-        view = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
+    is_large = enlarge_deep and is_deep(cloud)
+    size_px = max(config.view_px, DEEP_VIEW_PX) if is_large else config.view_px
     # all points are drawn, because thinning would leave too few points of a far object
-    front, side = render_pairs(cloud, [axes], view, every_point=True)
+    front, side = render_pairs(cloud, [axes], size_px, every_point=True)
     if not is_large:
         return front, side
-    return replace(front, look_px=view.deep_size_px), replace(side, look_px=view.deep_size_px)
+    return replace(front, look_px=DEEP_VIEW_PX), replace(side, look_px=DEEP_VIEW_PX)
 
 
-def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
-    """True if a frustum's depth is more than `config.view.deep` times its width and height.
+def is_deep(cloud: PointCloud) -> bool:
+    """True if a frustum's depth is more than `DEEP` times its width and height.
 
     The object is then small in the side view: with 60 m of street behind, a pedestrian is 2 of 96 pixels wide.
     Depth is measured along the frustum, which may lie at any angle to the camera's axis.
@@ -285,4 +285,4 @@ def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     least, most = np.empty((2, 1, 3), np.float32)
     kernel.extents(xyz, frustum_axes[None], least, most)
     width, height, depth = (most - least)[0].tolist()
-    return bool(depth > config.view.deep * max(width, height))
+    return bool(depth > DEEP * max(width, height))

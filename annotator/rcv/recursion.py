@@ -16,7 +16,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
+from annotator.rcv.config import AGNOSTIC_LABELS, MIN_POINTS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import (
@@ -146,7 +146,7 @@ def start(
     """The state before the first step; already stopped if the frustum has too few points."""
     held = held_direction(up, config)
     state = ObjectState(frame_index, image_box, cloud, held, camera_axes(held))
-    if len(cloud) < config.min_points:
+    if len(cloud) < MIN_POINTS:
         step = StepTrace(Strategy.CAMERA, (), (), None, len(cloud), 0, StopReason.TOO_FEW_POINTS)
         return replace(state, steps=(step,), stop=StopReason.TOO_FEW_POINTS)
     return state
@@ -169,7 +169,7 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
         views = frustum_views(state.cloud, axes[0], config, enlarge_deep=state.frustum is None)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut))
-        views = render_pairs(state.cloud, axes, config.view, show)
+        views = render_pairs(state.cloud, axes, config.view_px, show)
     return StepPlan(strategy, fallback, tuple(axes), tuple(views))
 
 
@@ -292,7 +292,7 @@ def _advance(
 def _stop(
     state: ObjectState, points: int, turned_rad: float, change: float, is_cut: bool, config: RcvConfig
 ) -> StopReason:
-    if points < config.min_points:
+    if points < MIN_POINTS:
         return StopReason.TOO_FEW_POINTS
     steps = len(state.steps) + 1
     # In a consensus, agreement with the first step is not convergence, because the camera's axes do not depend on the

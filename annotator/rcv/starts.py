@@ -24,7 +24,7 @@ from annotator.geometry.iou import box_iou, iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains, nearest_upright
 from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
 from annotator.rcv.measure import UNDETERMINED
@@ -51,7 +51,7 @@ def begin(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectS
     if not config.class_agnostic or state.stop is not StopReason.CONTINUES:
         return [state]
     # the views of a deep frustum show too little of an object
-    if config.trained and not is_deep(state.cloud, config):
+    if config.trained and not is_deep(state.cloud):
         evidence = _evidence(camera, state, config)
         if evidence is not None:
             return [replace(state, frustum=replace(_facts(camera, state), evidence=evidence), cold=state)]
@@ -87,8 +87,8 @@ def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[
     facts, evidence = _facts(camera, state), _evidence(camera, state, config)
     if evidence is not None:
         return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), STARTS, config)
-    crops = depth_crops(camera, state.cloud.xyz_m, state.image_box, config.min_points)
-    whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
+    crops = depth_crops(camera, state.cloud.xyz_m, state.image_box)
+    whole = [] if crops and is_deep(state.cloud) else [replace(state, frustum=facts)]
     return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
 
 
@@ -115,7 +115,7 @@ def _placed(state: ObjectState, facts: FrustumFacts, count: int, config: RcvConf
     for placed in distinct(facts.placed, count, STARTS_IOU):
         box = canonical_box(placed, state.up)
         cloud = facts.cloud.select(contains(box, facts.cloud.xyz_m, START_ROOM * float(box.size_m.mean())))
-        if len(cloud) >= config.min_points:
+        if len(cloud) >= MIN_POINTS:
             started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T))
     return started or [state]
 
@@ -192,7 +192,7 @@ def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> 
     box = start_box if cold.up is None else nearest_upright(start_box, cold.up)[0]
     box = canonical_box(box, cold.up)
     cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box)))
-    if len(cloud) < config.min_points:
+    if len(cloud) < MIN_POINTS:
         return _dropped(cold, f"too few points around the start box ({len(cloud)})")
     axes = box.rotation.T
     return replace(cold, cloud=cloud, axes=axes, box=box, notes=(WARM_START,), is_warm=True, cold=cold)

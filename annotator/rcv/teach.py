@@ -210,7 +210,7 @@ def _draw(
             return None  # mostly behind the camera or outside the image; the visible rest would be background
         if choice >= stages.frustum:
             keep = _along_depth(scene.frame, keep, target_mask, box, rng)
-        elif stages.depth and is_deep(scene.frame.cloud.select(keep), config):
+        elif stages.depth and is_deep(scene.frame.cloud.select(keep)):
             return None  # class-agnostic detectors see deep frustums only as crops
     elif choice < stages.frustum + stages.depth + stages.wide:
         crop = _camera_crop(target.box, up, _one_of(stages.span_jitter, rng), rng)
@@ -226,7 +226,7 @@ def _draw(
     if is_frustum:
         views = frustum_views(cloud, axes, config, enlarge_deep=not stages.depth)
     else:
-        views = render_pairs(cloud, [axes], config.view, show)
+        views = render_pairs(cloud, [axes], config.view_px, show)
     return _Drawn(views, scene, keep, [int(mask.sum()) for mask in whole.masks])
 
 

@@ -278,7 +278,7 @@ def _detected_ends(
 ) -> Float64[np.ndarray, "3 2"] | None:
     """Where the detector ends the whole object along the axes; None if it does not find it on both views."""
     label = AGNOSTIC_LABELS[BoxKind.BOX] if config.class_agnostic else name
-    front, side = render_pairs(cloud, [axes], config.view, None)
+    front, side = render_pairs(cloud, [axes], config.view_px, None)
     found = [
         [box for box in boxes if box.label == label and box.score >= config.min_view_score]
         for boxes in view.detect([front, side])

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from annotator.synthetic.mesh import Blobs, Mesh, turn_x, turn_y, turn_z
+from annotator.synthetic.mesh import Mesh, Parts, turn_x, turn_y, turn_z
 
 # For each finger from index to little: knuckle x, y; the three bones' lengths; base radius. Metres, an adult's hand.
 FINGERS = (
@@ -72,7 +72,7 @@ GESTURES = np.array(
 
 def hand_mesh(pose: HandPose, scale: float, skin: int, nail: int, track: int, *, left: bool) -> Mesh:
     """The hand in hand coordinates, metres; `scale` 1 is an adult's hand of 0.19 m."""
-    blobs = Blobs(track)
+    blobs = Parts(track)
     _palm(blobs, skin, pose)
     for (x, y, bones, radius), bend, spread in zip(FINGERS, pose.bend, FINGER_SPREAD, strict=True):
         turn = turn_z(spread * pose.spread * (1 - 0.7 * bend))
@@ -83,11 +83,11 @@ def hand_mesh(pose: HandPose, scale: float, skin: int, nail: int, track: int, *,
     return replace(mesh, vertices=mesh.vertices * np.float32(scale)).moved(mirror, np.zeros(3))
 
 
-def _palm(blobs: Blobs, skin: int, pose: HandPose) -> None:
+def _palm(blobs: Parts, skin: int, pose: HandPose) -> None:
     """Adds one flat blob per finger (its bone within the hand, visible as a tendon), the palm and the two pads."""
     for (x, y, _, radius), at in zip(FINGERS, (0.013, 0.005, -0.005, -0.013), strict=True):
         wrist, knuckle = np.array([0.006, at, 0.0]), np.array([x, y, 0.0])
-        blobs.add(
+        blobs.blob(
             wrist, knuckle, (0.0135, 0.0125), skin, end_radii=(radius + 0.0035, radius + 0.002), side=np.eye(3)[1]
         )
     middle = np.array([0.052, 0.0, -0.003])
@@ -98,7 +98,7 @@ def _palm(blobs: Blobs, skin: int, pose: HandPose) -> None:
 
 
 def _finger(
-    blobs: Blobs,
+    blobs: Parts,
     at: np.ndarray,
     turn: np.ndarray,
     bones: tuple[float, ...],
@@ -111,12 +111,12 @@ def _finger(
         turn = turn @ turn_y(full * bend)
         end = at + turn @ np.array([bone, 0.0, 0.0])
         r = radius * shrink
-        blobs.add(at, end, (r, r), skin, end_radii=(0.92 * r, 0.88 * r), side=turn[:, 1])
+        blobs.blob(at, end, (r, r), skin, end_radii=(0.92 * r, 0.88 * r), side=turn[:, 1])
         at = end
     _nail(blobs, at, turn, radius * 0.8, nail)
 
 
-def _thumb(blobs: Blobs, pose: HandPose, skin: int, nail: int) -> None:
+def _thumb(blobs: Parts, pose: HandPose, skin: int, nail: int) -> None:
     """Adds the three bones of the thumb; across the palm it rotates down and inward."""
     away, across = 0.75 - 0.45 * pose.thumb, 0.25 + 0.75 * pose.thumb
     turn = turn_z(away) @ turn_y(across) @ turn_x(-0.9 - 0.5 * pose.thumb)
@@ -124,12 +124,12 @@ def _thumb(blobs: Blobs, pose: HandPose, skin: int, nail: int) -> None:
     for bone, full, r in zip(THUMB_BONES, (0.15, 0.7, 0.9), (0.0135, 0.0108, 0.0098), strict=True):
         turn = turn @ turn_y(full * pose.thumb_bend)
         end = at + turn @ np.array([bone, 0.0, 0.0])
-        blobs.add(at, end, (r, r), skin, end_radii=(0.9 * r, 0.86 * r), side=turn[:, 1])
+        blobs.blob(at, end, (r, r), skin, end_radii=(0.9 * r, 0.86 * r), side=turn[:, 1])
         at = end
     _nail(blobs, at, turn, 0.0092, nail)
 
 
-def _nail(blobs: Blobs, tip: np.ndarray, turn: np.ndarray, radius: float, nail: int) -> None:
+def _nail(blobs: Parts, tip: np.ndarray, turn: np.ndarray, radius: float, nail: int) -> None:
     at = tip + turn @ np.array([-0.001, 0.0, 0.62 * radius])
     blobs.ball(at, (0.0062, 0.62 * radius, 0.0034), nail, axes=turn)
 

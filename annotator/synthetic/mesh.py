@@ -20,6 +20,9 @@ RINGS = 5  # per half of a blob, without the pole
 Number = float | int
 Triple = tuple[Number, Number, Number]
 
+IDENTITY = np.eye(3)
+# Straight pieces of a ring or of the wall of a tube.
+PIECES = 14
 BOX_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
@@ -68,20 +71,21 @@ def joined(meshes: list[Mesh]) -> Mesh:
 
 
 @dataclass
-class Blobs:
-    """A builder of one mesh from many blobs.
+class Parts:
+    """A builder of one mesh from many parts; metres, in the object's own coordinates.
 
     Attributes:
         track: track id for the blobs that are added next.
     """
 
     track: int = 0
+    _meshes: list[Mesh] = field(default_factory=list)
     _ends: list[np.ndarray] = field(default_factory=list)
     _radii: list[np.ndarray] = field(default_factory=list)
     _axes: list[np.ndarray] = field(default_factory=list)
     _numbers: list[tuple[Number, int, int]] = field(default_factory=list)
 
-    def add(
+    def blob(
         self,
         start: np.ndarray,
         end: np.ndarray,
@@ -109,24 +113,94 @@ class Blobs:
     def ball(
         self,
         center: np.ndarray,
-        radii: tuple[float, float, float],
+        radii: tuple[float, float, float] | Float[np.ndarray, "3"],
         material: int,
         *,
-        axes: np.ndarray | None = None,
+        axes: Float[np.ndarray, "3 3"] = IDENTITY,
         power: Number = 2.0,
     ) -> None:
-        """Adds an ellipsoid (or cushion) with `radii` along the columns of `axes` (default: identity)."""
+        """Adds an ellipsoid with `radii` along the columns of `axes`; with a higher `power`, a cushion."""
         self._ends.append(np.stack([center, center]))
         self._radii.append(np.array([radii, radii]))
-        self._axes.append(np.eye(3) if axes is None else axes)
+        self._axes.append(axes)
         self._numbers.append((power, material, self.track))
 
-    @property
-    def is_begun(self) -> bool:
-        return bool(self._ends)
+    def slab(
+        self,
+        center: Float[np.ndarray, "3"],
+        size: Float[np.ndarray, "3"],
+        material: int,
+        axes: Float[np.ndarray, "3 3"] = IDENTITY,
+    ) -> None:
+        """Adds a box with sharp edges; columns of `axes` are its directions."""
+        x, y, z = (float(side) for side in size)
+        self._meshes.append(box_mesh((0.0, 0.0, 0.0), (x, y, z), material).moved(axes, np.asarray(center, np.float64)))
+
+    def rod(
+        self,
+        start: Float[np.ndarray, "3"],
+        end: Float[np.ndarray, "3"],
+        radius: Number,
+        material: int,
+        *,
+        end_radius: Number | None = None,
+        power: Number = 2.0,
+        side: Float[np.ndarray, "3"] | None = None,
+        flatness: Number = 1.0,
+        round_ends: bool = True,
+    ) -> None:
+        """Adds a capsule, a cylinder or a cone between two points.
+
+        Args:
+            radius, end_radius: at `start` and at `end`.
+            power: shape of the cross-section: 2 = round, 8 = square.
+            side: direction along which the radius is multiplied by `flatness`.
+            round_ends: half balls at the ends, as of a capsule; otherwise flat ends.
+        """
+        last = radius if end_radius is None else end_radius
+        caps = (1.0, 1.0) if round_ends else (0.04, 0.04)
+        self.blob(
+            np.asarray(start, np.float64),
+            np.asarray(end, np.float64),
+            (radius * flatness, radius, radius * caps[0]),
+            material,
+            end_radii=(last * flatness, last, last * caps[1]),
+            side=side,
+            power=power,
+        )
+
+    def ring(self, center: Float[np.ndarray, "3"], axis: int, radius: float, thickness: float, material: int) -> None:
+        """Adds a ring (tyre, handle) around a coordinate axis through `center`."""
+        u, v = IDENTITY[(axis + 1) % 3], IDENTITY[(axis + 2) % 3]
+        angles = np.linspace(0, 2 * np.pi, PIECES + 1)
+        points = center + radius * (np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v)
+        for start, end in pairwise(points):
+            self.rod(start, end, thickness, material)
+
+    def tube(
+        self, base: Float[np.ndarray, "3"], height: float, radius: float, top_radius: float, wall: float, material: int
+    ) -> None:
+        """Adds the wall of an upright round vessel, open at the top and at the bottom."""
+        for k in range(PIECES):
+            angle = 2 * np.pi * k / PIECES
+            outward = np.array([np.cos(angle), np.sin(angle), 0.0])
+            across = np.array([-np.sin(angle), np.cos(angle), 0.0])
+            along = (top_radius - radius) * outward + np.array([0.0, 0.0, height])
+            length = float(np.linalg.norm(along))
+            axes = np.stack([np.cross(across, along / length), across, along / length], axis=1)
+            width = 2 * np.tan(np.pi / PIECES) * max(radius, top_radius)
+            middle = base + radius * outward + along / 2
+            self.slab(middle, np.array([wall, width, length]), material, axes)
+
+    def add(self, mesh: Mesh) -> None:
+        """Adds a finished mesh."""
+        self._meshes.append(mesh)
 
     def mesh(self) -> Mesh:
-        """The mesh of all blobs."""
+        """All parts as one mesh."""
+        return joined([*self._meshes, *([self._blobs()] if self._ends else [])])
+
+    def _blobs(self) -> Mesh:
         n, s, triangles = _template()
         ends, radii = np.array(self._ends), np.array(self._radii)
         power = np.array([number[0] for number in self._numbers])[:, None, None]
@@ -232,110 +306,9 @@ def _blob_axes(axis: np.ndarray, side: np.ndarray | None) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-IDENTITY = np.eye(3)
-# Straight pieces of a ring or of the wall of a tube.
-PIECES = 14
-
-
 def xyz(x: Number, y: Number, z: Number) -> Float64[np.ndarray, "3"]:
     """A point or a displacement, metres."""
     return np.array([x, y, z], np.float64)
-
-
-@dataclass
-class Parts:
-    """Collects the parts of one object; metres, in the object's own coordinates."""
-
-    _meshes: list[Mesh] = field(default_factory=list)
-    _blobs: Blobs = field(default_factory=Blobs)
-
-    def slab(
-        self,
-        center: Float[np.ndarray, "3"],
-        size: Float[np.ndarray, "3"],
-        material: int,
-        axes: Float[np.ndarray, "3 3"] = IDENTITY,
-    ) -> None:
-        """Adds a box with sharp edges; columns of `axes` are its directions."""
-        x, y, z = (float(side) for side in size)
-        self._meshes.append(box_mesh((0.0, 0.0, 0.0), (x, y, z), material).moved(axes, np.asarray(center, np.float64)))
-
-    def rod(
-        self,
-        start: Float[np.ndarray, "3"],
-        end: Float[np.ndarray, "3"],
-        radius: Number,
-        material: int,
-        *,
-        end_radius: Number | None = None,
-        power: Number = 2.0,
-        side: Float[np.ndarray, "3"] | None = None,
-        flatness: Number = 1.0,
-        round_ends: bool = True,
-    ) -> None:
-        """Adds a capsule, a cylinder or a cone between two points.
-
-        Args:
-            radius, end_radius: at `start` and at `end`.
-            power: shape of the cross-section: 2 = round, 8 = square.
-            side: direction along which the radius is multiplied by `flatness`.
-            round_ends: half balls at the ends, as of a capsule; otherwise flat ends.
-        """
-        last = radius if end_radius is None else end_radius
-        caps = (1.0, 1.0) if round_ends else (0.04, 0.04)
-        self._blobs.add(
-            np.asarray(start, np.float64),
-            np.asarray(end, np.float64),
-            (radius * flatness, radius, radius * caps[0]),
-            material,
-            end_radii=(last * flatness, last, last * caps[1]),
-            side=side,
-            power=power,
-        )
-
-    def ball(
-        self,
-        center: Float[np.ndarray, "3"],
-        radii: Float[np.ndarray, "3"],
-        material: int,
-        *,
-        axes: Float[np.ndarray, "3 3"] = IDENTITY,
-        power: Number = 2.0,
-    ) -> None:
-        """Adds an ellipsoid; with a higher `power`, a cushion."""
-        a, b, c = (float(radius) for radius in radii)
-        self._blobs.ball(np.asarray(center, np.float64), (a, b, c), material, axes=np.asarray(axes), power=power)
-
-    def ring(self, center: Float[np.ndarray, "3"], axis: int, radius: float, thickness: float, material: int) -> None:
-        """Adds a ring (tyre, handle) around a coordinate axis through `center`."""
-        u, v = IDENTITY[(axis + 1) % 3], IDENTITY[(axis + 2) % 3]
-        angles = np.linspace(0, 2 * np.pi, PIECES + 1)
-        points = center + radius * (np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v)
-        for start, end in pairwise(points):
-            self.rod(start, end, thickness, material)
-
-    def tube(
-        self, base: Float[np.ndarray, "3"], height: float, radius: float, top_radius: float, wall: float, material: int
-    ) -> None:
-        """Adds the wall of an upright round vessel, open at the top and at the bottom."""
-        for k in range(PIECES):
-            angle = 2 * np.pi * k / PIECES
-            outward = np.array([np.cos(angle), np.sin(angle), 0.0])
-            across = np.array([-np.sin(angle), np.cos(angle), 0.0])
-            along = (top_radius - radius) * outward + np.array([0.0, 0.0, height])
-            length = float(np.linalg.norm(along))
-            axes = np.stack([np.cross(across, along / length), across, along / length], axis=1)
-            width = 2 * np.tan(np.pi / PIECES) * max(radius, top_radius)
-            middle = base + radius * outward + along / 2
-            self.slab(middle, np.array([wall, width, length]), material, axes)
-
-    def add(self, mesh: Mesh) -> None:
-        """Adds a finished mesh."""
-        self._meshes.append(mesh)
-
-    def mesh(self) -> Mesh:
-        """All parts as one mesh."""
-        return joined([*self._meshes, *([self._blobs.mesh()] if self._blobs.is_begun else [])])
 
 
 def mirrored(mesh: Mesh) -> Mesh:

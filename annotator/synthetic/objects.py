@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour
-from annotator.synthetic.mesh import Blobs, Mesh, Parts, box_mesh, joined, mirrored, scaled, stretched, turn_z, xyz
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, mirrored, scaled, stretched, turn_z, xyz
 
 PATTERNS = (Pattern.PLAIN, Pattern.PLAIN, Pattern.PLAIN, Pattern.STRIPES, Pattern.CHECKS, Pattern.SPOTS)
 
@@ -395,12 +395,12 @@ def table_group(palette: Palette, random: np.random.Generator, wood: int, side: 
     meshes.append(_chair(wood, x - side * 0.62, y - 0.35, np.pi * (side > 0) + random.uniform(-0.3, 0.3)))
     meshes.append(_chair(wood, x - side * 0.66, y + 0.38, np.pi * (side > 0) + random.uniform(-0.3, 0.3)))
     meshes.append(_chair(wood, x, y - 0.98, -np.pi / 2 + random.uniform(-0.3, 0.3)))
-    blobs = Blobs()
+    blobs = Parts()
     for _ in range(4):
         thing = palette.add(Material(random_colour(random), gloss=0.3, grain=0.03))
         at = np.array([x + random.uniform(-0.3, 0.3), y + random.uniform(-0.55, 0.55), top])
         tall = random.uniform(0.04, 0.13)
-        blobs.add(at, at + np.array([0, 0, tall]), (0.04, 0.04, 0.01), thing, power=4)
+        blobs.blob(at, at + np.array([0, 0, tall]), (0.04, 0.04, 0.01), thing, power=4)
     meshes.append(blobs.mesh())
     edges = sorted((x - side * 0.85, x + side * 0.5))
     return joined(meshes), (edges[0], y - 1.2, edges[1], y + 0.78)
@@ -422,7 +422,7 @@ def sofa(palette: Palette, random: np.random.Generator, side: float) -> tuple[Me
     """A sofa with cushions at the far wall."""
     x, y = side * 0.9, FAR_Y_M - 0.52
     cloth = palette.add(Material(random_colour(random, 0.4, 0.5), grain=0.2, grain_m=0.15))
-    blobs = Blobs()
+    blobs = Parts()
     blobs.ball(np.array([x, y, 0.24]), (1.0, 0.45, 0.17), cloth, power=9)
     blobs.ball(np.array([x, y + 0.34, 0.5]), (1.0, 0.14, 0.36), cloth, power=9)
     for dx in (-0.98, 0.98):
@@ -479,8 +479,8 @@ def plant(palette: Palette, random: np.random.Generator, side: float) -> tuple[M
     """A potted plant in the far corner."""
     base = np.array([side * (HALF_WIDTH_M - 0.42), FAR_Y_M - 0.45, 0.0])
     pot = palette.add(Material((0.62, 0.35, 0.25), grain=0.1))
-    blobs = Blobs()
-    blobs.add(base, base + np.array([0, 0, 0.28]), (0.13, 0.13, 0.02), pot, end_radii=(0.17, 0.17, 0.02))
+    blobs = Parts()
+    blobs.blob(base, base + np.array([0, 0, 0.28]), (0.13, 0.13, 0.02), pot, end_radii=(0.17, 0.17, 0.02))
     for _ in range(26):
         leaf = palette.add(
             Material(colorsys.hsv_to_rgb(random.uniform(0.25, 0.38), 0.7, random.uniform(0.3, 0.55)), gloss=0.1)
@@ -488,7 +488,7 @@ def plant(palette: Palette, random: np.random.Generator, side: float) -> tuple[M
         angle, reach = random.uniform(0, 2 * np.pi), random.uniform(0.1, 0.36)
         tip = base + np.array([reach * np.cos(angle), reach * np.sin(angle), random.uniform(0.55, 1.25)])
         root = base + (tip - base) * [0.3, 0.3, 0.6]
-        blobs.add(root, tip, (0.05, 0.008), leaf, side=np.array([-np.sin(angle), np.cos(angle), 0.0]))
+        blobs.blob(root, tip, (0.05, 0.008), leaf, side=np.array([-np.sin(angle), np.cos(angle), 0.0]))
     return blobs.mesh(), (base[0] - 0.35, base[1] - 0.35, base[0] + 0.35, base[1] + 0.35)
 
 
@@ -497,10 +497,10 @@ def floor_lamp(palette: Palette, side: float) -> tuple[Mesh, Footprint]:
     base = np.array([side * 1.2, FAR_Y_M - 0.3, 0.0])
     metal = palette.add(Material((0.25, 0.25, 0.27), gloss=0.4, grain=0.02))
     shade = palette.add(Material((0.95, 0.88, 0.7), glow=0.5, grain=0.03))
-    blobs = Blobs()
-    blobs.add(base, base + np.array([0, 0, 0.02]), (0.14, 0.14, 0.01), metal)
-    blobs.add(base, base + np.array([0, 0, 1.5]), (0.014, 0.014), metal)
-    blobs.add(
+    blobs = Parts()
+    blobs.blob(base, base + np.array([0, 0, 0.02]), (0.14, 0.14, 0.01), metal)
+    blobs.blob(base, base + np.array([0, 0, 1.5]), (0.014, 0.014), metal)
+    blobs.blob(
         base + np.array([0, 0, 1.42]),
         base + np.array([0, 0, 1.68]),
         (0.2, 0.2, 0.01),

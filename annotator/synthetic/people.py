@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from annotator.synthetic.materials import Looks
-from annotator.synthetic.mesh import Blobs, Mesh, Triple, turn_x, turn_y, turn_z
+from annotator.synthetic.mesh import Mesh, Parts, Triple, turn_x, turn_y, turn_z
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ UPPER_ARM, FOREARM, HAND = 0.172, 0.148, 0.1
 
 def body_mesh(looks: Looks, pose: Pose, track: int) -> Mesh:
     """The whole body in body coordinates, metres."""
-    blobs = Blobs(track)
+    blobs = Parts(track)
     armless_body(blobs, looks, pose)
     chest = turn_y(pose.lean) @ turn_z(pose.twist)
     for sign, arm in ((1.0, pose.left_arm), (-1.0, pose.right_arm)):
@@ -166,7 +166,7 @@ def body_mesh(looks: Looks, pose: Pose, track: int) -> Mesh:
     return mesh.moved(np.eye(3), np.array([0.0, 0.0, -float(mesh.vertices[:, 2].min())]))
 
 
-def armless_body(blobs: Blobs, looks: Looks, pose: Pose) -> None:
+def armless_body(blobs: Parts, looks: Looks, pose: Pose) -> None:
     """Adds legs, trunk and head, with the hips at `HIP` body heights above the origin."""
     h = looks.height_m
     hips, trunk = HIP * h * UP, turn_y(pose.lean)
@@ -185,13 +185,13 @@ def shoulder(looks: Looks, pose: Pose, sign: float) -> np.ndarray:
     return np.asarray(HIP * h * UP + trunk @ ((TRUNK - 0.035) * h * UP + offset))
 
 
-def _leg(blobs: Blobs, looks: Looks, hip: np.ndarray, leg: Leg) -> None:
+def _leg(blobs: Parts, looks: Looks, hip: np.ndarray, leg: Leg) -> None:
     h, g = looks.height_m, looks.girth
     thigh, shin = turn_y(-leg.hip), turn_y(leg.knee - leg.hip)
     knee = hip - thigh @ (THIGH * h * UP)
     ankle = knee - shin @ (SHIN * h * UP)
     cloth = looks.trousers
-    blobs.add(
+    blobs.blob(
         hip,
         knee,
         (0.052 * h * g, 0.05 * h * g),
@@ -200,7 +200,7 @@ def _leg(blobs: Blobs, looks: Looks, hip: np.ndarray, leg: Leg) -> None:
         side=thigh @ FORWARD,
     )
     covered = looks.long_trousers and not looks.skirt
-    blobs.add(
+    blobs.blob(
         knee,
         ankle,
         (0.034 * h, 0.033 * h),
@@ -213,16 +213,16 @@ def _leg(blobs: Blobs, looks: Looks, hip: np.ndarray, leg: Leg) -> None:
     foot = turn_y(0.8 * tip)
     heel = ankle + foot @ np.array([-0.02 * h, 0, -0.018 * h])
     toe = ankle + foot @ np.array([(FOOT_LENGTH - 0.055) * h, 0, -0.026 * h])
-    blobs.add(heel, toe, (0.024 * h, 0.026 * h), looks.shoes, end_radii=(0.026 * h, 0.016 * h), side=LEFT, power=2.6)
+    blobs.blob(heel, toe, (0.024 * h, 0.026 * h), looks.shoes, end_radii=(0.026 * h, 0.016 * h), side=LEFT, power=2.6)
 
 
-def _trunk(blobs: Blobs, looks: Looks, hips: np.ndarray, trunk: np.ndarray, pose: Pose) -> None:
+def _trunk(blobs: Parts, looks: Looks, hips: np.ndarray, trunk: np.ndarray, pose: Pose) -> None:
     h, g = looks.height_m, looks.girth
     chest = trunk @ turn_z(pose.twist)
     up = trunk @ UP
     blobs.ball(hips + 0.015 * h * up, (0.068 * h * g, 0.098 * h * g, 0.07 * h), looks.trousers, axes=trunk, power=2.4)
     if looks.skirt:
-        blobs.add(
+        blobs.blob(
             hips + 0.03 * h * up,
             hips - 0.17 * h * UP,
             (0.07 * h * g, 0.1 * h * g, 0.02 * h),
@@ -231,7 +231,7 @@ def _trunk(blobs: Blobs, looks: Looks, hips: np.ndarray, trunk: np.ndarray, pose
             side=trunk @ FORWARD,
         )
     waist, ribs = hips + 0.07 * h * up, hips + 0.21 * h * up
-    blobs.add(
+    blobs.blob(
         waist,
         ribs,
         (0.066 * h * g, 0.088 * h * g, 0.07 * h),
@@ -242,17 +242,17 @@ def _trunk(blobs: Blobs, looks: Looks, hips: np.ndarray, trunk: np.ndarray, pose
     )
     across = SHOULDER_HALF * 0.86 * h * (chest @ LEFT)
     top = hips + (TRUNK - 0.04) * h * up
-    blobs.add(top - across, top + across, (0.048 * h, 0.036 * h), looks.shirt, side=chest @ FORWARD)
+    blobs.blob(top - across, top + across, (0.048 * h, 0.036 * h), looks.shirt, side=chest @ FORWARD)
     if looks.backpack:
         at = hips + 0.17 * h * up - 0.105 * h * (chest @ FORWARD)
         blobs.ball(at, (0.055 * h, 0.088 * h, 0.125 * h), looks.bag, axes=chest, power=4)
 
 
-def _head(blobs: Blobs, looks: Looks, neck: np.ndarray, turn: np.ndarray) -> None:
+def _head(blobs: Parts, looks: Looks, neck: np.ndarray, turn: np.ndarray) -> None:
     """Adds neck, head and a face, so that front and back differ."""
     h = looks.height_m
     middle = neck + turn @ np.array([0.012 * h, 0, (NECK + 0.052) * h])
-    blobs.add(neck - 0.02 * h * UP, middle - turn @ (0.03 * h * UP), (0.031 * h, 0.03 * h), looks.skin)
+    blobs.blob(neck - 0.02 * h * UP, middle - turn @ (0.03 * h * UP), (0.031 * h, 0.03 * h), looks.skin)
 
     for place, (rx, ry, rz), material, power in _head_parts(looks):
         at = middle + turn @ (np.array(place) * h)
@@ -284,7 +284,7 @@ def _head_parts(looks: Looks) -> list[tuple[Triple, Triple, int, float]]:
     return parts
 
 
-def posed_arm(blobs: Blobs, looks: Looks, start: np.ndarray, chest: np.ndarray, arm: Arm, sign: float) -> None:
+def posed_arm(blobs: Parts, looks: Looks, start: np.ndarray, chest: np.ndarray, arm: Arm, sign: float) -> None:
     """Adds an arm from the shoulder `start`, with a simple hand; `chest` = axes of the trunk, `sign` +1 = left."""
     h = looks.height_m
     upper = chest @ turn_y(-arm.flex) @ turn_x(sign * arm.out) @ turn_z(-sign * arm.turn)
@@ -294,23 +294,23 @@ def posed_arm(blobs: Blobs, looks: Looks, start: np.ndarray, chest: np.ndarray, 
     sleeved_arm(blobs, looks, start, elbow, wrist)
     palm = wrist - lower @ (0.035 * h * UP)
     tips = wrist - lower @ ((HAND - 0.012) * h * UP)
-    blobs.add(wrist - lower @ (0.012 * h * UP), palm, (0.011 * h, 0.021 * h), looks.skin, side=lower @ LEFT, power=2.4)
-    blobs.add(palm, tips, (0.009 * h, 0.021 * h), looks.skin, end_radii=(0.005 * h, 0.014 * h), side=lower @ LEFT)
+    blobs.blob(wrist - lower @ (0.012 * h * UP), palm, (0.011 * h, 0.021 * h), looks.skin, side=lower @ LEFT, power=2.4)
+    blobs.blob(palm, tips, (0.009 * h, 0.021 * h), looks.skin, end_radii=(0.005 * h, 0.014 * h), side=lower @ LEFT)
     thumb = palm + lower @ np.array([0.03 * h, 0, -0.012 * h])
-    blobs.add(wrist - lower @ (0.015 * h * UP), thumb, (0.008 * h, 0.008 * h), looks.skin, side=lower @ LEFT)
+    blobs.blob(wrist - lower @ (0.015 * h * UP), thumb, (0.008 * h, 0.008 * h), looks.skin, side=lower @ LEFT)
 
 
-def sleeved_arm(blobs: Blobs, looks: Looks, start: np.ndarray, elbow: np.ndarray, wrist: np.ndarray) -> None:
+def sleeved_arm(blobs: Parts, looks: Looks, start: np.ndarray, elbow: np.ndarray, wrist: np.ndarray) -> None:
     """Adds upper arm and forearm between three points, with the shirt's sleeves."""
     h, g = looks.height_m, 0.5 + 0.5 * looks.girth
     sleeve = looks.shirt if looks.long_sleeves else looks.skin
-    blobs.add(start, elbow, (0.031 * h * g, 0.031 * h * g), sleeve, end_radii=(0.024 * h, 0.024 * h))
+    blobs.blob(start, elbow, (0.031 * h * g, 0.031 * h * g), sleeve, end_radii=(0.024 * h, 0.024 * h))
     if not looks.long_sleeves:
-        blobs.add(
+        blobs.blob(
             start,
             start + 0.5 * (elbow - start),
             (0.036 * h * g, 0.036 * h * g, 0.03 * h),
             looks.shirt,
             end_radii=(0.034 * h * g, 0.034 * h * g, 0.01 * h),
         )
-    blobs.add(elbow, wrist, (0.024 * h, 0.024 * h), sleeve, end_radii=(0.016 * h, 0.015 * h))
+    blobs.blob(elbow, wrist, (0.024 * h, 0.024 * h), sleeve, end_radii=(0.016 * h, 0.015 * h))

@@ -28,7 +28,7 @@ from annotator.synthetic.materials import (
     random_looks,
     wood_colour,
 )
-from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined, turn_z
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined, turn_z
 from annotator.synthetic.objects import (
     FAR_Y_M,
     HALF_WIDTH_M,
@@ -199,7 +199,7 @@ def _hands(looks: Looks, nail: int, camera: np.ndarray, both: bool, random: np.r
     lift = np.array([0.0, 0.0, camera[2] - 0.12 - 0.775 * looks.height_m])
     for i, motions in enumerate(hand_moments(reaches, random, PERIOD_S)):
         sway = Pose(twist=0.06 * np.sin(0.11 * i), lean=0.02 * np.sin(0.07 * i), head_turn=0.2 * np.sin(0.05 * i))
-        body = Blobs()
+        body = Parts()
         armless_body(body, looks, sway)
         if not both:
             posed_arm(body, looks, shoulder(looks, sway, 1.0), np.eye(3), Arm(), 1.0)
@@ -218,7 +218,7 @@ def _arm(motion: HandMotion, start: np.ndarray, looks: Looks, side: float) -> tu
     wrist = motion.wrist_m
     outward = np.array([-side, 0.0, 0.0])
     elbow = elbow_m(start, wrist, UPPER_ARM_M, FOREARM_M, motion.swivel, outward)
-    blobs = Blobs()
+    blobs = Parts()
     ahead = wrist - elbow
     ahead /= np.linalg.norm(ahead)
     sleeved_arm(blobs, looks, start, elbow, wrist - 0.004 * ahead)

@@ -8,8 +8,6 @@ truth/boxes.json  truth/mask/KEY.png                                 the exact g
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import numpy as np
 from jaxtyping import Int16, UInt8
 from scipy.spatial.transform import RigidTransform
 
+from annotator.files import new_folder
 from annotator.geometry.oriented_box import box_corners
 from annotator.synthetic.mesh import Mesh
 from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, silhouette
@@ -88,33 +87,13 @@ def write_generated(
 
     Args:
         frames: number of frames, at ten per second.
-        seed: random seed of the scene; the same seed gives the same bytes.
+        seed: the same seed gives the same bytes.
         width, height: image size, pixels.
         report: called with (frames done, frames) after each frame.
-
-    Raises:
-        ConfigError: the path exists or cannot be created, the preset is unknown, or a number is out of range.
     """
     _check(preset, frames, seed, width, height)
-    unfinished = _unfinished_folder(path)
-    try:
-        _write(unfinished, preset, frames, seed, _camera(width, height), report)
-        unfinished.chmod(0o755)
-        unfinished.replace(path)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
-
-
-def _unfinished_folder(path: Path) -> Path:
-    """A temporary folder beside `path`, which is renamed to `path` at the end."""
-    try:
-        if path.exists():
-            raise ConfigError(f"{path}: already exists; choose another path, or remove it first")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be created: {error.strerror or error}; choose another path") from error
+    with new_folder(path, lambda _: False) as part:
+        _write(part, preset, frames, seed, _camera(width, height), report)
 
 
 def _check(preset: str, frames: int, seed: int, width: int, height: int) -> None:

@@ -82,12 +82,6 @@ def add_recordings(
         scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
         as_new: add a recording even if it seems to be one of the project whose path is gone.
         leave_out_broken: leave out the frames that cannot be read; their labels, if they have any, stay.
-
-    Raises:
-        RecordingError: a path holds no recording, or none of its first frames can be read.
-        ConfigError: one name for several recordings, a name that is too long or cannot be printed, another name or up
-            direction for a known recording, or a recording of the project that has only moved.
-        ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
     if name is not None:
         _check_name(name)
@@ -138,11 +132,7 @@ def register_recording(
     up: Sequence[float] | None = None,
     options: ReaderOptions = NO_OPTIONS,
 ) -> StoredRecording:
-    """Adds an open recording, or updates the frames of one that the project has already.
-
-    Raises:
-        ProjectError: as `add_recordings`.
-    """
+    """Adds an open recording, or updates the frames of one that the project has already."""
     return _add(project, recording, name, up, options).recording
 
 
@@ -152,12 +142,6 @@ def move_recording(project: Project, recording_id: int, path: Path) -> StoredRec
     A removed recording comes back with its labels.
 
     Other recordings with the same path, such as the other cameras of a rig, are moved with it: all or none.
-
-    Raises:
-        NotFoundError: no such recording.
-        RecordingError: `path` holds no recording, one of another format, or none of its first frames can be read.
-        ProjectError: frames of the recording are missing there (the message names them), or `path` is another recording
-            of the project.
     """
     known = project.recordings.get(recording_id, removed=True)
     beside = project.recordings.at(known.path) if known.removed_by is None else ()
@@ -176,12 +160,7 @@ def move_recording(project: Project, recording_id: int, path: Path) -> StoredRec
 
 
 def bring_back(project: Project, recording_id: int) -> StoredRecording:
-    """Brings a removed recording back from its path, with its labels and possibly new frames.
-
-    Raises:
-        NotFoundError: no such recording.
-        RecordingError: its path holds no recording any more, another one, or one that may not be read.
-    """
+    """Brings a removed recording back from its path, with its labels and possibly new frames."""
     known = project.recordings.get(recording_id, removed=True)
     project.recordings.require_readable(known)
     there = _moved(known, known.path)

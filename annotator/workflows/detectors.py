@@ -184,11 +184,7 @@ def base_model() -> UsedModel:
 
 
 def detector_title(name: str) -> str:
-    """Names a view detector for people.
-
-    Args:
-        name: as in `UsedModel`.
-    """
+    """Names a view detector for people."""
     return TITLE if name == NAME else "this project's view detector"
 
 

@@ -14,7 +14,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
 from importlib import import_module
@@ -28,13 +28,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 import annotator
-from annotator.detection.backends.choose import chosen
-from annotator.detection.backends.network import usable_cores
+from annotator.detection.backends.choose import chosen, open_network
+from annotator.detection.backends.network import Answer, Network, usable_cores
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.pretrained import TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import cache_dir
-from annotator.files import read_text_file
+from annotator.files import read_text_file, sha256_of
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
 from annotator.types.messages import amount
@@ -59,7 +59,6 @@ SYSTEM_LIBRARIES = {
     "libgomp.so.1": "libgomp1",
 }
 LIBRARY = re.compile(r"lib[\w.+-]*?\.so[\w.]*")
-KERNELS = ("annotator.geometry.kernels", "annotator.rcv.drawing_kernels", "annotator.rcv.fit_kernels")
 
 
 class State(StrEnum):
@@ -238,14 +237,9 @@ def ultralytics(_: Path) -> Iterator[Line]:
 def torch(_: Path) -> Iterator[Line]:
     """Reports the version of torch, and the CUDA devices that it can use."""
     from annotator.detection.backends.choose import driver_devices
-    from annotator.detection.ultralytics_api import cuda_devices, torch_facts
+    from annotator.detection.ultralytics_api import cuda_devices, torch_build
 
-    def facts() -> str:
-        known = torch_facts()
-        built = f"built for CUDA {known.cuda}" if known.cuda else "built without CUDA"
-        return f"{known.version}, {built}" + (", with Apple's MPS" if known.has_mps else "")
-
-    found = _loaded("torch", "torch", facts, "detectors need it", failed=True)
+    found = _loaded("torch", "torch", torch_build, "detectors need it", failed=True)
     yield found
     if found.state is not State.OK:
         return
@@ -257,8 +251,7 @@ def torch(_: Path) -> Iterator[Line]:
         return
     for device in devices:
         total, free = device.memory_bytes, device.free_bytes
-        gib = f"{free / GIB:.1f} of {total / GIB:.1f} GiB free"
-        known = f"{device.model}, compute capability {device.capability}, {gib}"
+        known = f"{device.model}, {free / GIB:.1f} of {total / GIB:.1f} GiB free"
         yield packages(device.name, known, memory_bytes=total, free_bytes=free)
     if not devices and (number := driver_devices()):
         remedy = "install a torch with CUDA (pytorch.org shows the command), then run this again"
@@ -294,31 +287,8 @@ def onnxruntime(_: Path) -> Iterator[Line]:
 
 
 def numba(_: Path) -> Iterator[Line]:
-    """Checks whether numba can be loaded, and counts the kernels whose machine code is in its cache."""
-    from annotator.compiled import cached_code, is_compiled
-
-    try:
-        modules = [import_module(name) for name in KERNELS]
-    except (ImportError, OSError) as error:
-        yield _broken("numba", "numba", error, failed=True)
-        return
-    # functions that a module imports from another module are counted there
-    functions = {
-        f"{value.__module__}.{name}": value
-        for module in modules
-        for name, value in vars(module).items()
-        if is_compiled(value) and value.__module__ == module.__name__
-    }
-    kept = [cached_code(function) for function in functions.values()]
-    folders = sorted({str(place) for place, _ in kept if place is not None})
-    done = sum(is_kept for _, is_kept in kept)
-    remedy = ""
-    if not folders:
-        remedy = "every process compiles for half a minute; set NUMBA_CACHE_DIR to a folder that you may write to"
-    elif not done:
-        remedy = "the first use takes half a minute; `python -m annotator.workflows.warm_up` compiles them now"
-    found = f"{done} of {len(kept)} kernels are compiled, each on its first use; cached in {', '.join(folders) or 'no'}"
-    yield packages("numba", f"{_version('numba')}; {found}", remedy, kernels=len(kept), compiled=done)
+    """Checks whether numba can be loaded."""
+    yield _loaded("numba", "numba", lambda: str(import_module("numba").__version__), "recursion needs it", failed=True)
 
 
 def open3d(_: Path) -> Iterator[Line]:
@@ -409,44 +379,89 @@ def base_detector(_: Path) -> Iterator[Line]:
 # Of the self-test's pictures, height and width: multiples of the network's stride, and different from those that
 # exports are traced with.
 PICTURE_PX = (96, 128)
+# Largest root mean square differences from torch in single precision on the CPU: of box coordinates (pixels), scores
+# (0 to 1) and the edges' spreads (pixels). Weights and pictures are always the same, so these were measured once: some
+# twenty times the rounding of single precision, since Winograd convolutions lose up to three binary digits, and twice
+# that of float16 (torch on GPUs multiplies with TF32, which has as many digits) and of bfloat16. A wrong graph, a wrong
+# kernel or lost weights move boxes by pixels.
+SINGLE, TF32, BFLOAT16 = (0.02, 1e-4, 0.02), (3.1, 0.018, 2.4), (15.0, 0.11, 10.0)
+BACKEND_PACKAGES: dict[Backend, tuple[str, ...]] = {
+    "openvino": ("openvino",),
+    "openvino-bf16": ("openvino",),
+    "onnxruntime": ("onnxruntime", "onnx"),
+}
 
 
 def backends(_: Path) -> Iterator[Line]:
     """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights."""
-    from annotator.detection.backends.agreement import TOLERANCE, Agreements, BackendMissingError, openers
+    from annotator.detection.backends.openvino_network import computes_bfloat16
     from annotator.detection.pretrained import write_seeded_network
     from annotator.detection.ultralytics_api import cuda_devices
 
     of = partial(line, "self-test")
     pictures = np.random.default_rng(0).integers(0, 256, (2, *PICTURE_PX, 3), np.uint8)
-    with TemporaryDirectory() as temporary:
+    with TemporaryDirectory() as temporary, _cache_in(temporary):
         weights = Path(temporary) / "network.safetensors"
+
+        def opened(backend: Backend, device: str = "cpu") -> Network:
+            config = DetectorConfig(image_size_px=max(PICTURE_PX), backend=backend, device=device)
+            return open_network(weights, sha256_of(weights), config)
+
         try:
             write_seeded_network(weights)
-            agreements = Agreements(weights, pictures)
-            devices = [device.name for device in cuda_devices()]
+            torch = opened("torch")
+            gpus = [device.name for device in cuda_devices()]
         except (AnnotatorError, ImportError, OSError, RuntimeError, AssertionError) as error:
             yield of("backends", f"not tested ({_first_line(error)})", "see the packages above")
             return
-        for name, opener in openers(devices).items():
+        expected = torch.predict([pictures])[0]
+        tested: list[tuple[str, Callable[[], Network], tuple[float, float, float]]] = []
+        for backend, needed in BACKEND_PACKAGES.items():
+            bounds = BFLOAT16 if backend == "openvino-bf16" else SINGLE
+            if not all(map(find_spec, needed)):
+                yield of(backend, "not installed; not tested")
+            elif backend != "openvino-bf16" or computes_bfloat16():
+                tested.append((backend, partial(opened, backend), bounds))
+            else:
+                yield of(backend, "the processor does not support bfloat16; not tested")
+        tested += [(f"torch, {name}", partial(opened, "torch", name), TF32) for name in gpus]
+        for name, network, bounds in tested:
             try:
-                agreement = agreements.of(opener)
-            except BackendMissingError as error:
-                yield of(name, f"{error}; not tested")
-                continue
+                answer = network().predict([pictures])[0]
             except AnnotatorError as error:
                 yield of(name, str(error), REPORT_IT, failed=True)
                 continue
-            figures = {key: value for key, value in asdict(agreement).items() if key != "reference"}
-            found = (
-                f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes), "
-                f"{agreement.scores:.2g} (scores) and {agreement.spreads_px:.2g} px (spreads of edges); allowed: "
-                f"{agreement.boxes_bound_px:.2g} px, {agreement.scores_bound:.2g} and "
-                f"{agreement.spreads_bound_px:.2g} px, {TOLERANCE[agreement.reference]:.0f} x the difference of "
-                f"torch in {agreement.reference}"
-            )
-            remedy = "" if agreement.holds else f"use another --backend, and {REPORT_IT}"
-            yield of(name, found, remedy, failed=not agreement.holds, **figures)
+            yield _compared(name, answer, expected, bounds)
+
+
+@contextmanager
+def _cache_in(folder: str) -> Iterator[None]:
+    """What a network is converted to in the block leaves nothing in the user's cache."""
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = folder
+    try:
+        yield
+    finally:
+        os.environ.pop("XDG_CACHE_HOME")
+        os.environ |= {} if before is None else {"XDG_CACHE_HOME": before}
+
+
+def _compared(name: str, answer: Answer, expected: Answer, bounds: tuple[float, float, float]) -> Line:
+    of = partial(line, "self-test", name)
+    if answer.shape != expected.shape:
+        return of(f"the output has shape {answer.shape}, torch's has {expected.shape}", REPORT_IT, failed=True)
+    rows = np.split((answer.astype(np.float64) - expected) ** 2, [4, -4], axis=1)
+    boxes, scores, spreads = found = [float(np.sqrt(each.mean())) for each in rows]
+    holds = all(value <= bound for value, bound in zip(found, bounds, strict=True))  # False for NaN
+    return of(
+        f"differs from torch in single precision by {boxes:.2g} px (boxes), {scores:.2g} (scores) and {spreads:.2g} px "
+        f"(spreads of edges); allowed: {bounds[0]:g} px, {bounds[1]:g} and {bounds[2]:g} px",
+        "" if holds else f"use another --backend, and {REPORT_IT}",
+        failed=not holds,
+        boxes_px=boxes,
+        scores=scores,
+        spreads_px=spreads,
+    )
 
 
 Check = Callable[[Path], Iterator[Line]]

@@ -52,18 +52,45 @@ ScoredBox = tuple[str, OrientedBox, float]
 """Class, box and score."""
 
 
+class Measured(StrEnum):
+    """The boxes to evaluate.
+
+    LABELS: the current labels, except rejected ones.
+    PROPOSALS: the proposals of the last automatic pass over each frame, before any review.
+    """
+
+    LABELS = "labels"
+    PROPOSALS = "proposals"
+
+
+class Against(StrEnum):
+    """The boxes taken as true.
+
+    TRUTH: the boxes beside the recordings.
+    REVIEWED: accepted and edited labels, in frames without unreviewed proposals.
+    """
+
+    TRUTH = "truth"
+    REVIEWED = "reviewed"
+
+
 @dataclass(frozen=True)
 class Options:
-    """Options of an evaluation.
+    """Options of an evaluation; the first two also of files.
 
     Attributes:
         frames: names of the frames to evaluate; None = all. KITTI: file names without suffix. SUN RGB-D: images.
-            Oriented: `RECORDING/KEY`.
+            Oriented, and all of projects: `RECORDING/KEY`.
         relaxed: KITTI's relaxed IoU thresholds in bird's-eye view and 3D (0.5 for Car, 0.25 for the others).
+        measured, against: the boxes to compare.
+        recordings: ids; None = all.
     """
 
     frames: Collection[str] | None = None
     relaxed: bool = False
+    measured: Measured = Measured.LABELS
+    against: Against = Against.TRUTH
+    recordings: tuple[int, ...] | None = None
 
 
 def read_frame_names(path: Path) -> list[str]:
@@ -239,53 +266,17 @@ _OF_FILES: Mapping[Protocol, Callable[[Path, Path, Options], Report]] = {
 }
 
 
-class Measured(StrEnum):
-    """The boxes to evaluate.
-
-    LABELS: the current labels, except rejected ones.
-    PROPOSALS: the proposals of the last automatic pass over each frame, before any review.
-    """
-
-    LABELS = "labels"
-    PROPOSALS = "proposals"
-
-
-class Against(StrEnum):
-    """The boxes taken as true.
-
-    TRUTH: the boxes beside the recordings.
-    REVIEWED: accepted and edited labels, in frames without unreviewed proposals.
-    """
-
-    TRUTH = "truth"
-    REVIEWED = "reviewed"
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The boxes to compare, and the recordings (ids; None = all)."""
-
-    measured: Measured = Measured.LABELS
-    against: Against = Against.TRUTH
-    recordings: tuple[int, ...] | None = None
-
-
-def evaluate_project(
-    project: Project, protocol: Protocol, choice: Choice | None = None, options: Options | None = None
-) -> Report:
+def evaluate_project(project: Project, protocol: Protocol, options: Options | None = None) -> Report:
     """Evaluates boxes of a project.
 
     LABELS uses frames that have labels, are finalised, or had an automatic pass. PROPOSALS uses only frames that had an
     automatic pass. A note in the report counts labels imported from the recordings themselves, since these are compared
     with themselves.
-
-    Args:
-        options: its frames are named `RECORDING/KEY`.
     """
-    choice, options = choice or Choice(), options or Options()
-    if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):
+    options = options or Options()
+    if (options.measured, options.against) == (Measured.LABELS, Against.REVIEWED):
         raise ConfigError("labels cannot be measured against reviewed labels, which are the same; measure proposals")
-    source = _Source(project, choice, options)
+    source = _Source(project, options)
     compare = source.kitti if protocol is Protocol.KITTI else source.boxes
     compared = [compare(stored) for stored in source.frames()]
     if not any(true for _, true in compared):
@@ -303,9 +294,9 @@ def evaluate_project(
 class _Source:
     """The frames of a project to compare, each with the boxes to evaluate and the true boxes."""
 
-    def __init__(self, project: Project, choice: Choice, options: Options) -> None:
+    def __init__(self, project: Project, options: Options) -> None:
         self._project = project
-        self._choice = choice
+        self._options = options
         self._names = None if options.frames is None else set(options.frames)
         self._frames = FrameSource(project)
         self._labels_seen = 0
@@ -323,7 +314,7 @@ class _Source:
 
     def notes(self) -> tuple[str, ...]:
         """Returns notes for the report, once all frames are compared."""
-        if self._choice.against is not Against.TRUTH or not self._unchanged:
+        if self._options.against is not Against.TRUTH or not self._unchanged:
             return ()
         return (
             f"imported from the recordings themselves, and so compared with themselves: {self._unchanged} of "
@@ -333,7 +324,7 @@ class _Source:
 
     def frames(self) -> Iterator[StoredFrame]:
         """Yields the frames to compare, in order."""
-        chosen = self._with_truth() if self._choice.against is Against.TRUTH else self._choice.recordings
+        chosen = self._with_truth() if self._options.against is Against.TRUTH else self._options.recordings
         for stored in self._project.frames.of(chosen):
             if (self._names is None or self._name(stored) in self._names) and self._is_compared(stored):
                 yield stored
@@ -346,14 +337,14 @@ class _Source:
         """Returns the boxes to evaluate and the true boxes of one frame as KITTI's rows."""
         frame = self._frames.read(stored)
         measured = [kitti_row(*scored_box, frame) for scored_box in self._measured(stored)]
-        if self._choice.against is Against.REVIEWED:
+        if self._options.against is Against.REVIEWED:
             return measured, rows_of_truth(((label, box) for label, box, _ in self._true(stored)), frame)
         recording = self._frames.recording(stored.recording_id)
         return measured, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
 
     def _with_truth(self) -> tuple[int, ...]:
         """Returns the chosen recordings, which must all have truth; without a choice, all that have truth."""
-        known, chosen = self._recordings, self._choice.recordings
+        known, chosen = self._recordings, self._options.recordings
         with_truth = tuple(i for i in (known if chosen is None else chosen) if has_truth(self._frames.recording(i)))
         lacking = [known[i] for i in chosen or () if i not in with_truth]
         if lacking or not with_truth:
@@ -366,16 +357,16 @@ class _Source:
     def _is_compared(self, stored: StoredFrame) -> bool:
         labels = [each.label for each in self._project.labels.of_moment(stored.id) if each.is_own]
         worked_on = bool(labels) or stored.finalised
-        if self._choice.against is Against.TRUTH:
+        if self._options.against is Against.TRUTH:
             recording = self._frames.recording(stored.recording_id)
             has_true = stored.index is not None and is_labelled(recording, stored.key)
         else:
             has_true = worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)
-        is_measured = self._choice.measured is Measured.LABELS and worked_on
+        is_measured = self._options.measured is Measured.LABELS and worked_on
         return has_true and (is_measured or self._project.proposals.latest(stored.id) is not None)
 
     def _measured(self, stored: StoredFrame) -> list[ScoredBox]:
-        if self._choice.measured is Measured.LABELS:
+        if self._options.measured is Measured.LABELS:
             seen = seen_labels(self._project, self._frames, stored)
             labels = [label for label in seen if label.state is not ReviewState.REJECTED]
             self._labels_seen += len(labels)
@@ -386,7 +377,7 @@ class _Source:
         return [(proposal.label, proposal.box.box(), proposal.score) for proposal in proposals]
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
-        if self._choice.against is Against.REVIEWED:
+        if self._options.against is Against.REVIEWED:
             seen = seen_labels(self._project, self._frames, stored)
             return [_scored_box(label) for label in seen if label.state in REVIEWED]
         recording = self._frames.recording(stored.recording_id)

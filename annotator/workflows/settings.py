@@ -10,11 +10,11 @@ from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from itertools import permutations
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, JsonValue, RootModel, ValidationError
+from pydantic import JsonValue, RootModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from annotator.detection.trained import read_trained
@@ -95,7 +95,7 @@ def _ordered(
 
 
 Settings = Mapping[str, Any]
-"""Some of `RcvConfig`'s fields; groups are nested objects."""
+"""Some of `RcvConfig`'s fields."""
 
 # Fields that cannot be set, and where their values come from.
 DERIVED = {
@@ -133,12 +133,11 @@ def rcv_config(
     stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
     from_file = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
     from_options = _checked(options or {}, "command line: ")
-    config = _validated(_merged(_merged(stored, from_file), from_options))
+    config = _validated({**stored, **from_file, **from_options})
     config = config.model_copy(update={"reviewed_sizes": reviewed_sizes(project, without_frames)})
-    if "size_px" in config.view.model_fields_set:
+    if "view_px" in config.model_fields_set:
         return config
-    size_px = view_px or _trained_px(project) or config.view.size_px
-    return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
+    return config.model_copy(update={"view_px": view_px or _trained_px(project) or config.view_px})
 
 
 def checked_config(settings: Settings) -> RcvConfig:
@@ -185,25 +184,9 @@ def _message(problem: ErrorDetails) -> str:
     where = ".".join(map(str, problem["loc"]))
     if problem["type"] != "extra_forbidden":
         return f"{where}: {problem['msg'].replace('Input should be', 'must be')}, not {problem['input']!r}"
-    known = list(_fields(problem["loc"][:-1]))
+    # the only settings with parts are typical sizes
+    model = RcvConfig if len(problem["loc"]) == 1 else TypicalSize
+    known = [name for name in model.model_fields if name not in DERIVED]
     near = get_close_matches(str(problem["loc"][-1]), known, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"the settings are {', '.join(known)}"
     return f"{where}: there is no such setting; {hint} (`annotator annotate PROJECT --show-config` prints all)"
-
-
-def _fields(group: tuple[int | str, ...]) -> list[str]:
-    model: type[BaseModel] = RcvConfig
-    for name in group:
-        if isinstance(name, int):  # an item of a list of groups
-            continue
-        nested: Any = model.model_fields[name].annotation
-        model = nested if isinstance(nested, type) else get_args(nested)[0]
-    return [name for name in model.model_fields if name not in DERIVED]
-
-
-def _merged(under: Settings, over: Settings) -> dict[str, Any]:
-    merged = dict(under)
-    for name, value in over.items():
-        below = merged.get(name)
-        merged[name] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return merged

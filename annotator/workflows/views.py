@@ -34,7 +34,7 @@ from annotator.formats.reading import write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
-from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
+from annotator.project import Project, ViewBoxes, ViewGeometry
 from annotator.project.changes import (
     ImageBoxesSet,
     LabelAccepted,
@@ -248,15 +248,6 @@ class WrittenViews:
     unreadable: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    stored: StoredFrame
-    number: int
-    step: int
-    image_box: Box2D
-    views: tuple[PseudoView, PseudoView]
-
-
 def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> WrittenViews:
     """Writes the pseudo-views of one step for every object that has the boxes it needs. The folder is written whole or
     not at all.
@@ -265,91 +256,68 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
         out: a new folder for PNG images, `views.json`, and a `coco.json` that lists the images without boxes.
         step: 1 (from the boxes on camera images) or 2 (from those on the first step's views).
     """
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise ConfigError(f"{out}: exists already; choose a new folder for the images")
     if step not in (1, 2):
         raise ConfigError(f"there is no step {step}; choose 1 or 2")
-    frames = _Frames(project, config)
     images: list[PictureLabels] = []
     places: list[ViewPlace] = []
+    broken: list[str] = []
     with new_folder(out, lambda _: False) as folder:
-        for drawn in _first(frames) if step == 1 else _second(frames):
-            for side, view in zip(("front", "side"), drawn.views, strict=True):
-                place = _place(frames, drawn, side, view)
-                with writing(out):
-                    (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
-                images.append(PictureLabels(place.file_name, (), (view.rgb.shape[1], view.rgb.shape[0])))
-                places.append(place)
+        for place, view in _places(project, step, config, broken):
+            with writing(out):
+                (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
+            images.append(PictureLabels(place.file_name, (), (view.rgb.shape[1], view.rgb.shape[0])))
+            places.append(place)
         if not images:
             needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"
-            unreadable = "".join(f"\n  unreadable: {line}" for line in frames.unreadable)
+            unreadable = "".join(f"\n  unreadable: {line}" for line in broken)
             raise ConfigError(f"project {project.config.name} has no object with {needed} yet{unreadable}")
         write_places(folder, places)
         write_coco(folder / COCO, images, project.config.classes)
-    return WrittenViews(len(images), tuple(frames.unreadable))
+    return WrittenViews(len(images), tuple(broken))
 
 
-def _place(frames: _Frames, drawn: _Drawn, side: str, view: PseudoView) -> ViewPlace:
-    recording = frames.source.stored(drawn.stored.recording_id).name
-    stem = re.sub(r"[^\w.-]+", "_", f"{recording}_{drawn.stored.key}_{drawn.number:02d}_step{drawn.step}_{side}")
-    return ViewPlace(
-        file_name=f"{stem}.png",
-        recording=recording,
-        frame=drawn.stored.key,
-        step=drawn.step - 1,
-        geometry=geometry_of(view, drawn.image_box),
-    )
-
-
-class _Frames:
-    """Reads labelled frames, and collects the errors of those that cannot be read."""
-
-    def __init__(self, project: Project, config: RcvConfig) -> None:
-        self.project, self.config = project, config
-        self.source = FrameSource(project)
-        self.unreadable: list[str] = []
-
-    def read(self, frame_id: int) -> tuple[StoredFrame, Frame, RcvConfig] | None:
-        """Returns a frame with the settings for its views; None if it cannot be read."""
-        stored = self.project.frames.get(frame_id)
+def _places(
+    project: Project, step: int, config: RcvConfig, broken: list[str]
+) -> Iterator[tuple[ViewPlace, PseudoView]]:
+    """The pseudo-views of a step, in pairs; frames that cannot be read are added to `broken`."""
+    source = FrameSource(project)
+    for frame_id, objects in (_drawn_boxes(project) if step == 1 else _drawn_pairs(project)).items():
+        stored = project.frames.get(frame_id)
         try:
-            frame = self.source.read(stored)
+            frame = source.read(stored)
         except FrameError as error:
-            self.unreadable.append(f"{stored.key}: {error}")
-            return None
-        orientation = orientation_for(self.project.config.settings.rotation, frame)
-        return stored, frame, self.config.model_copy(update={"orientation": orientation})
-
-
-def _first(frames: _Frames) -> Iterator[_Drawn]:
-    for boxes in frames.project.boxes.on_images():
-        read = frames.read(boxes.frame_id) if boxes.boxes else None
-        if read is None:
+            broken.append(f"{stored.key}: {error}")
             continue
-        stored, frame, settings = read
-        for number, box in enumerate(boxes.boxes):
-            views = first_views(frame, box, settings)
-            if views is not None:
-                yield _Drawn(stored, number, 1, box, views)
-
-
-def _second(frames: _Frames) -> Iterator[_Drawn]:
-    by_frame: dict[int, list[tuple[Box2D, tuple[ViewBoxes, ViewBoxes]]]] = defaultdict(list)
-    for (frame_id, image_box), steps in views_by_object(frames.project.boxes.on_views()).items():
-        pair = front_and_side(steps[0])
-        if pair is not None:
-            by_frame[frame_id].append((image_box, pair))
-    for frame_id, objects in by_frame.items():
-        read = frames.read(frame_id)
-        if read is None:
-            continue
-        stored, frame, settings = read
-        frame = frame_with_normals(frame, [image_box for image_box, _ in objects])
+        orientation = orientation_for(project.config.settings.rotation, frame)
+        settings = config.model_copy(update={"orientation": orientation})
+        if step == 2:
+            frame = frame_with_normals(frame, [image_box for image_box, _ in objects])
+        recording = source.stored(stored.recording_id).name
         for number, (image_box, pair) in enumerate(objects):
             spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
-            following = next_views(frame, image_box, spans, settings)
-            if following is not None:
-                yield _Drawn(stored, number, 2, image_box, following)
+            views = next_views(frame, image_box, spans, settings) if spans else first_views(frame, image_box, settings)
+            for side, view in zip(("front", "side"), views or (), strict=False):
+                stem = re.sub(r"[^\w.-]+", "_", f"{recording}_{stored.key}_{number:02d}_step{step}_{side}")
+                geometry = geometry_of(view, image_box)
+                yield (
+                    ViewPlace(
+                        file_name=f"{stem}.png", recording=recording, frame=stored.key, step=step - 1, geometry=geometry
+                    ),
+                    view,
+                )
+
+
+def _drawn_boxes(project: Project) -> dict[int, list[tuple[Box2D, tuple[ViewBoxes, ...]]]]:
+    return {each.frame_id: [(box, ()) for box in each.boxes] for each in project.boxes.on_images() if each.boxes}
+
+
+def _drawn_pairs(project: Project) -> dict[int, list[tuple[Box2D, tuple[ViewBoxes, ...]]]]:
+    """The objects with boxes on both views of the first step, by frame: their box on the image, and these views."""
+    by_frame: dict[int, list[tuple[Box2D, tuple[ViewBoxes, ...]]]] = defaultdict(list)
+    for (frame_id, image_box), steps in views_by_object(project.boxes.on_views()).items():
+        if pair := front_and_side(steps[0]):
+            by_frame[frame_id].append((image_box, pair))
+    return by_frame
 
 
 def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSet | None:

@@ -18,7 +18,7 @@ from annotator.detection.pretrained import base_weights
 from annotator.detection.trained import read_trained
 from annotator.geometry.iou import iou_3d
 from annotator.project import BoxRotation
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.config import RcvConfig
 from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.synthetic import write_generated
 from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, Truth
@@ -49,7 +49,7 @@ class Measuring:
     @classmethod
     def load(cls) -> Measuring:
         weights = base_weights()
-        config = RcvConfig(view=ViewConfig(size_px=read_trained(weights.parent).image_size_px))
+        config = RcvConfig(view_px=read_trained(weights.parent).image_size_px)
         return cls(load_detector(weights, "auto"), config.for_detector(BoxKind.BOX, True))
 
     def picture(self, frame: Frame, truths: list[Truth], rotation: BoxRotation) -> np.ndarray:

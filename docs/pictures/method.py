@@ -13,7 +13,7 @@ from page import DOCS
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.oriented_box import EDGES, box_corners, contains
 from annotator.geometry.projection import in_frustum, project
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.recordings import open_recording
@@ -32,7 +32,7 @@ def main() -> None:
         recording = open_recording(Path(folder) / "room")
         frame = recording.frame(4)
         truths = [t for t in load_truth(recording, 4, frame) if contains(t.box, frame.cloud.xyz_m).sum() > 2000]
-    config = RcvConfig(orientation=Orientation.UPRIGHT, view=ViewConfig(size_px=TILE))
+    config = RcvConfig(orientation=Orientation.UPRIGHT, view_px=TILE)
     detector = PerfectDetector.for_frame(frame, truths, jitter=0.01)
     proposals = propose([frame], detector, detector, config)[0].proposals
     shown = max(proposals, key=lambda p: p.image_box.width_px * p.image_box.height_px)
@@ -79,7 +79,7 @@ def step_tiles(frame: Frame, proposal: Proposal, step: StepTrace) -> list[np.nda
     """The step's pseudo-views with the boxes that were used, rendered again from the points of the step."""
     cloud = cloud_of(frame, proposal, step)
     axes = [np.array(view.axes) for view in step.views[::2]]
-    rendered = render_pairs(cloud, axes, ViewConfig(size_px=TILE))
+    rendered = render_pairs(cloud, axes, TILE)
     tiles = []
     for view, trace in zip(rendered, step.views, strict=True):
         tile = np.ascontiguousarray(view.rgb).copy()

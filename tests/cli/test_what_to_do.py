@@ -30,16 +30,11 @@ REFUSALS = [
     ("check no/such", "has no no); give the path of a recording"),
     ("add room recordigs/people", "has no recordigs; did you mean recordings?)"),
     ("check labels", "it holds text files; if they are labels, give the folder that also has their images and clouds"),
-    ("check sun", "it looks like SUN RGB-D as VoteNet extracts it: depth/*.mat or points/*.npz is missing"),
-    ("check other", "`annotator inspect other` lists what each format needs"),
     # evaluation
     ("evaluate labels labels --protocol kitti", "append one to each row (1.0 if all are equally certain)"),
-    ("evaluate boxes.csv boxes.csv --protocol sunrgbd", "boxes.csv:1: has no column score"),
     ("evaluate recordings recordings --protocol oriented", "is no dataset in the format rcv, which has a dataset.json"),
     # options
     ("add room", "no recording given"),
-    ("annotate room", "has no image detector yet; run `annotator train room`"),
-    ("views room out", "no object with boxes on camera images yet"),
     ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
     ("import room flat.json --pictures p --recording x", "--recording is for boxes on camera images"),
     ("import room flat.json --fraction 0.5", "--fraction and --seed need --as 2d"),
@@ -58,7 +53,6 @@ REFUSALS = [
     ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
     ("import room labels/000000.txt", "has the labels of one frame; give the folder of all: labels"),
     ("import room car.json --as 2d", "`annotator classes add`, or map them to its own, as in --classes Car=person"),
-    ("import room far", "the project has none of the dataset's frames (999999); first add their recording"),
     # export
     (
         "export room other --overwrite",

@@ -14,9 +14,8 @@ from annotator import demo
 from annotator.demo import (
     GOOD_IOU,
     SAME_IOU,
-    FirstDragPlan,
+    Plan,
     SimulatedOperator,
-    TrainedPlan,
     run_first_drag,
     run_trained,
 )
@@ -51,7 +50,7 @@ def test_one_drawn_box_per_object_becomes_reviewed_boxes_in_all_frames(tmp_path:
 
     result = run_first_drag(
         tmp_path,
-        FirstDragPlan(preset="hands", frames=3),
+        Plan("hands", 3),
         lambda stage, done, of: told.setdefault(stage, []).append(done / of),
         on_proposals,
     )
@@ -112,7 +111,7 @@ def test_a_viewer_may_change_frames_at_any_moment(tmp_path: Path, monkeypatch: p
 
     for moment in ("review", "draw", "place", "track", "reviewed_of"):
         monkeypatch.setattr(SimulatedOperator, moment, watched(getattr(SimulatedOperator, moment)))
-    run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=2), lambda *_: None)
+    run_first_drag(tmp_path, Plan("hands", 2), lambda *_: None)
     with open_project(tmp_path / "demo") as project:
         events = [event for frame in project.frames.of() for event in project.log.of_frame(frame.id)]
     assert {"viewer", AUTHOR} <= {event.author for event in events}
@@ -122,7 +121,7 @@ def test_existing_folders_are_not_overwritten(tmp_path: Path) -> None:
     there = "3D_HAND"
     (tmp_path / there).mkdir()
     with pytest.raises(ConfigError, match="exists already; choose another folder"):
-        run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
+        run_first_drag(tmp_path, Plan("hands", 4), lambda *_: None)
     assert [path.name for path in tmp_path.iterdir()] == [there]
 
 
@@ -131,16 +130,16 @@ def test_without_a_base_detector_the_error_names_the_other_demo(
 ) -> None:
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "none")
     with pytest.raises(DetectionError, match="--train"):
-        run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
+        run_first_drag(tmp_path, Plan("hands", 4), lambda *_: None)
     assert not list(tmp_path.iterdir())
 
 
 STAGES = ["generate", "label", "train", "propose", "score and export"]
 
 
-def tiny(plan: TrainedPlan) -> TrainPlan:
+def tiny() -> TrainPlan:
     """The demo's trainings with 64 pixels and one epoch."""
-    full = TRAINING(plan)
+    full = TRAINING()
     small = {"image_size_px": 64, "epochs": 1}
     return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
 
@@ -155,8 +154,9 @@ def test_the_demo_runs_all_stages(
 ) -> None:
     monkeypatch.setattr(demo, "_training", tiny)
     told: dict[str, list[float]] = {}
-    plan = TrainedPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
-    result = run_trained(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
+    result = run_trained(
+        tmp_path, Plan(preset, 4), lambda stage, done, of: told.setdefault(stage, []).append(done / of)
+    )
 
     assert list(result.seconds) == STAGES
     assert {done[-1] for done in told.values()} == {1}
@@ -177,8 +177,3 @@ def test_the_demo_runs_all_stages(
         assert project.config.settings.rotation is rotation
         assert project.statistics().labels.total == dataset.manifest.counts.objects
         assert project.problems() == []
-
-
-def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown preset 'cats'"):
-        run_trained(tmp_path, TrainedPlan(preset="cats"), lambda *_: None)

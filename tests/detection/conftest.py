@@ -57,7 +57,7 @@ def tiny_dataset(made_once: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="session")
 def quick_config() -> TrainingConfig:
     return TrainingConfig(
-        pretrained="never", image_size_px=96, epochs=30, batch=6, measure_every=10, device="cpu", learning_rate=0.02
+        pretrained="never", image_size_px=96, epochs=30, batch=6, measure_every=10, device="cpu", recipe={"lr0": 0.02}
     )
 
 

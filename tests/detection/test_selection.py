@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from annotator.detection.yolo import (
     GREY,
-    SQUARE_UP_TO_PX,
     candidates,
     fill_batch,
     place,
@@ -18,18 +17,6 @@ from annotator.detection.yolo import (
 )
 
 # Scaling images to canvases, and boxes back to images.
-
-
-@given(height=st.integers(1, 700), width=st.integers(1, 700), side=st.sampled_from([64, 224, 320]))
-def test_the_canvas_is_the_smallest_multiple_of_the_stride(height: int, width: int, side: int) -> None:
-    placement = place((height, width), side, 32)
-    assert max(placement.scaled_width_px, placement.scaled_height_px) == side
-    for canvas, scaled, border in zip(
-        placement.canvas, (placement.scaled_width_px, placement.scaled_height_px), placement.corner, strict=True
-    ):
-        assert canvas % 32 == 0
-        assert canvas == side if side <= SQUARE_UP_TO_PX else 0 <= canvas - scaled < 32
-        assert border == (canvas - scaled) // 2
 
 
 @given(height=st.integers(40, 300), width=st.integers(40, 300), side=st.sampled_from([64, 96]), seed=st.integers(0, 99))
@@ -53,17 +40,6 @@ def test_boxes_on_the_canvas_map_back_to_the_image(height: int, width: int, side
     want = np.array([x_min, y_min, x_max, y_max]) - 0.5
     scale = max(height, width) / side
     np.testing.assert_allclose(got, want, atol=0.8 * max(scale, 1))
-
-
-def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
-    raw = np.zeros((2, 6, 4), np.float32)
-    raw[0, :, 3] = [10, 20, 4, 6, 0.4, 0.3]
-    raw[1, :, 0] = [5, 5, 2, 2, 0.2, 0.9]
-    selected = candidates(raw, False, 0.05)
-    assert selected.picture.tolist() == [0, 1]
-    assert selected.boxes.tolist() == [[8, 17, 12, 23], [4, 4, 6, 6]]
-    assert selected.numbers.tolist() == [0, 1]
-    np.testing.assert_allclose(selected.scores, [0.4, 0.9])
 
 
 @pytest.mark.parametrize("end2end", [False, True])

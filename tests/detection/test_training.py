@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.detection.config import Augmentation, TrainingConfig
+from annotator.detection.config import TrainingConfig
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api
@@ -176,10 +176,7 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
     from annotator.detection.trainer import TrainerHooks, make_trainer
     from annotator.detection.ultralytics_api import pick_device
 
-    config = TrainingConfig(
-        image_size_px=96,
-        augmentation=Augmentation(flip_horizontal=0.5, shift=0.1, scale=0.3),
-    )
+    config = TrainingConfig(image_size_px=96, recipe={"scale": 0.3})
     hooks = TrainerHooks(
         tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, lambda _: None, lambda _: None
     )

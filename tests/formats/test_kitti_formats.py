@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from annotator.geometry.occlusion import Sight
 from dataset_samples import make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 

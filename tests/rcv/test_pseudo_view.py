@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.config import RcvConfig
 from annotator.rcv.pseudo_view import (
     BACKGROUND,
     KeyLayout,
@@ -23,7 +23,7 @@ from annotator.rcv.pseudo_view import (
 from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, PointCloud
 
-VIEW = ViewConfig(size_px=100)
+VIEW = 100
 
 
 def cloud_of(points: list[list[float]], colors: list[list[int]] | None = None) -> PointCloud:
@@ -109,10 +109,8 @@ def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> Non
     rgb = rng.integers(0, 255, (n, 3)).astype(np.uint8) if colored else None
     axes = Rotation.random(VIEWS, rng=rng).as_matrix().astype(np.float32)
     along = axes @ xyz
-    config = ViewConfig(size_px=64)
-    windows = fit_windows(
-        along[:, :2].min(axis=2).astype(np.float64), along[:, :2].max(axis=2).astype(np.float64), config
-    )
+    low, high = along[:, :2].min(axis=2), along[:, :2].max(axis=2)
+    windows = fit_windows(low.astype(np.float64), high.astype(np.float64), 64)
     depths = np.stack([along[:, 2].min(axis=1), along[:, 2].max(axis=1)], axis=1)
     pictures = draw_views(xyz, pack_colors(rgb, n), axes, windows, depths)
     for picture, rows, window in zip(pictures, axes, windows, strict=True):
@@ -126,7 +124,7 @@ def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> Non
 # The first step's pictures of frustums that are much deeper than wide.
 
 
-CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))
+CONFIG = RcvConfig(view_px=96)
 
 
 def frustum(depth_m: float) -> PointCloud:
@@ -137,6 +135,6 @@ def frustum(depth_m: float) -> PointCloud:
 @pytest.mark.parametrize(("depth_m", "size_px", "look_px"), [(3.9, 96, 0), (4.1, 224, 224), (60.0, 224, 224)])
 def test_a_deep_frustum_is_drawn_and_detected_at_a_larger_size(depth_m: float, size_px: int, look_px: int) -> None:
     cloud = frustum(depth_m)
-    assert is_deep(cloud, CONFIG) == (size_px == 224)
+    assert is_deep(cloud) == (size_px == 224)
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
     assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}

@@ -9,8 +9,8 @@ import pytest
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.rcv import starts
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, ViewConfig
+from annotator.rcv import pseudo_view, starts
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize
 from annotator.rcv.propose import propose_from_boxes
 from annotator.types import BoxKind, Detector, Frame, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
@@ -18,10 +18,8 @@ from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 FREE, UPRIGHT = Orientation.FREE, Orientation.UPRIGHT
 
 
-def config_for(orientation: Orientation, sizes: Sequence[TypicalSize], trained: bool, deep: bool = False) -> RcvConfig:
-    view = ViewConfig(deep=1e-3 if deep else 100.0)
-    config = RcvConfig(orientation=orientation, typical_sizes=tuple(sizes), view=view)
-    config = config.model_copy(update={"refine_steps": 0})
+def config_for(orientation: Orientation, sizes: Sequence[TypicalSize], trained: bool) -> RcvConfig:
+    config = RcvConfig(orientation=orientation, typical_sizes=tuple(sizes), refine_steps=0)
     return config.for_detector(BoxKind.BOX, class_agnostic=True, trained=trained)
 
 
@@ -49,16 +47,18 @@ def found(frame: Frame, detector: Detector, config: RcvConfig) -> tuple[Oriented
     ],
 )
 def test_objects_of_a_typical_size_are_found_whatever_a_trained_detector_sees(
-    orientation: Orientation, trained: bool, sees: bool, deep: bool
+    monkeypatch: pytest.MonkeyPatch, orientation: Orientation, trained: bool, sees: bool, deep: bool
 ) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 1e-3 if deep else 100.0)
     frame = frame_with(BOX)
-    box, notes = found(frame, knowing(frame) if sees else Blind(), config_for(orientation, [TYPICAL], trained, deep))
+    box, notes = found(frame, knowing(frame) if sees else Blind(), config_for(orientation, [TYPICAL], trained))
     assert iou_3d(box, BOX) > (0.85 if sees else 0.4)
     assert (starts.NOT_SEEN in notes) == (trained and not sees)
     assert starts.TYPICAL_SIZE in notes
 
 
-def test_a_box_that_does_not_agree_with_the_image_is_not_used() -> None:
+def test_a_box_that_does_not_agree_with_the_image_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 100.0)
     frame = frame_with(BOX)
     half = OrientedBox(BOX.pose, BOX.size_m * 0.4)
     wrong = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], half)])

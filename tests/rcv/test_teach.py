@@ -8,7 +8,7 @@ from scenes import frame_with, some_box
 
 from annotator.geometry.oriented_box import contains
 from annotator.rcv import teach
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, project_box, teach_views
 from annotator.types import BoxKind, Frame, OrientedBox, PseudoView
 
@@ -17,7 +17,7 @@ BOXES = [
     some_box([-0.25, 0.1, 2.0], [0, 0.5, 0], [0.6, 0.8, 0.3]),
     some_box([0.35, 0.0, 2.2], [0, -0.3, 0], [0.4, 0.5, 0.3]),
 ]
-CONFIG = RcvConfig(view=ViewConfig(size_px=96))
+CONFIG = RcvConfig(view_px=96)
 
 
 def corners_of(box: OrientedBox) -> np.ndarray:

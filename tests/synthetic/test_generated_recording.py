@@ -13,7 +13,7 @@ from annotator.formats.reading import read_mask
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
-from annotator.types.errors import ConfigError
+from annotator.types.errors import AnnotatorError
 
 PRESETS = ("people", "hands", "objects")
 FRAMES = 3
@@ -92,14 +92,13 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
     [
         ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands, objects"),
         ({"frames": 0}, "frames must be at least 1"),
-        ({"path": "."}, "already exists"),
         ({"seed": -1}, "the seed must be 0 or more"),
-        ({"path": "n" * 250}, "cannot be created: File name too long"),
+        ({"path": "n" * 250}, r"cannot be created \(File name too long"),
     ],
 )
 def test_invalid_arguments_are_refused(tmp_path: Path, change: dict[str, object], complaint: str):
     arguments: dict[str, object] = {"path": "new", "preset": "hands", "frames": 1, "seed": 0} | change
     arguments["path"] = tmp_path / str(arguments["path"])
-    with pytest.raises(ConfigError, match=complaint):
+    with pytest.raises(AnnotatorError, match=complaint):
         write_generated(**arguments)
     assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.config import RcvConfig, Strategy, ViewConfig, typical_size
+from annotator.rcv.config import RcvConfig, Strategy, typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
@@ -42,27 +42,19 @@ def written(folder: Path, content: object) -> Path:
 
 
 def test_each_source_overrides_the_ones_below(project: Project, tmp_path: Path) -> None:
-    keep(project, max_steps=7, min_points=9, coarse_box=True, view={"size_px": 96, "deep": 3.0})
+    keep(project, max_steps=7, min_view_score=0.1, coarse_box=True, view_px=96)
     assert rcv_config(project).max_steps == 7
-    file = written(
-        tmp_path, {"min_points": 11, "coarse_box": False, "view": {"deep_size_px": 320}, "strategy": "normals"}
-    )
+    file = written(tmp_path, {"min_view_score": 0.2, "coarse_box": False, "strategy": "normals"})
     config = rcv_config(project, file, {"strategy": "camera"})
-    assert config == RcvConfig(
-        max_steps=7,
-        min_points=11,
-        coarse_box=False,
-        view=ViewConfig(size_px=96, deep=3.0, deep_size_px=320),
-        strategy=Strategy.CAMERA,
-    )
+    assert config == RcvConfig(max_steps=7, min_view_score=0.2, view_px=96, strategy=Strategy.CAMERA)
 
 
 def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_path: Path) -> None:
-    keep(project, max_steps=7, view={"deep": 3.0})
+    keep(project, max_steps=7, coarse_box=True)
     shown = editable(rcv_config(project))
-    assert json.loads(shown)["view"]["size_px"] == ViewConfig().size_px
+    assert json.loads(shown)["view_px"] == RcvConfig().view_px
     keep(project)
-    assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, view=ViewConfig(deep=3.0))
+    assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, coarse_box=True)
 
 
 def test_only_changed_settings_are_stored(project: Project) -> None:
@@ -73,12 +65,11 @@ def test_only_changed_settings_are_stored(project: Project) -> None:
 TYPICAL = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1]}
 WRONG = [
     ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
-    ({"view": {"sizepx": 3}}, "view.sizepx: there is no such setting; did you mean 'size_px'?"),
     (
         {"typical_sizes": [TYPICAL | {"sprad": 1}]},
         "typical_sizes.0.sprad: there is no such setting; did you mean 'spre",
     ),
-    ({"view": {"size_px": 9999}}, "view.size_px: must be less than or equal to 2048, not 9999"),
+    ({"view_px": 9999}, "view_px: must be less than or equal to 2048, not 9999"),
     ({"strategy": "magic"}, "strategy: must be 'camera', 'eigenvectors', 'normals' or 'consensus', not 'magic'"),
     ({"orientation": "free"}, "orientation: cannot be set: it follows from the rotation"),
 ]
@@ -100,7 +91,7 @@ def test_errors_name_the_file_and_field(
 
 @pytest.mark.parametrize(
     "content",
-    ["", "[1]", '{"view": {"deep": NaN}}', '{"a":' * 5000],
+    ["", "[1]", '{"min_view_score": NaN}', '{"a":' * 5000],
     ids=["empty", "list", "nan", "deep"],
 )
 def test_an_invalid_settings_file_is_refused(project: Project, tmp_path: Path, content: str) -> None:
@@ -116,11 +107,11 @@ def test_show_config_prints_the_resulting_settings(
 ) -> None:
     """Works before any training, with exit code 0."""
     keep(project, max_steps=7)
-    file = written(tmp_path, {"min_points": 11})
+    file = written(tmp_path, {"min_view_score": 0.2})
     words = ["annotate", "p", "--projects", str(tmp_path), "--config", str(file), "--axes", "normals", "--show-config"]
     assert main(words) == 0
     shown = json.loads(capsys.readouterr().out)
-    assert (shown["max_steps"], shown["min_points"], shown["strategy"]) == (7, 11, "normals")
+    assert (shown["max_steps"], shown["min_view_score"], shown["strategy"]) == (7, 0.2, "normals")
     derived = {"orientation", "box_kind", "class_agnostic", "trained", "image_box_kind", "reviewed_sizes"}
     assert shown.keys() == RcvConfig.model_fields.keys() - derived
 
@@ -132,7 +123,7 @@ def run(project: Project, *words: str) -> int:
 def test_simulate_views_train_and_annotate_use_the_projects_settings(
     people: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    keep(people, view={"size_px": 64}, max_steps=1)
+    keep(people, view_px=64, max_steps=1)
     taught: list[RcvConfig] = []
     monkeypatch.setattr(train, "view_samples", lambda _, __, rcv, *rest: taught.append(rcv) or iter(()))
     monkeypatch.setattr("annotator.cli.annotate.trained_detectors", lambda *_: GivenDetectors(knowing("people")))
@@ -142,10 +133,10 @@ def test_simulate_views_train_and_annotate_use_the_projects_settings(
     assert run(people, "views", str(tmp_path / "out")) == 0
     assert {max(cv2.imread(str(path)).shape[:2]) for path in (tmp_path / "out").glob("*.png")} == {64}
     assert run(people, "train", "--only", "view") == 2  # no samples, so training fails
-    assert taught == [RcvConfig(max_steps=1, view=ViewConfig(size_px=64))]
+    assert taught == [RcvConfig(max_steps=1, view_px=64)]
     assert run(people, "annotate", "--limit", "1") == 0
     kept = json.loads(people.jobs.all()[-1].config)
-    assert (kept["max_steps"], kept["view"]["size_px"]) == (1, 64)
+    assert (kept["max_steps"], kept["view_px"]) == (1, 64)
 
 
 def test_pseudo_views_have_the_detectors_training_size_unless_set(
@@ -154,18 +145,18 @@ def test_pseudo_views_have_the_detectors_training_size_unless_set(
     weights = project.models_folder / "detector.pt"
     weights.write_bytes(b"weights")
     assert rcv_config(project) == RcvConfig()
-    assert rcv_config(project, view_px=96).view.size_px == 96
+    assert rcv_config(project, view_px=96).view_px == 96
     project.models.register(
         DetectorKind.VIEW, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="of the weights"
     )
     monkeypatch.setattr("annotator.workflows.settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320))
-    assert rcv_config(project).view.size_px == 320
+    assert rcv_config(project).view_px == 320
     # a new training uses its own size
-    assert rcv_config(project, view_px=96).view.size_px == 96
-    assert rcv_config(project, options={"view": {"size_px": 64}}, view_px=96).view.size_px == 64
+    assert rcv_config(project, view_px=96).view_px == 96
+    assert rcv_config(project, options={"view_px": 64}, view_px=96).view_px == 64
     monkeypatch.undo()
     # an unreadable model is ignored here; running it raises the error
-    assert rcv_config(project).view.size_px == ViewConfig().size_px
+    assert rcv_config(project).view_px == RcvConfig().view_px
 
 
 ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()

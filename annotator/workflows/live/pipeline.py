@@ -8,7 +8,7 @@ first frame, which takes long: no frame is read in the meantime, and the first o
 
 Reading a frame occupies a core for some time (12 ms for an RGB-D image pair), which delays the detectors on a small
 machine. So a source that returns its newest frame on request is read as late as possible, such that the frame is ready
-when detection ends (`Demand`). Both durations are predicted from recent ones.
+when detection ends. Both durations are predicted from recent ones.
 """
 
 from __future__ import annotations
@@ -164,6 +164,7 @@ class Slot(Generic[Item]):
 
     Attributes:
         dropped: number of items replaced before they were taken.
+        taken_s: when the last item was taken, `time.perf_counter`.
     """
 
     def __init__(self) -> None:
@@ -171,6 +172,7 @@ class Slot(Generic[Item]):
         self._item: Item | None = None
         self._closed = False
         self.dropped = 0
+        self.taken_s = 0.0
 
     def put(self, item: Item) -> None:
         """Puts an item without waiting. Does nothing after `close`."""
@@ -179,14 +181,21 @@ class Slot(Generic[Item]):
                 return
             self.dropped += self._item is not None
             self._item = item
-            self._changed.notify()
+            self._changed.notify_all()
 
     def take(self) -> Item | None:
         """Waits for an item and takes it; returns None once the slot is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._item is not None or self._closed)
             item, self._item = self._item, None
+            self.taken_s = time.perf_counter()
+            self._changed.notify_all()
             return item
+
+    def wait_until_empty(self) -> None:
+        """Waits until the item is taken, or the slot is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._item is None or self._closed)
 
     def close(self, *, empty: bool = False) -> None:
         """Accepts no more items. The present one can still be taken, unless `empty` is set."""
@@ -195,60 +204,6 @@ class Slot(Generic[Item]):
             if empty:
                 self._item = None
             self._changed.notify_all()
-
-
-class Demand:
-    """Predicts when detection needs its next frame. Shared by the reading and the detecting thread."""
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._durations_s: deque[float] = deque(maxlen=HISTORY)
-        self._reads_s: deque[float] = deque(maxlen=HISTORY)
-        self._started_s: float | None = None
-        self._is_waiting = False
-        self._is_closed = False
-
-    def frame_read(self, read_s: float) -> None:
-        """Notes that a frame was read in `read_s` seconds and waits for detection."""
-        with self._changed:
-            self._is_waiting = True
-            self._reads_s.append(read_s)
-
-    def detection_begins(self) -> None:
-        """Notes that detection has taken the waiting frame."""
-        with self._changed:
-            self._is_waiting = False
-            self._started_s = time.perf_counter()
-            self._changed.notify_all()
-
-    def detection_ends(self) -> None:
-        """Notes that detection is finished."""
-        with self._changed:
-            if self._started_s is not None:
-                self._durations_s.append(time.perf_counter() - self._started_s)
-            self._started_s = None
-            self._changed.notify_all()
-
-    def close(self) -> None:
-        """Makes `wait` return at once, now and later."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify_all()
-
-    def wait(self) -> None:
-        """Returns when the next frame should be read."""
-        with self._changed:
-            while not self._is_closed and (left_s := self._left_s()) > 0:
-                self._changed.wait(None if left_s == float("inf") else left_s)
-
-    def _left_s(self) -> float:
-        """Returns the time until the next frame should be read, seconds; infinite while a frame waits."""
-        if self._is_waiting:
-            return float("inf")
-        if self._started_s is None or not self._durations_s:
-            return 0.0
-        ends_s = self._started_s + statistics.median(self._durations_s)
-        return ends_s - statistics.median(self._reads_s or [0.0]) - SPARE_S - time.perf_counter()
 
 
 @runtime_checkable
@@ -323,7 +278,9 @@ class Pipeline:
         self._max_frames, self._report = max_frames, report
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
-        self._demand = Demand()
+        # of detection without the first frame, which takes long, and of reading
+        self._durations_s: deque[float] = deque(maxlen=HISTORY)
+        self._reads_s: deque[float] = deque(maxlen=HISTORY)
         self._stop = threading.Event()
         self._running = threading.Event()
         self._running.set()
@@ -346,7 +303,6 @@ class Pipeline:
         """Asks all stages to end; frames between them are dropped."""
         for event in (self._stop, self._running, self._ready):
             event.set()
-        self._demand.close()
         for slot in (self._taken, self._detected):
             slot.close(empty=True)
 
@@ -406,7 +362,7 @@ class Pipeline:
                     self.source.resume()
                     continue
                 if self.source.gives_newest:
-                    self._demand.wait()
+                    self._wait_for_demand()
                 try:
                     taken = self.source.read(self._stop)
                 except FrameError as error:
@@ -416,7 +372,7 @@ class Pipeline:
                 if taken is None:
                     break
                 self.meter.read += 1
-                self._demand.frame_read(taken.read_s)
+                self._reads_s.append(taken.read_s)
                 self._taken.put(taken)
                 if not self._ready.is_set():
                     self._ready.wait()
@@ -425,12 +381,19 @@ class Pipeline:
             self.source.close()
             self._taken.close()
 
+    def _wait_for_demand(self) -> None:
+        """Returns when the next frame should be read, such that it is ready when detection ends."""
+        self._taken.wait_until_empty()
+        if self._durations_s and self._reads_s:
+            ends_s = self._taken.taken_s + statistics.median(self._durations_s)
+            self._stop.wait(max(ends_s - statistics.median(self._reads_s) - SPARE_S - time.perf_counter(), 0.0))
+
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
-                self._demand.detection_begins()
                 detected = self._detection.detect(taken)
-                self._demand.detection_ends()
+                if self._ready.is_set():
+                    self._durations_s.append(time.perf_counter() - self._taken.taken_s)
                 self.meter.detected += 1
                 if self._record is not None:
                     self._record.put(detected)

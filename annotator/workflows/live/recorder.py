@@ -65,9 +65,6 @@ class Recorder:
         Args:
             out: a folder that does not exist yet.
             report: called with a message for each interrupted recording that is rescued.
-
-        Raises:
-            ConfigError: `out` exists, cannot be created, or another process records to it.
         """
         self.out = out.resolve()
         self.dropped = 0
@@ -95,11 +92,7 @@ class Recorder:
         self._thread.start()
 
     def put(self, detected: Detected) -> None:
-        """Adds a frame with its boxes, without waiting.
-
-        Raises:
-            RecordingError: an earlier frame could not be written.
-        """
+        """Adds a frame with its boxes, without waiting."""
         self.require_complete()
         try:
             self._waiting.put_nowait(detected)
@@ -110,9 +103,6 @@ class Recorder:
         """Waits until all frames are written, moves the recording to `out`, and returns the number of its frames.
 
         Creates no recording if there is no frame.
-
-        Raises:
-            RecordingError: it cannot be moved to `out`; the message says where it is.
         """
         if self._thread.is_alive():
             self._waiting.put(None)
@@ -134,11 +124,7 @@ class Recorder:
         return self._writer.frames
 
     def require_complete(self) -> None:
-        """Raises if the recording is incomplete.
-
-        Raises:
-            RecordingError: why the last frames could not be written.
-        """
+        """Raises if the recording is incomplete."""
         if self._error is not None:
             raise self._error
 
@@ -282,10 +268,6 @@ def store(
     """Adds a finished recording and its proposals to the project, ready for review.
 
     The stored settings differ from those of an `annotate` run, so `annotate` processes these frames again.
-
-    Raises:
-        RecordingError: the recording cannot be read.
-        ProjectError: the recording or its proposals cannot be stored.
     """
     recording = open_recording(recorder.out)
     stored = register_recording(project, recording)

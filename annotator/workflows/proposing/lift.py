@@ -145,10 +145,6 @@ class RenamedDetector:
     """A 2D detector under the project's class names; its other classes are left out."""
 
     def __init__(self, detector: Detector, classes: Sequence[str], names: Mapping[str, str]) -> None:
-        """
-        Args:
-            names: as for `boxes_of_file`.
-        """
         self._detector = detector
         self._names = {label: names.get(label, label) for label in detector.labels}
         self._classes = set(classes)

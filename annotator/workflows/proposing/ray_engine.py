@@ -60,10 +60,6 @@ class RayWorker:
     """The pool's worker for an actor."""
 
     def __init__(self, number: int, report: Report, make: Callable[[], Any]) -> None:
-        """
-        Args:
-            report: receives the events, from Ray's threads.
-        """
         self._number, self._report = number, report
         self._actor = make()
         self._is_over = False

@@ -214,61 +214,52 @@ class GivenDetectors:
         return self.detectors
 
 
-@dataclass(frozen=True)
-class _Files:
-    """The weights of a training and the file beside them, by name and content."""
-
-    weights: str
-    contents: tuple[tuple[str, bytes], ...]
-
-    @classmethod
-    def of(cls, weights: Path) -> _Files:
-        try:
-            return cls(
-                weights.name,
-                tuple((name, read_file(weights.parent / name, NETWORK_BYTES)) for name in (weights.name, MODEL_NAME)),
-            )
-        except OSError as error:
-            raise DetectionError(
-                f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
-            ) from error
-
-    def unpacked(self, folder: Path) -> Path:
-        """Writes the files into a folder below `folder` named by their hash, and returns the weights file.
-
-        Files that exist are kept, so exports made beside them are reused. Missing files are written again: systems
-        delete old temporary files. Several processes may call this at the same time.
-        """
-        digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for _, content in self.contents))
-        target = folder / digest.hexdigest()[:24]
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-            for name, content in self.contents:
-                if not (target / name).is_file():
-                    write_atomic(target / name, content)
-        except OSError as error:
-            raise DetectionError(
-                f"{target}: cannot be written ({error.strerror}); free some space, or set TMPDIR to another folder"
-            ) from error
-        return target / self.weights
+def packed(weights: Path) -> dict[str, bytes]:
+    """The contents of the weights of a training and of the file beside them, by name."""
+    try:
+        return {name: read_file(weights.parent / name, NETWORK_BYTES) for name in (weights.name, MODEL_NAME)}
+    except OSError as error:
+        raise DetectionError(
+            f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
+        ) from error
 
 
-@dataclass(frozen=True)
+def unpacked(files: dict[str, bytes], folder: Path) -> Path:
+    """Writes packed files into a folder below `folder` named by their hash, and returns that folder.
+
+    Files that exist are kept. Missing files are written again: systems delete old temporary files. Several processes
+    may call this at the same time.
+    """
+    digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in files.values()))
+    target = folder / digest.hexdigest()[:24]
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            if not (target / name).is_file():
+                write_atomic(target / name, content)
+    except OSError as error:
+        raise DetectionError(
+            f"{target}: cannot be written ({error.strerror}); free some space, or set TMPDIR to another folder"
+        ) from error
+    return target
+
+
+@dataclass(frozen=True, eq=False)
 class PackedDetectors:
-    """Trained detectors with the content of their files, for machines without access to the project's folder."""
+    """Trained detectors with the files of the image and of the view detector, for machines without the project."""
 
     trained: TrainedDetectors
-    image: _Files
-    view: _Files
+    files: tuple[dict[str, bytes], dict[str, bytes]]
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
         """Reads the weights."""
-        return cls(trained, _Files.of(trained.image.path), _Files.of(trained.view.path))
+        return cls(trained, (packed(trained.image.path), packed(trained.view.path)))
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors."""
-        folder = scratch_folder() / "detectors"
-        image = replace(self.trained.image, path=self.image.unpacked(folder))
-        view = replace(self.trained.view, path=self.view.unpacked(folder))
+        image, view = (
+            replace(model, path=unpacked(files, scratch_folder() / "detectors") / model.path.name)
+            for model, files in zip((self.trained.image, self.trained.view), self.files, strict=True)
+        )
         return replace(self.trained, image=image, view=view).load(threads)

@@ -28,7 +28,6 @@ from annotator.formats.reading import read_mask, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
 from annotator.formats.table import BoxFormat
 from annotator.formats.units import Angles
-from annotator.geometry.occlusion import Sight
 from annotator.geometry.outline import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.project import REVIEWED

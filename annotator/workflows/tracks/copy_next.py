@@ -57,12 +57,6 @@ def copy_next(
     Args:
         uid: the label, reviewed or not.
         read: reads a frame; the box is then moved and turned with the points inside, if these are found again.
-
-    Raises:
-        ConfigError: the recording is not a sequence, there is no next frame, it is finalised, or it has this box.
-        StaleRevisionError: one of the frames was changed in the meantime.
-        TrackTakenError: another object has just been given the label's new track id.
-        NotFoundError, RecordingError, FrameError: no such frame or label, or the next frame cannot be read.
     """
     page = page_at(project, frame_id, revision)
     frame, label = page.frame, label_of(page, uid).label
@@ -124,13 +118,7 @@ def carry_correction(
     *,
     effort: Effort | None = None,
 ) -> Changed:
-    """Changes the open proposals of a track after a reviewed box, up to its next reviewed one, as that box was changed.
-
-    Raises:
-        StaleRevisionError: a frame was changed in the meantime.
-        ConfigError: the label is not reviewed, has no track, or is as it was; or no proposal of the track follows.
-        NotFoundError: no such frame or label.
-    """
+    """Changes the open proposals of a track from a reviewed box to its next reviewed one, as that box was changed."""
     page = page_at(project, frame_id, revision)
     frame, label = page.frame, label_of(page, uid).label
     if label.state not in REVIEWED:

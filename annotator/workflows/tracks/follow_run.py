@@ -111,11 +111,6 @@ class FollowRun:
 
         After a stop or an error the boxes found so far are stored, between two reviewed boxes also those that were
         found from one of them only.
-
-        Raises:
-            StaleRevisionError: a frame is being changed again and again by others.
-            TrackTakenError: new track ids are being taken again and again by others.
-            DetectionError: the detector fails.
         """
         try:
             while (front := self._front()) and not stopped():
@@ -236,11 +231,7 @@ class FollowRun:
         item.stops.append(StoppedAt(frame.id, frame.key, reason))
 
     def _store(self, *, ended: bool = False) -> _Stored:
-        """Proposes the boxes that were found.
-
-        Raises:
-            StaleRevisionError, TrackTakenError: others change the frames, or take the track ids, again and again.
-        """
+        """Proposes the boxes that were found."""
         found = [(item, item.take(ended)) for item in self._objects]
         found = [(item, boxes) for item, boxes in found if boxes or item.met or ended]
         for attempt in range(TRIES):
@@ -407,12 +398,6 @@ def follow_recording(
         tracks: track ids; None = all reviewed boxes.
         forward, backward: whether to go on after the last, and before the first reviewed box.
         progress: called with (frames done, frames), counted for each object and direction.
-
-    Raises:
-        ConfigError: the recording is no sequence, or there is no reviewed box to follow.
-        NotFoundError: no such recording.
-        RecordingError: the recording cannot be opened.
-        StaleRevisionError, TrackTakenError, DetectionError: as `FollowRun.run`.
     """
     timeline = Timeline(project, recording_id)
     objects = []
@@ -442,11 +427,6 @@ def follow_from_frame(
         view: the project's view detector, if any (`view_with_classes`).
         uid: a label; None = all reviewed labels of the frame.
         forward: False = backward in time.
-
-    Raises:
-        StaleRevisionError: the frame was changed in the meantime.
-        ConfigError: the recording is no sequence, there is no reviewed box, or no frame to follow it to.
-        NotFoundError, RecordingError: no such frame or label, or the recording cannot be opened.
     """
     page = page_at(project, frame_id, revision)
     frame = page.frame
@@ -469,11 +449,7 @@ def follow_from_frame(
 
 
 def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool) -> Stretch:
-    """Returns the stretch on one side of a reviewed label.
-
-    Raises:
-        NotFoundError: its frame is no longer in the recording.
-    """
+    """Returns the stretch on one side of a reviewed label."""
     index = timeline.index.get(frame_id)
     if index is None:
         raise NotFoundError("this frame is no longer in its recording; restore it, or follow from another frame")

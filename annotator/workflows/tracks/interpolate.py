@@ -87,11 +87,6 @@ def interpolate(
     Args:
         first, last: keys of two key frames, the earlier one first; None = the first or the last key frame.
         fit: fits each new box to its frame's points.
-
-    Raises:
-        ConfigError: the recording is no sequence, an invalid track id, fewer than two key frames, `first` or `last` is
-            not a key frame, or there is no frame to fill.
-        StaleRevisionError: one of the frames was changed in the meantime.
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
@@ -143,12 +138,7 @@ def interpolate_back(
     fit: FitBox | None = None,
     effort: Effort | None = None,
 ) -> Interpolated:
-    """Runs `interpolate` from the previous key frame to a reviewed label.
-
-    Raises:
-        StaleRevisionError: the frame was changed in the meantime.
-        ConfigError: the label is not reviewed, has no track, or is the first of its track; or as `interpolate`.
-    """
+    """Runs `interpolate` from the previous key frame to a reviewed label."""
     page = page_at(project, frame_id, revision)
     frame, label = page.frame, label_of(page, uid).label
     if label.state not in REVIEWED:

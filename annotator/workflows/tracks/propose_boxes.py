@@ -69,12 +69,7 @@ def proposal_events(
 
 
 def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
-    """Returns the present state of a frame that an operator has seen at a revision.
-
-    Raises:
-        StaleRevisionError: the frame was changed in the meantime.
-        NotFoundError: no such frame.
-    """
+    """Returns the state of a frame that an operator has seen at a revision; StaleRevisionError if it has changed."""
     page = read_page(project, frame_id)
     if page.frame.revision != revision:
         raise StaleRevisionError(f"frame {page.frame.key}", revision, page.frame.revision)
@@ -98,11 +93,7 @@ def write(
     action: str | None = None,
     new_tracks: Collection[int] = (),
 ) -> Changed:
-    """Appends events to several frames, each at its revision, as one action, which has the effort.
-
-    Args:
-        action, new_tracks: as for `append_to_frames`.
-    """
+    """Appends events to several frames, each at its revision, as one action, which has the effort."""
     parts = [
         FramePart(frame.id, events, WriteContext(frame.revision, author, effort=None if number else effort))
         for number, (frame, events) in enumerate(changes)

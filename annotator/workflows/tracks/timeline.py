@@ -46,11 +46,6 @@ class Timeline:
     """
 
     def __init__(self, project: Project, recording_id: int) -> None:
-        """
-        Raises:
-            ConfigError: the recording is not a sequence.
-            RecordingError, FrameError: it cannot be opened, or its times are broken.
-        """
         stored = project.recordings.get(recording_id)
         if not stored.is_sequence:
             raise ConfigError(

@@ -9,12 +9,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.detection.dataset import (
-    GENERATED,
-    TrainingSample,
-)
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import GENERATED, TrainingSample
+from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_views
 from annotator.synthetic.snapshots import snapshot
@@ -27,8 +24,7 @@ BASE_TRAINING = TrainingConfig(
     image_size_px=64,
     pictures_seen=400_000,
     batch=32,
-    warmup_epochs=0.1,
-    augmentation=Augmentation(flip_horizontal=0.5, scale=0.25, hue=0.5, saturation=0.5, brightness=0.4),
+    recipe={"warmup_epochs": 0.1, "scale": 0.25, "hsv_h": 0.5, "hsv_s": 0.5, "hsv_v": 0.4},
 )
 
 
@@ -42,7 +38,7 @@ def generated_views(seed: int, draws: int, size_px: int) -> Iterator[TrainingSam
     shot = snapshot(seed)
     random = np.random.default_rng([seed, draws])
     objects = [TaughtObject(item.label, item.box, item.points) for item in shot.objects]
-    config = RcvConfig(view=ViewConfig(size_px=size_px))
+    config = RcvConfig(view_px=size_px)
     for index, item in enumerate(objects):
         level = shot.frame.up is not None and np.abs(shot.frame.up @ item.box.rotation).max() > np.cos(UPRIGHT_RAD)
         for _ in range(draws):

@@ -30,7 +30,7 @@ MIN_PART_S = 45.0
 # The first part of at least this length begins anew. In a shorter one, random weights learn too little. Seconds.
 ANEW_S = 600.0
 # The rate rises quickly, because a detector that knows objects has no bad beginning.
-WARMUP_EPOCHS = 0.5
+WARMUP: dict[str, float | str] = {"warmup_epochs": 0.5}
 # More epochs than any training has.
 NEVER = 1_000_000
 
@@ -60,17 +60,14 @@ class Start:
         return config.image_size_px if self.model is None else read_trained(self.model.path.parent).image_size_px
 
 
-def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig, decides: bool = True) -> Start:
+def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig) -> Start:
     """The best known detector: the project's active one, its newest one, or the base detector.
 
     Too few held-out objects leave it to the order: active detector, base detector, newest detector. Weights or a
     network that the configuration names come first. A detector that has learned held-out frames is no candidate, since
     what starts from it would know them, too.
-
-    Args:
-        decides: whether held-out frames decide; False: a detector that has learned them is a candidate.
     """
-    known = [model for model in _candidates(project) if not decides or not _has_learned(project, model)]
+    known = [model for model in _candidates(project) if not _has_learned(project, model)]
     ious: dict[UsedModel, float] = {}
     left_out = []
     for model in known if held_out.decides else ():
@@ -87,24 +84,21 @@ def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig, de
     return Start(best, ious, tuple(left_out))
 
 
-def image_config(project: Project, config: TrainingConfig, dataset_sha256: str, decides: bool = True) -> TrainingConfig:
+def image_config(project: Project, config: TrainingConfig, dataset_sha256: str) -> TrainingConfig:
     """The settings of a training of the image detector, which continues the project's last one if that fits.
 
     It fits if the settings name no weights, network and image size are the same, and it has not learned held-out
     images. A finished training on the same images with the same settings is not continued, but found again.
-
-    Args:
-        decides: as `choose_start`.
     """
     models = project.models.all(DetectorKind.IMAGE)
     newest = [model for model in models if model.active] or models[-1:]
     if config.pretrained != "auto" or not newest:
         return config
     last = own_model(project, newest[0])
-    if (decides and _has_learned(project, last)) or not _fits(last, config, any_size=False):
+    if _has_learned(project, last) or not _fits(last, config, any_size=False):
         return config
     trained = read_trained(last.path.parent)
-    continued = config.model_copy(update={"pretrained": last.path, "warmup_epochs": WARMUP_EPOCHS})
+    continued = config.model_copy(update={"pretrained": last.path, "recipe": config.recipe | WARMUP})
     again = config, continued.model_copy(update={"pretrained": trained.config.pretrained})
     if trained.dataset_sha256 == dataset_sha256 and trained.config in again:
         return trained.config
@@ -142,7 +136,7 @@ def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | N
         "pretrained": start.path,
         "seconds": seconds,
         "batch": BASE_TRAINING.batch,
-        "warmup_epochs": WARMUP_EPOCHS,
+        "recipe": config.recipe | WARMUP,
         # the held-out objects decide about the result of a part, not the views of its validation
         "measure_every": None if seconds is None else NEVER,
         "seed": seed,
@@ -158,12 +152,8 @@ class Choice:
             training from published or random weights.
     """
 
-    def __init__(self, project: Project, held_out: HeldOut, start: Start, decides: bool = True) -> None:
-        """
-        Args:
-            decides: False: each new detector is used, whatever the held-out objects say.
-        """
-        self.project, self.held_out, self.start, self.decides = project, held_out, start, decides
+    def __init__(self, project: Project, held_out: HeldOut, start: Start) -> None:
+        self.project, self.held_out, self.start = project, held_out, start
         ious = start.ious
         self.origin = start.model
         # None with too few objects
@@ -179,9 +169,6 @@ class Choice:
         """Measures a new detector, activates it or another one, and stores the reasons beside its weights.
 
         A detector that was chosen by hand during the training stays in use.
-
-        Args:
-            note: what its training started from, for people.
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
@@ -212,8 +199,6 @@ class Choice:
         few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
         if used_model(self.project, DetectorKind.VIEW) != self._in_use:
             return None, "another detector was chosen during the training: it stayed in use"
-        if not self.decides:
-            return new, "put into use without a measurement, as asked for"
         if iou is None and has_base():
             return None, f"{few}: what was in use stayed in use"
         if iou is None:

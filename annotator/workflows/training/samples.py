@@ -353,6 +353,8 @@ def labelled_frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> I
         yield stored, frame
 
 
+# Share of generated views among the training views of a class-agnostic detector (docs/notebook.md).
+GENERATED_SHARE = 0.2
 # Generated frames from here on were not seen in the training of the base detector.
 FIRST_SEED = 10_000_000
 # Crops per object of a generated frame, and about how many views they give per frame.
@@ -389,11 +391,10 @@ def agnostic_samples(
             yield TrainingSample(taught.view.rgb, boxes, frame_group(known.stored), TAUGHT, uids, taught.view.look_px)
 
 
-def with_generated(own: Iterable[TrainingSample], share: float, size_px: int, seed: int) -> Iterator[TrainingSample]:
+def with_generated(own: Iterable[TrainingSample], size_px: int, seed: int) -> Iterator[TrainingSample]:
     """Yields a project's views, then views of generated frames, so that what the base detector knows is kept.
 
     Args:
-        share: of generated views among all, below 1; about that many are drawn.
         size_px: longer side of the generated views.
         seed: other seeds give other frames.
     """
@@ -401,7 +402,7 @@ def with_generated(own: Iterable[TrainingSample], share: float, size_px: int, se
     for sample in own:
         yield sample
         count += 1
-    views = count * share / (1 - share)
+    views = count * GENERATED_SHARE / (1 - GENERATED_SHARE)
     first = FIRST_SEED + seed * 100_000
     for number in range(first, first + round(views / GENERATED_VIEWS)):
         yield from generated_views(number, GENERATED_DRAWS, size_px)

@@ -75,15 +75,8 @@ class Trained:
 class Run:
     """A run of one detector's training."""
 
-    def __init__(
-        self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind, holds_out: bool = True
-    ) -> None:
-        """
-        Args:
-            kind: what its boxes measure.
-            holds_out: whether held-out frames only validate; False: all frames train.
-        """
-        self.project, self.role, self.classes, self.kind, self.holds_out = project, role, classes, kind, holds_out
+    def __init__(self, project: Project, role: DetectorKind, classes: tuple[str, ...], kind: BoxKind) -> None:
+        self.project, self.role, self.classes, self.kind = project, role, classes, kind
         # classes that are renamed from now on are translated
         self._since_ns = project.store.clock()
 
@@ -93,17 +86,13 @@ class Run:
 
     def write(self, samples: Iterable[TrainingSample]) -> DatasetManifest:
         """Writes the training set, which replaces the last one of this role."""
-        held_out = held_out_groups(self.project) if self.holds_out else frozenset()
+        held_out = held_out_groups(self.project)
         return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
 
     def train(
         self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None
     ) -> Trained:
-        """Trains on the written set, and registers the model without activating it.
-
-        Raises:
-            ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
-        """
+        """Trains on the written set, and registers the model without activating it."""
         # depends on the labels and settings only
         settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
         out = self._folder / f"{manifest.sha256[:12]}-{settings[:8]}"
@@ -172,8 +161,6 @@ def remove_leftovers(project: Project, role: DetectorKind) -> None:
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=192, pictures_seen=2800)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
-# Share of generated views among the training views of a class-agnostic detector (docs/notebook.md).
-GENERATED_SHARE = 0.2
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
 
@@ -199,17 +186,12 @@ class TrainPlan:
         samples: how many pseudo-views are generated.
         minutes: length of the view detector's training; None: three minutes if it starts from a detector, else as
             many pictures as `view` says.
-        generated_share: share of generated views among those that continue a class-agnostic detector.
-        decides: whether held-out frames never train, and decide which view detector is used. False: all frames train,
-            and the new detector is used.
     """
 
     image: TrainingConfig = IMAGE_DEFAULTS
     view: TrainingConfig = VIEW_DEFAULTS
     samples: SampleConfig = field(default_factory=SampleConfig)
     minutes: float | None = None
-    generated_share: float = GENERATED_SHARE
-    decides: bool = True
 
 
 def train(
@@ -232,11 +214,6 @@ def train(
 
     Args:
         stop: returns True to end the training early; asked after each sample, batch and measured frame.
-
-    Raises:
-        ConfigError: invalid settings.
-        DetectionError: there are no labels to learn from, or the training failed.
-        TrainingStoppedError: `stop` returned true.
     """
     rcv_config(project)  # invalid settings are reported before the samples are made
     material = gather(project, roles)
@@ -262,10 +239,10 @@ def _train_image(
     left_out: list[str] = []
     if material.unreviewed_images:
         left_out.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
-    run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
+    run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind)
     real = image_samples(project, material, partial(skip, left_out))
     written = run.write(unless_stopped(real, partial(_check_stop, stop)))
-    config = image_config(project, plan.image, written.sha256, plan.decides)
+    config = image_config(project, plan.image, written.sha256)
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
@@ -286,9 +263,9 @@ class _ViewTraining:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
         begin = time.perf_counter()
         project, plan = self.project, self.plan
-        labels = self.material.labels_of(self.material.kind) if plan.decides else {}
+        labels = self.material.labels_of(self.material.kind)
         held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
-        start = choose_start(project, held_out, plan.view, plan.decides)
+        start = choose_start(project, held_out, plan.view)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
         if other_kind and (start.model is None or not start.model.class_agnostic):
             kind = self.material.kind
@@ -298,13 +275,13 @@ class _ViewTraining:
         self.left_out += start.left_out
         self.view_px = start.view_px(plan.view)
         self.rcv = rcv_config(project, view_px=self.view_px)
-        choice = Choice(project, held_out, start, plan.decides)
+        choice = Choice(project, held_out, start)
         ends: list[float | None] = [None]
         anew = None
         if plan.view.epochs is None and (choice.origin is not None or plan.minutes is not None):
             lengths = list(part_seconds(plan.minutes or FIRST_PART_S / 60))
             ends = [begin + end for end in accumulate(lengths)]
-            anew = part_anew(lengths, start, held_out, plan.view) if plan.decides else None
+            anew = part_anew(lengths, start, held_out, plan.view)
         parts = []
         for number, end in enumerate(ends):
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
@@ -331,8 +308,8 @@ class _ViewTraining:
             classes, samples = self.project.config.classes, view_samples(*given, skipped)
         else:  # with generated views, so that what the base detector knows is kept
             own = agnostic_samples(*given, load_detector(origin.path), skipped)
-            classes, samples = AGNOSTIC, with_generated(own, plan.generated_share, self.view_px, drawing.seed)
-        run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
+            classes, samples = AGNOSTIC, with_generated(own, self.view_px, drawing.seed)
+        run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind)
         written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))
         seconds = None
         if end_s is not None:  # the rest of the time is for measuring the result
@@ -354,10 +331,6 @@ class _ViewTraining:
 
 
 def _check_stop(stop: Stop | None) -> None:
-    """
-    Raises:
-        TrainingStoppedError: `stop` returned true.
-    """
     if stop is not None and stop():
         raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
 

@@ -34,7 +34,7 @@ from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.geometry.outline import visible_edges
 from annotator.project import Project, StoredFrame, ViewBoxes
 from annotator.rcv.axes import camera_axes, match_axes
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.known_objects import Span, first_views, next_views
 from annotator.rcv.measure import make_pair, measured_intervals
@@ -205,11 +205,9 @@ def label_config(project: Project, frame: Frame) -> RcvConfig:
 
 def to_draw_on(project: Project, config: RcvConfig) -> RcvConfig:
     """Raises the view size to `LABEL_VIEW_PX`, unless the project's settings state a size."""
-    view = project.config.settings.rcv.get("view")
-    if isinstance(view, dict) and "size_px" in view:
+    if "view_px" in project.config.settings.rcv:
         return config
-    size_px = max(config.view.size_px, LABEL_VIEW_PX)
-    return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
+    return config.model_copy(update={"view_px": max(config.view_px, LABEL_VIEW_PX)})
 
 
 def label_object(
@@ -268,7 +266,7 @@ def label_steps(
     up = held_direction(opened.frame.up, config)
     first = opened.views((image_box.xyxy, config), lambda frame: first_views(frame, image_box, config))
     if first is None:
-        return _labelling(opened, (), None, f"fewer than {config.min_points} points lie in this box's frustum")
+        return _labelling(opened, (), None, f"fewer than {MIN_POINTS} points lie in this box's frustum")
     known = _spans(first, drawn[:2])
     found = fit(known) if fit is not None and None in drawn else None
     on_first = suggested_boxes(opened, first, drawn[:2], image_box, None if found is None else found.box, kind)
@@ -284,7 +282,7 @@ def label_steps(
     key = (image_box.xyxy, *(b.xyxy for b in filled), None if axes is None else axes.tobytes(), config)
     second = opened.views(key, lambda frame: next_views(frame, image_box, spans, config, axes))
     if second is None:
-        return _labelling(opened, tuple(steps), box, f"fewer than {config.min_points} points lie in both boxes", note)
+        return _labelling(opened, tuple(steps), box, f"fewer than {MIN_POINTS} points lie in both boxes", note)
     drawn_there = _spans(second, drawn[2:])
     if fit is not None and len(drawn_there) == 1:
         found = fit([*known, *drawn_there])

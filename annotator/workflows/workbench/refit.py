@@ -26,7 +26,7 @@ from annotator.geometry.oriented_box import aligned_box, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
 from annotator.geometry.projection import in_frustum, thin
 from annotator.rcv.axes import with_axes_like
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import MIN_POINTS, RcvConfig
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.known_objects import Span, cut_out
@@ -144,7 +144,7 @@ def find_box(
         known: the axes of views, and what the boxes drawn on them span.
     """
     if _has_too_few(opened.frame, image_box, config):
-        return not_found(f"fewer than {config.min_points} points lie in this box", too_few_points=True)
+        return not_found(f"fewer than {MIN_POINTS} points lie in this box", too_few_points=True)
     reason = _why_no_detector(detector, image_box.label, config, problem)
     if reason is not None or detector is None:
         return not_found(reason or "")
@@ -170,7 +170,7 @@ def _found(
     (result,) = propose_from_boxes([frame], [[drawn]], detector, strict)
     if not result.proposals:
         too_few = _has_too_few(frame, image_box, config)
-        return not_found(f"fewer than {config.min_points} points lie in these boxes" if too_few else NOT_DETECTED)
+        return not_found(f"fewer than {MIN_POINTS} points lie in these boxes" if too_few else NOT_DETECTED)
     best = max(result.proposals, key=lambda each: each.score * (each.quality.image_agreement or 0.0))
     box = best.box
     if known and config.box_kind is BoxKind.BOX:
@@ -216,7 +216,7 @@ def _spans_of(box: OrientedBox) -> Intervals:
 
 
 def _has_too_few(frame: Frame, image_box: Box2D, config: RcvConfig) -> bool:
-    return int(in_frustum(frame.camera, frame.cloud.xyz_m, image_box).sum()) < config.min_points
+    return int(in_frustum(frame.camera, frame.cloud.xyz_m, image_box).sum()) < MIN_POINTS
 
 
 def not_found(reason: str, *, too_few_points: bool = False) -> FoundBox:
@@ -240,7 +240,7 @@ def _recurse(
 ) -> ObjectState | None:
     inside = opened.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
     cloud = opened.with_normals.cloud.select(np.sort(inside))
-    if len(cloud) < config.min_points:
+    if len(cloud) < MIN_POINTS:
         return None
     state = _state_of(opened, box, label, cloud, config)
     steps = max(config.max_steps, STEPS_BEFORE + 1)
@@ -264,7 +264,7 @@ def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud
 
 def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
     xyz_m = opened.frame.cloud.xyz_m[opened.inside(box)]
-    if len(xyz_m) < config.min_points:
+    if len(xyz_m) < MIN_POINTS:
         note = f"{reason}, and the box is unchanged: it contains too few points ({len(xyz_m)})"
         return _result(opened, box, None, POINTS, note)
     note = f"{reason}: the sides were moved to the {len(xyz_m)} points inside, the rotation is unchanged"

@@ -16,7 +16,6 @@ from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, 
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluate import (
     Against,
-    Choice,
     Measured,
     Options,
     Protocol,
@@ -198,11 +197,11 @@ def test_original_proposals_are_evaluated_against_reviewed_labels(people: Projec
         context = WriteContext(people.frames.get(stored.id).revision, "me")
         people.labels.edit(stored.id, box.uid, context, label=box.label, box=moved(box.box, -0.2))
     label(people, 2)
-    choice = Choice(Measured.PROPOSALS, Against.REVIEWED)
+    choice = Options(measured=Measured.PROPOSALS, against=Against.REVIEWED)
     found = content(evaluate_project(people, Protocol.ORIENTED, choice))["classes"]["person"]
     assert (found["objects"], found["detections"]) == (3, 3)
     assert found["mean_iou"] == pytest.approx(0.8 / 1.2)
-    against_truth = evaluate_project(people, Protocol.ORIENTED, Choice(Measured.PROPOSALS))
+    against_truth = evaluate_project(people, Protocol.ORIENTED, Options(measured=Measured.PROPOSALS))
     assert content(against_truth)["classes"]["person"]["objects"] == 6
 
 
@@ -216,10 +215,10 @@ def test_evaluation_can_be_limited_to_recordings_and_frames(
     every = content(evaluate_project(project, Protocol.ORIENTED))
     assert sorted(every["classes"]) == ["hand", "person"]
     assert every["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
-    hands = evaluate_project(project, Protocol.ORIENTED, Choice(recordings=(ids["hands"],)))
+    hands = evaluate_project(project, Protocol.ORIENTED, Options(recordings=(ids["hands"],)))
     assert list(content(hands)["classes"]) == ["hand"]
     assert [note.split("; ")[0].split(": ")[1] for note in hands.notes] == ["10 of 10 labels"]
-    one = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=["people/000002"]))
+    one = evaluate_project(project, Protocol.ORIENTED, Options(frames=["people/000002"]))
     assert content(one)["classes"]["person"]["objects"] == 3
 
 
@@ -241,12 +240,12 @@ def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project:
     with pytest.raises(ConfigError, match="no true boxes in the 0 frames"):
         evaluate_project(people, Protocol.ORIENTED)
     with pytest.raises(ConfigError, match="measure proposals"):
-        evaluate_project(people, Protocol.ORIENTED, Choice(Measured.LABELS, Against.REVIEWED))
+        evaluate_project(people, Protocol.ORIENTED, Options(against=Against.REVIEWED))
     label(people, 0)
     with pytest.raises(ConfigError, match="of a class that KITTI evaluates"):
         evaluate_project(people, Protocol.KITTI)
     with pytest.raises(ConfigError, match=r"has no frame people/7 \(unknown: 1 of 2 names\)"):
-        evaluate_project(people, Protocol.ORIENTED, options=Options(frames=["people/7", "people/000001"]))
+        evaluate_project(people, Protocol.ORIENTED, Options(frames=["people/7", "people/000001"]))
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink(missing_ok=True)
     (folder / "boxes.json").unlink(missing_ok=True)
@@ -254,7 +253,7 @@ def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project:
     with pytest.raises(ConfigError, match="no true boxes beside any recording; measure against reviewed labels"):
         evaluate_project(bare, Protocol.ORIENTED)
     with pytest.raises(ConfigError, match="no true boxes beside people"):
-        evaluate_project(bare, Protocol.ORIENTED, Choice(recordings=(1,)))
+        evaluate_project(bare, Protocol.ORIENTED, Options(recordings=(1,)))
 
 
 @pytest.mark.shared

@@ -73,8 +73,6 @@ def test_no_training_starts_from_a_detector_that_may_know_held_out_frames(
     ious["a"] = 0.9
     register(labelled, "a", active=True, learned=learned)
     assert choose_start(labelled, held(labelled, objects), CONFIG).model is None
-    # where held-out frames decide nothing, it may
-    assert choose_start(labelled, held(labelled, 0), CONFIG, decides=False).model is not None
 
 
 def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,20 +189,21 @@ def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: 
 
 
 @pytest.mark.parametrize(
-    ("changes", "pretrained", "parts", "anew"),
+    ("minutes", "pretrained", "holds_out", "parts", "anew"),
     [
-        ({}, "auto", 5, [2]),
-        ({"decides": False}, "auto", 5, []),
-        ({"minutes": 12.0}, "auto", 3, []),
+        (60.0, "auto", True, 5, [2]),
+        (60.0, "auto", False, 5, []),
+        (12.0, "auto", True, 3, []),
         # after the first part, each continues the best one so far
-        ({}, "never", 5, [0]),
+        (60.0, "never", True, 5, [0]),
     ],
 )
 def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
     labelled: Project,
     monkeypatch: pytest.MonkeyPatch,
-    changes: dict[str, Any],
+    minutes: float,
     pretrained: str,
+    holds_out: bool,
     parts: int,
     anew: list[int],
 ) -> None:
@@ -220,8 +219,10 @@ def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
 
     monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
     monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
+    if not holds_out:
+        monkeypatch.setattr(held_out, "is_held_out", lambda _: False)
     view = CONFIG.model_copy(update={"epochs": None, "pretrained": pretrained})
-    (trained,) = train(labelled, replace(PLAN, view=view, **{"minutes": 60.0, **changes}), roles=(DetectorKind.VIEW,))
+    (trained,) = train(labelled, replace(PLAN, view=view, minutes=minutes), roles=(DetectorKind.VIEW,))
     assert trained.model.fingerprint == f"part{parts - 1}"
     assert len(origins) == parts
     assert [number for number, origin in enumerate(origins) if origin is None] == anew

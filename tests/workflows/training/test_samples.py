@@ -18,6 +18,7 @@ from annotator.detection.trained import read_trained
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteContext
+from annotator.rcv import pseudo_view
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
@@ -261,16 +262,18 @@ def test_drawn_views_are_used_unchanged(people: Project) -> None:
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
 
 
-def test_views_of_deep_frustums_have_the_size_used_in_detection(people: Project) -> None:
-    deep = CONFIG.model_copy(update={"view": CONFIG.view.model_copy(update={"deep": 0.1})})
+def test_views_of_deep_frustums_have_the_size_used_in_detection(
+    people: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 0.1)
     (recording,) = people.recordings.all()
-    simulate_recording(people, recording.id, BoxKind.BOX, deep, 2)
-    samples = views(people, gather(people), 120, config=deep)
+    simulate_recording(people, recording.id, BoxKind.BOX, CONFIG, 2)
+    samples = views(people, gather(people), 120)
     for origin in (DRAWN, TAUGHT):
         looked_at = {sample.look_px: sample for sample in samples if sample.origin == origin}
-        assert set(looked_at) == {0, CONFIG.view.deep_size_px}
+        assert set(looked_at) == {0, pseudo_view.DEEP_VIEW_PX}
         sizes = {look_px: max(sample.load().shape) for look_px, sample in looked_at.items()}
-        assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
+        assert sizes == {0: CONFIG.view_px, pseudo_view.DEEP_VIEW_PX: pseudo_view.DEEP_VIEW_PX}
 
 
 @pytest.mark.parametrize(("asked", "draws"), [(1, 1), (24, 4), (10**6, 20)])
@@ -396,14 +399,13 @@ def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project
     assert taught and not any(set(sample.boxes) & set(given.boxes) for sample in taught)
 
 
-def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
-    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 40
-    assert list(with_generated(own, 0.0, 64, 0)) == own
-    samples, others = (list(with_generated(own, 0.5, 64, seed)) for seed in (0, 1))
-    assert samples[:40] == own
-    assert 20 < len(samples) - 40 < 80
-    assert {sample.origin for sample in samples[40:]} == {"generated"}
-    assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}
+def test_a_fifth_of_the_views_is_generated() -> None:
+    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 120
+    samples, others = (list(with_generated(own, 64, seed)) for seed in (0, 1))
+    assert samples[:120] == own
+    assert 0.1 < 1 - 120 / len(samples) < 0.3
+    assert {sample.origin for sample in samples[120:]} == {"generated"}
+    assert not {sample.group for sample in samples[120:]} & {sample.group for sample in others[120:]}
 
 
 def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:

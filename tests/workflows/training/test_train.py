@@ -16,8 +16,9 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, ProjectSettings, WriteContext, create_project
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.project import Project, WriteContext, create_project
+from annotator.rcv import pseudo_view
+from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import DetectionError
@@ -145,12 +146,12 @@ def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
     assert other.result.config.pretrained == "auto"
 
 
-def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
-    simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
-    people.configure(settings=ProjectSettings(rcv={"view": {"deep": 0.1}}))
+@pytest.mark.usefixtures("trainings")
+def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 0.1)
+    simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, RcvConfig(), every=2)
     (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
-    samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
+    samples = list(view_samples(people, gather(people), RcvConfig(), QUICK.samples, lambda *skipped: None))
     tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 

@@ -20,7 +20,7 @@ from annotator.workflows.training.train import TrainPlan
 
 WHOLE, SEEN = AGNOSTIC
 CONFIG = TrainingConfig(image_size_px=64, epochs=1)
-PLAN = TrainPlan(image=CONFIG, view=CONFIG, samples=SampleConfig(views=24), generated_share=0.3)
+PLAN = TrainPlan(image=CONFIG, view=CONFIG, samples=SampleConfig(views=24))
 HELD_OUT = ("000001", "000003")
 
 

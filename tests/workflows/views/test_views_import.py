@@ -129,7 +129,7 @@ def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Pa
     (tmp_path / "out").mkdir()
     write_views(hands, tmp_path / "out", 1, CONFIG)
     for taken in (tmp_path / "out", tmp_path / "c.json"):
-        with pytest.raises(ConfigError, match="exists already; choose a new folder"):
+        with pytest.raises(FormatError, match="exists and is not"):
             write_views(hands, taken, 1, CONFIG)
     with pytest.raises(ConfigError, match="there is no step 3"):
         write_views(hands, tmp_path / "new", 3, CONFIG)

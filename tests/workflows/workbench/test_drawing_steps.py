@@ -113,7 +113,7 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert (len(begun.steps), begun.box, begun.stop) == (1, None, None)
     assert begun.points > 100
     # large enough to draw on, whatever size the detector needs
-    assert frame_config(desk.project, desk.frame).view.size_px < LABEL_VIEW_PX
+    assert frame_config(desk.project, desk.frame).view_px < LABEL_VIEW_PX
     assert {max(view.rgb.shape) for view in begun.views} == {LABEL_VIEW_PX}
     assert len(desk.steps(four[:1]).steps) == 1
     assert len(desk.steps([None, four[1]]).steps) == 1, "the next step needs both boxes"

@@ -51,6 +51,7 @@ from annotator.workflows.proposing.tasks import (
     Storage,
     parse_elsewhere,
     scratch_folder,
+    unpacked,
 )
 
 SAME = Identity("image", "view", ("torch", "torch"), (BoxKind.BOX, False, BoxKind.BOX, False))
@@ -143,13 +144,13 @@ def test_weights_are_unpacked_into_a_private_folder(tmp_path: Path, monkeypatch:
         PackedDetectors.of(trained)
     (folder / "detector.pt").write_bytes(b"weights")
     (folder / "model.json").write_text("{}")
-    packed = PackedDetectors.of(trained)
-    place = packed.image.unpacked(tmp_path / "out")
+    files, _ = PackedDetectors.of(trained).files
+    place = unpacked(files, tmp_path / "out") / "detector.pt"
     place.unlink()  # the system may remove temporary files one by one
-    assert packed.image.unpacked(tmp_path / "out") == place and place.read_bytes() == b"weights"
+    assert unpacked(files, tmp_path / "out") == place.parent and place.read_bytes() == b"weights"
     assert sorted(path.name for path in place.parent.iterdir()) == ["detector.pt", "model.json"]
     with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
-        packed.image.unpacked(folder / "detector.pt")
+        unpacked(files, folder / "detector.pt")
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert scratch_folder().stat().st_mode & 0o077 == 0
