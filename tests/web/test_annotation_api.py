@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,12 +16,9 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.schemas import Box3DJson
-from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
-
-    from annotator.workflows.detectors import Detectors
 
 
 @pytest.fixture
@@ -180,6 +175,31 @@ def test_steps_are_answered_without_storing_anything(live: Live, generated: Path
     assert five.status_code == 422
 
 
+def test_tools_say_why_there_is_no_detector(live: Live, project: Project, generated: Path, tmp_path: Path) -> None:
+    body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0)}
+    corner = {"image_box": {"label": "person", "x_min": 0.0, "y_min": 0.0, "x_max": 3.0, "y_max": 3.0}}
+    notes = [live.client.post(f"{ROOM}/frames/1/fit", json=each).json() for each in (body, corner)]
+    assert [(each["note"], each["too_few_points"]) for each in notes] == [
+        ("there is no pseudo-view detector yet", False),
+        ("fewer than 5 points lie in this box", True),
+    ]
+    weights = project.models_folder / "broken" / "best.pt"
+    weights.parent.mkdir()
+    weights.write_bytes(b"no weights")
+    for role in DetectorKind:
+        project.models.register(
+            role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=f"broken {role.value}"
+        )
+    live.context.caches.detectors.readiness(project, DetectorKind.VIEW)
+    found = live.client.post(f"{ROOM}/frames/1/label/steps", json={**body, "boxes": []}).json()
+    assert found["detector"] == "failed" and "model.json: no such file" in found["problem"]
+    assert len(found["steps"][0]["views"]) == 2
+    suggestions = live.client.get(f"{ROOM}/frames/1/label/suggestions").json()
+    assert suggestions["boxes"] == [] and "model.json: no such file" in suggestions["problem"]
+    note = live.client.post(f"{ROOM}/frames/1/fit", json=body).json()["note"]
+    assert "no pseudo-view detector: " in note and str(tmp_path) not in note
+
+
 def test_review_tools_render_fit_and_copy(
     live: Live, project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,128 +242,6 @@ def test_a_refused_undo_names_the_author_of_the_change(live: Live, project: Proj
     assert refused.status_code == 409
     assert "was changed by bob since" in refused.json()["error"]["message"]
     assert refused.json()["state"]["labels"][0]["author"] == "bob"
-
-
-STEPS, SAVE = (f"/api/projects/room/frames/1/label/{name}" for name in ("steps", "object"))
-
-
-@pytest.fixture
-def silhouettes(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The project has a view detector that knows the objects' silhouettes."""
-    detector = ReadyDetector(knowing("people", kind=BoxKind.SILHOUETTE).view, BoxKind.SILHOUETTE, Lock())
-    ready = Readiness("ready", detector)
-    monkeypatch.setattr(live.context.caches.detectors, "readiness", lambda project, role, wait_s=None: ready)
-
-
-@pytest.mark.usefixtures("silhouettes")
-def test_one_request_stores_a_drag_and_answers_with_all_that_follows(live: Live, generated: Path) -> None:
-    image_box = Scene.of(generated / "people", 0, ["person"]).image_box(0)
-    body = {"revision": 0, "image_boxes": [image_box], "object": {"image_box": image_box, "boxes": []}}
-    saved = live.client.post(SAVE, json=body)
-    assert saved.status_code == 200, saved.text
-    answer, drawn = saved.json(), saved.json()["drawn"]
-    assert answer["uid"] is None and answer["state"]["image_boxes"]["boxes"] == [image_box]
-    suggested = [box for step in drawn["steps"] for box in step["suggested"]]
-    assert len(suggested) == 4 and None not in suggested
-    assert drawn["box"] is not None and drawn["measured_by"] == "this project's view detector"
-    plain = live.client.post(STEPS, json={"image_box": image_box, "boxes": [], "suggest": False}).json()
-    assert [step["suggested"] for step in plain["steps"]] == [[None, None]]
-    # Enter: the suggestions become the object's boxes, and its label is the box that was shown
-    boxes, axes = suggested, drawn["steps"][1]["views"][0]["axes"]
-    accepted = {**body, "revision": 1, "object": {"image_box": image_box, "boxes": boxes, "axes": axes}}
-    finished = live.client.post(SAVE, json=accepted)
-    assert finished.status_code == 200, finished.text
-    (label,) = finished.json()["state"]["labels"]
-    assert label["uid"] == finished.json()["uid"] is not None
-    for part in ("center", "size"):
-        np.testing.assert_allclose(label["box"][part], drawn["box"][part], atol=1e-9)
-
-
-def test_a_failed_detector_is_reported_with_its_problem(live: Live, generated: Path, tmp_path: Path) -> None:
-    project = live.context.project("room")
-    weights = project.models_folder / "broken" / "best.pt"
-    weights.parent.mkdir()
-    weights.write_bytes(b"no weights")
-    for role in DetectorKind:
-        project.models.register(
-            role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=f"broken {role.value}"
-        )
-    live.context.caches.detectors.readiness(project, DetectorKind.VIEW)
-    body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0), "boxes": []}
-    for suggest in (False, True):
-        found = live.client.post(STEPS, json={**body, "suggest": suggest}).json()
-        assert found["detector"] == "failed" and "model.json: no such file" in found["problem"]
-        assert len(found["steps"][0]["views"]) == 2
-    suggestions = live.client.get("/api/projects/room/frames/1/label/suggestions").json()
-    assert suggestions["boxes"] == [] and "model.json: no such file" in suggestions["problem"]
-    # the same in Review
-    box = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
-    frame = "/api/projects/room/frames/1"
-    for tool, request in (("refit", {"box": box, "label": "person"}), ("fit", {"image_box": body["image_box"]})):
-        note = live.client.post(f"{frame}/{tool}", json=request).json()["note"]
-        assert "no pseudo-view detector: " in note and "model.json: no such file" in note
-        assert str(tmp_path) not in note
-
-
-FRAME = "/api/projects/room/frames/1"
-
-
-@pytest.fixture
-def scene(generated: Path) -> Scene:
-    return Scene.of(generated / "people", 0, ("person",))
-
-
-@pytest.fixture
-def taught(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> Live:
-    """A server whose project has a view detector with ground-truth detections."""
-    ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
-    answer = lambda project, role, wait_s=None: ready if role is DetectorKind.VIEW else Readiness("none")  # noqa: E731
-    monkeypatch.setattr(live.context.caches.detectors, "readiness", answer)
-    return live
-
-
-def fit(live: Live, image_box: dict[str, Any]) -> dict[str, Any]:
-    answer = live.client.post(f"{FRAME}/fit", json={"image_box": image_box})
-    assert answer.status_code == 200, answer.text
-    fitted: dict[str, Any] = answer.json()
-    return fitted
-
-
-def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene: Scene) -> None:
-    image_box = {**scene.image_box(0), "score": 0.0}  # a drawn box has no detector confidence
-    found = fit(taught, image_box)
-    box = Box3DJson(**found["box"]).box()
-    assert iou_3d(box, scene.objects[0].box) > 0.8
-    assert found["note"] is None and found["points"] > 100 and len(found["outline"]) > 0
-    assert 0 < found["quality"]["image_agreement"] <= 1
-    assert taught.client.get(FRAME).json()["labels"] == []  # nothing is stored yet
-
-    created = {"kind": "create", "label": "person", "box": found["box"], "image_box": image_box}
-    created["suggestion"] = found["suggestion"]
-    body = {"revision": 0, "changes": [created], "effort": {"actions": 2, "seconds": 4.0}}
-    answer = taught.client.post(f"{FRAME}/changes", json=body)
-    assert answer.status_code == 200, answer.text
-    (label,) = answer.json()["labels"]
-    assert (label["state"], label["author"]) == ("accepted", "Ada")
-    assert label["suggestion"] == found["suggestion"]
-    assert (label["suggestion"]["detector"], label["suggestion"]["corrected"]) == (
-        "this project's view detector",
-        False,
-    )
-    np.testing.assert_allclose(label["box"]["center"], found["box"]["center"], atol=1e-9)
-    stored = taught.context.project("room").labels.get(label["uid"])
-    assert stored.image_box is not None and stored.image_box.xyxy == tuple(
-        image_box[edge] for edge in ("x_min", "y_min", "x_max", "y_max")
-    )
-    effort = taught.client.get("/api/projects/room/statistics").json()["effort"]["by_origin"]
-    assert effort["from nothing"] == {"boxes": 1, "seconds_a_box": 4.0, "actions_a_box": 2.0}
-
-
-def test_without_a_detector_the_answer_says_so(live: Live, scene: Scene) -> None:
-    found = fit(live, scene.image_box(0))
-    assert (found["note"], found["too_few_points"]) == ("there is no pseudo-view detector yet", False)
-    corner = fit(live, {"label": "person", "x_min": 0.0, "y_min": 0.0, "x_max": 3.0, "y_max": 3.0})
-    assert (corner["note"], corner["too_few_points"]) == ("fewer than 5 points lie in this box", True)
 
 
 def training_data(project: Project) -> tuple[int, list[str], int]:

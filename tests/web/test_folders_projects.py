@@ -68,7 +68,8 @@ def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
 
 
 TRICKS = (
-    *("", ".", "..", "/", "/etc", "secret", "data-2", "DATA", "%2e%2e", "～"),
+    *("", ".", "..", "/", "/etc", "secret", "data-2", "DATA", "%2e%2e", "～", "~", "$HOME", "\ud800"),
+    *("C:\\", "file:///etc", "s3://bucket/x", "http://127.0.0.1:1/"),
     *("data/", "data//sub", "data/..", "data/./sub", "data/../secret", "data/sub/../../secret"),
     *("data/.hidden", "data/outside", "data/outside/in", "data/sibling", "data/nowhere", "data/circle"),
     *("data\\sub", "data/sub\0", "data/sub\n", "data/missing", "data/" + "a" * 5000, "data/" + "/".join(["a"] * 2000)),
@@ -96,12 +97,9 @@ def test_a_folder_that_may_not_be_read(tree: Path) -> None:
         (tree / "sub").chmod(0o755)
 
 
-def test_recordings_are_recognised(generated: Path) -> None:
+def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
     entries = Folders((generated,)).list(generated.name).entries
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
-
-
-def test_a_folder_with_a_cloud_can_still_be_opened(tree: Path) -> None:
     (tree / "sub" / "stray.npy").write_bytes(b"")
     entries = Folders((tree,)).list("data").entries
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
@@ -109,18 +107,13 @@ def test_a_folder_with_a_cloud_can_still_be_opened(tree: Path) -> None:
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
-    top = live.client.get("/api/folders").json()
-    assert top == {
-        "path": "",
-        "parent": None,
-        "entries": [{"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}],
-    }
+    (top,) = live.client.get("/api/folders").json()["entries"]
+    assert top == {"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
     assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
-    for path in ("../..", f"{generated.name}/../..", "/etc"):
-        answer = live.client.get("/api/folders", params={"path": path})
+    for target in ("folders", "bags"):
+        answer = live.client.get(f"/api/{target}", params={"path": f"{generated.name}/../.."})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
-    assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
 
 
 def test_a_project_can_be_created_and_filled(

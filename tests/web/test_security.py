@@ -125,7 +125,8 @@ def test_requests_from_foreign_pages_are_refused(app: FastAPI) -> None:
 
 def test_a_local_server_accepts_only_local_host_names(tmp_path: Path) -> None:
     app = create_app(ServerSettings(tmp_path))
-    for host in ("evil.example", "127.0.0.1.evil.example", "", "[", "a@b"):
+    names = ("evil.example", "127.0.0.1.evil.example", "localhost.evil.example", "", "[", "a@b")
+    for host in (*names, "0.0.0.0", "[::ffff:127.0.0.1]", "2130706433", "127.1", "localhost\t.evil.example"):
         answer = ask(app, "GET", "/api/session", headers={"Host": host})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
     for host in ("127.0.0.1", "127.0.0.1:8080", "localhost:1", "LOCALHOST", "[::1]:8080"):

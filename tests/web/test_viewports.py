@@ -87,23 +87,6 @@ def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> No
     assert {shown.state for shown in scene.content.boxes[1:]} == {ReviewState.PROPOSED}
 
 
-def test_an_invalid_scene_is_refused_with_the_field(live: Any) -> None:
-    inverted = {"label": "a", "x_min": 3, "y_min": 0, "x_max": 1, "y_max": 1}
-    wrong = {
-        "frame": -1,
-        "gizmo": "scale",
-        "point_size": 0,
-        "surprise": 1,
-        "draft": {"image_box": inverted},
-        "preview": {"uid": None, "box": {"center": [0, 0, 0], "size": [0, 1, 1]}},
-    }
-    viewport = opened(live)
-    for field, value in wrong.items():
-        answer = show(live, viewport, **{"frame": 1, field: value})
-        assert answer.status_code == 422
-        assert field in answer.json()["error"]["message"]
-
-
 def test_missing_projects_frames_and_viewports(live: Any) -> None:
     assert live.client.post("/api/workbench", json={"project": "nowhere"}).status_code == 404
     viewport = opened(live)
