@@ -156,14 +156,9 @@ class Learner:
         self._jobs = jobs
         # number of reviewed boxes when the last round began
         self._learned = WeakKeyDictionary[Project, int]()
-        # the last round's job, and the number before it
-        self._rounds = WeakKeyDictionary[Project, tuple[str, int]]()
 
     def look(self, name: str, project: Project) -> None:
-        """Starts a round of a project if it is due and no other job runs or waits.
-
-        A round that stepped aside for another job is started again afterwards.
-        """
+        """Starts a round of a project if it is due and no other job runs or waits."""
         every = project.config.settings.learn_every
         if every is None:
             self._learned.pop(project, None)
@@ -172,15 +167,12 @@ class Learner:
         if project not in self._learned:
             self._learned[project] = _learned(project, reviewed)
         learned = self._learned[project]
-        if project in self._rounds and self._jobs.stepped_aside(self._rounds[project][0]):
-            self._learned[project] = learned = self._rounds.pop(project)[1]
         if reviewed - learned < every or not self._jobs.is_idle():
             return
         # a training that somebody started has learned, too
         learned = self._learned[project] = max(learned, _learned(project, learned))
         if reviewed - learned >= every:
-            job = self._jobs.add(name, project.path, ROUND, OPERATOR)
-            self._rounds[project] = (job.id, learned)
+            self._jobs.add(name, project.path, ROUND, OPERATOR)
             self._learned[project] = reviewed
 
 

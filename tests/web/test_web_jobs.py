@@ -46,7 +46,7 @@ from annotator.web.jobs.records import (
     TrainRequest,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, STEPPED_ASIDE, JobRunner
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, JobRunner
 from annotator.web.jobs.worker import NICENESS
 from annotator.web.schemas import Box2DJson
 from annotator.web.security import ServerSettings
@@ -407,39 +407,15 @@ def test_a_training_that_somebody_started_has_learned_too(
         assert sum(job.background for job in jobs.all()) == rounds
 
 
-def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
-    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Labels, "count", lambda self, states: 10)
-    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
-    learner = Learner(jobs)
-    learner.look("room", project)
-    (first,) = jobs.all()
-    jobs._update(first.id, state=JobState.RUNNING)
-    jobs._waiting.clear()
-    other = jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
-    assert not jobs.stepped_aside(first.id)
-    jobs._update(first.id, state=JobState.DONE)
-    assert not jobs.stepped_aside(first.id)
-    jobs._update(first.id, state=JobState.CANCELLED)
-    assert jobs.stepped_aside(first.id)
-    learner.look("room", project)
-    assert len(jobs.all()) == 2
-    jobs._update(other.id, state=JobState.DONE)
-    jobs._waiting.clear()
-    for _ in range(3):
-        learner.look("room", project)
-    assert len(jobs.all()) == 3
-
-
-def test_a_job_in_the_background_stops_for_another_job(learning: Live) -> None:
+def test_a_job_in_the_background_stops_for_another_job_and_begins_again(learning: Live) -> None:
     job: dict[str, Any] = learning.client.post(JOBS, json=ROUND).json()
     assert job["background"] is True
+    for _ in range(2):
+        until(learning, job, "running", "learn")
+        assert ended(learning, begin(learning, fake_jobs.QUICK))["state"] == "done"
     until(learning, job, "running", "learn")
-    other = begin(learning, fake_jobs.QUICK)
-    assert ended(learning, other)["state"] == "done"
-    now = ended(learning, job)
-    assert (now["state"], now["message"]) == ("cancelled", STEPPED_ASIDE)
+    learning.client.post(f"/api/jobs/{job['id']}/cancel")
+    assert ended(learning, job)["state"] == "cancelled"
 
 
 def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(

@@ -36,7 +36,7 @@ class TrainRequest(Schema):
             number of images.
         model: an ultralytics detection model such as yolo11n; null: the default.
         image_size_px, view_size_px: longer side of the training images; null: the default.
-        background: at the lowest priority; it steps aside for other jobs and for drawing.
+        background: at the lowest priority; it stops for other jobs, and begins again after them; it waits for drawing.
     """
 
     kind: Literal["train"]
