@@ -22,7 +22,7 @@ from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context, Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
-    Box2DOut,
+    Box2DJson,
     Box3DOut,
     CameraJson,
     FrameChange,
@@ -38,7 +38,6 @@ from annotator.web.schemas import (
     QualityJson,
     RowId,
     SaidJson,
-    SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
@@ -146,7 +145,7 @@ def _state(at: InFrame) -> FrameStateJson:
         points=len(frame.cloud),
         image_boxes=None
         if boxes is None
-        else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
+        else ImageBoxesJson(boxes=[Box2DJson.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=list(objects.values()),
         labels=list(labels.values()),
         others=[
@@ -240,7 +239,6 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
         quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
-        suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
         said=[SaidJson.of(each) for each in shown.stored.said],
         attributes=dict(label.attributes),
         kept=kept,
@@ -264,8 +262,8 @@ def _objects(
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
     return ObjectJson.of(
         drawn,
-        image_box=Box2DOut.of(drawn.image_box),
-        views=[(_stored_view(name, project, view), Box2DOut.of(view.boxes[0])) for view in drawn.views],
+        image_box=Box2DJson.of(drawn.image_box),
+        views=[(_stored_view(name, project, view), Box2DJson.of(view.boxes[0])) for view in drawn.views],
     )
 
 

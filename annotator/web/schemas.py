@@ -57,7 +57,7 @@ class Schema(BaseModel):
 
 
 class Box2DJson(Schema):
-    """A box on an image, in a request."""
+    """A box on an image."""
 
     label: ClassName
     x_min: Px
@@ -104,17 +104,6 @@ class Box3DJson(Schema):
         else:
             rotation = Rotation.from_matrix(np.array(self.rotation))
         return OrientedBox.from_parts(np.array(self.center), rotation.as_matrix(), np.array(self.size))
-
-
-class Box2DOut(Schema):
-    """A box on an image, in a response."""
-
-    label: str
-    x_min: float
-    y_min: float
-    x_max: float
-    y_max: float
-    score: float
 
 
 class Box3DOut(BaseModel):
@@ -197,17 +186,6 @@ class QualityJson(BaseModel):
         return None if quality is None else cls.model_validate(quality)
 
 
-class SuggestionJson(Schema):
-    """The view detector that suggested boxes; `corrected`: the operator drew or changed some of them."""
-
-    detector: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-    fingerprint: Annotated[str, StringConstraints(max_length=200)]
-    corrected: bool
-
-    def stored(self) -> Suggestion:
-        return Suggestion(self.detector, self.fingerprint, self.corrected)
-
-
 class SaidJson(Schema):
     """What other software, or another person, says of an object: its class, and the certainty in 0..1 if known."""
 
@@ -235,7 +213,7 @@ class LabelJson(Schema):
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None
-    suggestion: SuggestionJson | None
+    suggestion: Suggestion | None
     said: list[SaidJson]
     box_kind: BoxKind
     attributes: dict[str, Value]
@@ -293,15 +271,15 @@ class ImageJson(Schema):
 class ImageBoxesJson(Schema):
     """The boxes on the camera image, and what they enclose."""
 
-    boxes: list[Box2DOut]
+    boxes: list[Box2DJson]
     box_kind: BoxKind
 
 
 class ObjectJson(Schema):
     """An object drawn in Label mode: its image box, the views with their boxes, and its label's uid once finished."""
 
-    image_box: Box2DOut
-    views: list[tuple[ViewJson, Box2DOut | None]]
+    image_box: Box2DJson
+    views: list[tuple[ViewJson, Box2DJson | None]]
     uid: str | None
 
 

@@ -305,7 +305,7 @@ type Item = {
   boxes: ViewBox[];
   views: (Api.ViewJson | null)[];
   /** The detectors whose boxes were accepted. */
-  suggested: (Api.SuggestionJson | null)[];
+  suggested: (Api.Suggestion | null)[];
   stored: Box2D | null;
 };
 
@@ -330,7 +330,7 @@ type Draft = {
   /** The name of the detector that suggests boxes. */
   measuredBy: string | null;
   /** What a label records of this detector. */
-  suggestion: Api.SuggestionJson | null;
+  suggestion: Api.Suggestion | null;
   /** The reason why the detector could not be loaded. */
   problem: string | null;
   /** The reason why it suggests nothing. */
@@ -427,7 +427,7 @@ type Change = {
   track_id?: number | null;
   box_kind?: Api.BoxKind | null;
   image_box?: (Rect & { label: string }) | null;
-  suggestion?: Api.SuggestionJson | null;
+  suggestion?: Api.Suggestion | null;
 };
 /** A label that the operator is changing: `sending` are the values being sent, `sent` is whether that succeeds. */
 type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolean>; problem: string | null };

@@ -210,7 +210,7 @@ def test_review_tools_render_fit_and_copy(
     assert live.client.get(found["views"][0]["url"]).status_code == 200
     assert live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 10_000}).status_code == 422
     fitted = live.client.post(f"{ROOM}/frames/1/refit", json={"box": BOX, "label": "person"}).json()
-    assert fitted["method"] == "points" and "no pseudo-view detector yet" in fitted["note"]
+    assert fitted["quality"] is None and "no pseudo-view detector yet" in fitted["note"]
     (uid,) = propose(project, 1, 0.0)
     change(live.client, 1, {"kind": "accept", "uid": uid})
     copied = live.client.post(f"{ROOM}/frames/2/copy", json={"revision": 0, "from": None})

@@ -25,7 +25,7 @@ from annotator.project.changes import (
 )
 from annotator.project.overview import list_frames
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind
+from annotator.types import BoxKind, Suggestion
 from annotator.types.errors import HistoryError
 from annotator.types.label import MOST_TRACK
 from annotator.web.context import AtProject, Ctx, InProject
@@ -41,7 +41,6 @@ from annotator.web.schemas import (
     FrameStateJson,
     RowId,
     Schema,
-    SuggestionJson,
     Uid,
     WithEffort,
 )
@@ -104,7 +103,7 @@ class Create(Schema):
     box: Box3DJson
     track_id: TrackId | None = None
     image_box: Box2DJson | None = None
-    suggestion: SuggestionJson | None = None
+    suggestion: Suggestion | None = None
 
     def payload(self) -> Payload:
         return LabelCreated(
@@ -114,7 +113,7 @@ class Create(Schema):
             track_id=self.track_id,
             origin=Origin.PLACED if self.image_box is None else Origin.DRAWN,
             image_box=None if self.image_box is None else self.image_box.box(),
-            suggestion=None if self.suggestion is None else self.suggestion.stored(),
+            suggestion=self.suggestion,
         )
 
 

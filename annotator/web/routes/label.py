@@ -9,20 +9,18 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from annotator.geometry.outline import visible_edges
-from annotator.types import Box2D, BoxKind, DetectorKind
+from annotator.types import Box2D, BoxKind, DetectorKind, Suggestion
 from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
     MOST_BOXES,
     Axes,
     Box2DJson,
-    Box2DOut,
     Box3DOut,
     FrameChange,
     FrameStateJson,
     ImageBoxIn,
     Outline,
     Schema,
-    SuggestionJson,
     Uid,
     ViewJson,
 )
@@ -64,7 +62,7 @@ class StepJson(Schema):
     """The front and side view of a step, and the boxes that are suggested on those without a drawn one."""
 
     views: list[ViewJson]
-    suggested: list[Box2DOut | None]
+    suggested: list[Box2DJson | None]
 
 
 class StepsOut(Schema):
@@ -83,7 +81,7 @@ class StepsOut(Schema):
     stop: str | None
     detector: Literal["none", "loading", "ready", "failed"]
     measured_by: str | None
-    suggestion: SuggestionJson | None
+    suggestion: Suggestion | None
     problem: str | None
     note: str | None
 
@@ -92,7 +90,7 @@ class ObjectIn(DrawnIn):
     """An object with the boxes drawn so far; its label's uid, if it has one; the detector that suggested its boxes."""
 
     uid: Uid | None = None
-    suggestion: SuggestionJson | None = None
+    suggestion: Suggestion | None = None
 
 
 class SaveIn(FrameChange):
@@ -128,7 +126,7 @@ class WholeOut(Schema):
 class SuggestionsOut(Schema):
     """Boxes of the image detector, best first; empty without a detector, or if it failed (`problem`)."""
 
-    boxes: list[Box2DOut]
+    boxes: list[Box2DJson]
     problem: str | None = None
 
 
@@ -155,7 +153,7 @@ def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Rea
         steps=[
             StepJson(
                 views=[drawn_view(at, view, opened.picture(view)) for view in step.views],
-                suggested=[None if box is None else Box2DOut.of(box) for box in step.suggested],
+                suggested=[None if box is None else Box2DJson.of(box) for box in step.suggested],
             )
             for step in labelling.steps
         ],
@@ -165,7 +163,7 @@ def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Rea
         stop=labelling.stop,
         detector=ready.state,
         measured_by=None if detector is None else detector.title,
-        suggestion=None if detector is None else SuggestionJson.of(detector.suggestion),
+        suggestion=None if detector is None else detector.suggestion,
         problem=at.ctx.public(ready.problem),
         note=at.ctx.public(labelling.note),
     )
@@ -196,7 +194,7 @@ def suggestions(at: AtFrame) -> SuggestionsOut:
     opened = at.open()
     min_score = frame_config(at.project, opened.frame).min_image_score
     boxes = suggested_image_boxes(opened, ready.detector, min_score, at.project.config.classes)
-    return SuggestionsOut(boxes=[Box2DOut.of(box) for box in boxes])
+    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in boxes])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)
@@ -206,8 +204,7 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
     drawn = answer = None
     if given is not None:
         labelling, ready = _labelled(at, opened, given, body.box_kind)
-        suggested = None if given.suggestion is None else given.suggestion.stored()
-        drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, suggested)
+        drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, given.suggestion)
         answer = _steps_json(at, opened, labelling, ready)
     with at.change(body) as changed:
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)

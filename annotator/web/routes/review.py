@@ -11,7 +11,7 @@ from annotator.project.boxes import png
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter, waiting_sources
 from annotator.rcv.config import RcvConfig
-from annotator.types import BoxKind, DetectorKind
+from annotator.types import BoxKind, DetectorKind, Suggestion
 from annotator.web.context import AtProject
 from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
@@ -25,7 +25,6 @@ from annotator.web.schemas import (
     QualityJson,
     RowId,
     Schema,
-    SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.checking.project_labels import CheckReport, check_project
@@ -35,7 +34,7 @@ from annotator.workflows.workbench.contact_sheet import ortho_views
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.refit import RCV, find_box, refit
+from annotator.workflows.workbench.refit import FoundBox, find_box, refit
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 from annotator.workflows.workbench.save_object import copy_boxes
@@ -69,19 +68,8 @@ class RefitIn(Schema):
     label: ClassName
 
 
-class RefitOut(Schema):
-    """The refitted box, the method, the name of the detector that measured it, if one did, and a note."""
-
-    box: Box3DOut
-    outline: Outline
-    quality: QualityJson | None
-    method: Literal["rcv", "points"]
-    measured_by: str | None
-    note: str | None
-
-
 class FitOut(Schema):
-    """The object in an image box; if none was found, `box` is null and `note` is the reason.
+    """A fitted box; if no object was found in an image box, `box` is null and `note` is the reason.
 
     `measured_by` names the detector that looked for it; `suggestion` is what a label made from it records. With
     `too_few_points`, it cannot be drawn by hand on views either.
@@ -93,7 +81,7 @@ class FitOut(Schema):
     score: float | None
     quality: QualityJson | None
     measured_by: str | None
-    suggestion: SuggestionJson | None
+    suggestion: Suggestion | None
     note: str | None
     too_few_points: bool
 
@@ -113,33 +101,28 @@ def ortho(at: AtFrame, body: OrthoIn) -> OrthoOut:
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
-def refit_box(at: AtFrame, body: RefitIn) -> RefitOut:
+def refit_box(at: AtFrame, body: RefitIn) -> FitOut:
     """Refit a box, starting from its present pose. Nothing is stored."""
     opened, config, ready = _ready(at)
-    fitted = refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem)
-    return RefitOut.of(
-        fitted,
-        box=Box3DOut.of(fitted.box),
-        outline=fitted.outline.round(2).tolist(),
-        quality=QualityJson.of(fitted.quality),
-        measured_by=ready.detector.title if ready.detector is not None and fitted.method == RCV else None,
-        note=at.ctx.public(fitted.note),
-    )
+    return _fitted(at, refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem), ready)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
 def fit(at: AtFrame, body: ImageBoxIn) -> FitOut:
     """Find the object in an image box. Nothing is stored."""
     opened, config, ready = _ready(at)
-    fitted = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
+    return _fitted(at, find_box(opened, body.image_box.box(), config, ready.detector, ready.problem), ready)
+
+
+def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:
     return FitOut.of(
-        fitted,
-        box=None if fitted.box is None else Box3DOut.of(fitted.box),
-        outline=fitted.outline.round(2).tolist(),
-        quality=QualityJson.of(fitted.quality),
+        found,
+        box=None if found.box is None else Box3DOut.of(found.box),
+        outline=found.outline.round(2).tolist(),
+        quality=QualityJson.of(found.quality),
         measured_by=None if ready.detector is None else ready.detector.title,
-        suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
-        note=at.ctx.public(fitted.note),
+        suggestion=None if ready.detector is None else ready.detector.suggestion,
+        note=at.ctx.public(found.note),
     )
 
 

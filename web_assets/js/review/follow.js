@@ -169,14 +169,14 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 }
 
 /** How far an object was followed; empty while it is not known, and if it has not come so far. */
-function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedJson} */ track) {
+function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTrack} */ track) {
   if (run.state !== "done" || track.stops.length > 0) return "";
   if (!track.is_open) return ", to its next reviewed box";
   return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
 }
 
 /**
- * @param {Api.FollowedJson} track
+ * @param {Api.FollowedTrack} track
  * @param {string} end how far it was followed.
  * @param {(target: Target) => unknown} open
  */
@@ -195,11 +195,11 @@ function trackRow(track, end, open) {
     { "data-testid": "followed" },
     text,
     ...track.stops.map((at) =>
-      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame, uid: null }), {
+      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame_id, uid: null }), {
         class: "stop",
         title: "Go to this frame and correct or draw the box; then follow it from there",
         "data-testid": "follow-go",
-        "data-frame": String(at.frame),
+        "data-frame": String(at.frame_id),
       }),
     ),
   );
