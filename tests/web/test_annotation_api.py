@@ -21,11 +21,6 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-@pytest.fixture
-def project(live: Live) -> Project:
-    return live.context.project("room")
-
-
 def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, project: Project) -> None:
     (uid,) = propose(project, 2, 0.0)
     frame = state(live.client, 2)

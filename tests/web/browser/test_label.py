@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import answers_drag, drag_box, draw_on_views, until
-from label_bench import EDGES, FRAME, Bench
+from browser_page import EDGES, FRAME, Bench, answers_drag, drag_box, draw_on_views, until
 
 from annotator.detection import pretrained
 from annotator.geometry.iou import iou_3d

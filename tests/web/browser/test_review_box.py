@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import drag, drag_box, seen_by_viewer
+from browser_page import FRAMES, Desk, drag, drag_box, middle, seen_by_viewer
 from drawing import Scene
-from review_desk import FRAMES, Desk, middle
 from scipy.spatial.transform import Rotation
 
 from annotator.project import WriteContext

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_page import refuse
-from review_desk import Desk
+from browser_page import Desk, refuse
 
 from annotator.project import Project, WriteContext
 from annotator.types import ReviewState

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from review_desk import FRAMES, Desk
+from browser_page import FRAMES, Desk
 
 from annotator.project import NewLabel
 from annotator.project.classes import edit

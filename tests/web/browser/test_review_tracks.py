@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from review_desk import Desk
+from browser_page import Desk
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
