@@ -1,4 +1,4 @@
-"""The JSON of frames, labels and views, and the responses that contain it."""
+"""The JSON of a frame with its labels and views, and the responses that contain it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, Receipt, ViewBoxes
-from annotator.project.overview import FrameRow
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
@@ -27,7 +26,6 @@ from annotator.web.schemas import (
     CameraJson,
     FrameChange,
     FrameJson,
-    FrameRowJson,
     FrameStateJson,
     HistoryJson,
     ImageBoxesJson,
@@ -44,7 +42,6 @@ from annotator.workflows.detectors import base_titles
 from annotator.workflows.frame_source import Rigs, Sibling
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
-from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
 
@@ -183,18 +180,6 @@ def _image_version(project: Project, shown: ShownFrame) -> str:
 def _offset(opened: OpenFrame) -> str:
     """The end of an image's URL, which differs if a time offset shows another image; the page ignores it."""
     return f"&adjusted={opened.adjusted}" if opened.adjusted else ""
-
-
-def frame_row(row: FrameRow) -> FrameRowJson:
-    """One row of the list of frames; its doubt is the highest one of its proposals."""
-    doubts = [doubt(stored.quality, stored.label.score) for stored in row.proposed]
-    return FrameRowJson.of(
-        row.frame,
-        recording=row.frame.recording_id,
-        counts={state.value: number for state, number in row.counts.items()},
-        image_boxes=row.image_boxes,
-        doubt=max((value for value in doubts if value is not None), default=None),
-    )
 
 
 def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:

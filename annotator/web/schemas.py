@@ -315,9 +315,6 @@ class FrameRowJson(Schema):
     index: int | None
     revision: int
     finalised: bool
-    counts: dict[str, int]
-    image_boxes: int | None
-    doubt: float | None
 
 
 class FrameListJson(Schema):

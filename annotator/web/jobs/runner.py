@@ -32,7 +32,6 @@ from annotator.web.jobs.records import (
     STOP,
     WORK,
     WORKER_MESSAGE,
-    BoxesRequest,
     Ended,
     Job,
     JobRequest,
@@ -225,12 +224,6 @@ class JobRunner:
             for job in self.all()
         )
 
-    def uploads_in_use(self, path: Path) -> set[str]:
-        """Ids of the files with 2D boxes that jobs of the project in the folder `path` still have to read."""
-        with self._lock:
-            tasks = [task.request for task in (*self._waiting, *self._current) if task.path == path]
-        return {request.upload for request in tasks if isinstance(request, BoxesRequest)}
-
     def is_idle(self) -> bool:
         return all(job.state.ended for job in self.all())
 
@@ -396,8 +389,8 @@ class JobRunner:
         match message:
             case Progress():
                 stage = "stopping" if job_id in self._stopping else message.stage
-                eta_s = message.eta_s if message.eta_s is not None else _estimate(message, began)
-                self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=eta_s)
+                left_s = _estimate(message, began)
+                self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=left_s)
             case Measured():
                 self._update(job_id, curves=(*self.get(job_id).curves, message.point))
 

@@ -1,5 +1,5 @@
-"""Review in a real browser: the queue of proposals and its keys; attributes: fields, one key each, filters; frames, also
-unreadable ones; stale and failed edits are not lost.
+"""Review in a real browser: the queue of proposals and its keys; attributes: fields, one key each, filters; frames,
+also unreadable ones; stale and failed edits are not lost.
 """
 
 from __future__ import annotations
