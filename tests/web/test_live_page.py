@@ -22,7 +22,7 @@ from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Frame, LostObject, OrientedBox, Proposal, Quality
-from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, live_app, table
+from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections, live_app, sigterm_as_interrupt, table
 from annotator.web.security import ServerSettings
 from annotator.web.serve import Running
 from annotator.workflows.live.detection import Detected, Taken
@@ -166,28 +166,16 @@ def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None
         assert row in after
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-@pytest.mark.parametrize("number", SIGNALS)
-def test_a_deferred_signal_interrupts_at_the_end_of_the_block(number: signal.Signals) -> None:
-    before = [signal.getsignal(n) for n in SIGNALS]
-    done = []
-    with Interrupts() as interrupts:
-        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
-            signal.raise_signal(number)
-            done.append("started")
-        assert done == ["started"]
-        signal.raise_signal(signal.SIGTERM)  # ignored, since the session is ending
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert [signal.getsignal(n) for n in SIGNALS] == before
-
-
-def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
-    with Interrupts() as interrupts:
-        with interrupts.session(), interrupts.deferred():
-            pass
-        signal.raise_signal(signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+def test_sigterm_interrupts_once_and_not_after_the_end_of_a_session() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    for is_ending in (False, True):
+        with sigterm_as_interrupt() as ignore:
+            if is_ending:
+                ignore()
+            else:
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGTERM) == before

@@ -65,7 +65,7 @@ def events() -> SentEvents:
 @pytest.fixture
 def viewport(events: SentEvents) -> Iterator[Viewport]:
     """A viewport with a real viser server, without a browser."""
-    viewport = Viewport("0123456789abcdef", "Ada", "room", lambda _, message: events.append(message))
+    viewport = Viewport("0123456789abcdef", "Ada", "room", lambda message, _: events.append(message))
     yield viewport
     viewport.close()
 

@@ -196,7 +196,7 @@ def test_an_unprotectable_viser_server_is_stopped(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_unused_viewport_closes(wait_for: Callable) -> None:
-    viewports = Viewports(lambda viewport, message: None, unseen_s=0.5, sweep_s=0.02)
+    viewports = Viewports(lambda message, operator: None, unseen_s=0.5, sweep_s=0.02)
     try:
         seen, unseen = viewports.open("Ada", "room"), viewports.open("Ada", "room")
         viewports.connected(seen, +1)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, Response, WebSocket
@@ -16,10 +15,9 @@ from starlette.requests import HTTPConnection, Request
 from annotator.project import Project
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.web.context import Ctx, Operator
-from annotator.web.hub import Hub
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.viewports import Viewport, Viewports, forward_http, forward_socket
+from annotator.web.viewport.viewports import Viewports, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import present_page
@@ -27,17 +25,9 @@ from annotator.workflows.workbench.frame_state import present_page
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    app.state.viewports = Viewports(partial(_send, app.state.context.hub))
+    app.state.viewports = Viewports(app.state.context.hub.send)
     yield
     app.state.viewports.close()
-
-
-def _send(hub: Hub, viewport: Viewport, message: dict[str, Any]) -> None:
-    """Sends an event to all pages of the operator in that project; pages ignore events of other viewports."""
-    for client in hub.clients():
-        if client.operator == viewport.operator and client.project == viewport.project:
-            hub.add_viewport(client, viewport.id)
-    hub.send(message)
 
 
 router = APIRouter(tags=["viewport"], lifespan=_lifespan)

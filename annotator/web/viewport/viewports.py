@@ -235,8 +235,8 @@ MOST_PER_OPERATOR = 6
 UNSEEN_S = 60.0
 SWEEP_S = 5.0
 
-Send = Callable[["Viewport", dict[str, Any]], None]
-"""Sends an event of a viewport to its page; called from any thread."""
+Send = Callable[[dict[str, Any], str], None]
+"""Sends an event to the pages of an operator, which ignore those of other viewports; called from any thread."""
 
 
 class Viewport(ViserPage):
@@ -284,7 +284,8 @@ class Viewport(ViserPage):
 
     def send(self, event: str, **fields: object) -> None:
         self.used_s = time.monotonic()
-        self._send(self, {"type": "viewport", "workbench": self.id, "event": event, **fields})
+        message = {"type": "viewport", "project": self.project, "workbench": self.id, "event": event, **fields}
+        self._send(message, self.operator)
 
 
 @contextmanager
