@@ -22,7 +22,7 @@ from annotator.web.context import Context, Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
     Box2DJson,
-    Box3DOut,
+    Box3DJson,
     CameraJson,
     FrameChange,
     FrameJson,
@@ -220,7 +220,7 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
     label = shown.stored.label
     return LabelJson.of(
         label,
-        box=Box3DOut.of(label.box),
+        box=Box3DJson.of(label.box),
         quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,

@@ -83,41 +83,23 @@ class ImageBoxIn(Schema):
 
 
 class Box3DJson(Schema):
-    """A 3D box in a request: with `rotation` (columns = box axes) or `quaternion` (w, x, y, z)."""
+    """A 3D box; the columns of `rotation` are its axes."""
 
     center: Vector3
     size: tuple[Length, Length, Length]
-    rotation: Axes | None = None
-    quaternion: tuple[Unit, Unit, Unit, Unit] | None = None
-
-    @model_validator(mode="after")
-    def _has_one_rotation(self) -> Box3DJson:
-        if (self.rotation is None) == (self.quaternion is None):
-            raise ValueError("give either rotation or quaternion")
-        if self.quaternion is not None and not 0.5 <= float(np.linalg.norm(self.quaternion)) <= 2:
-            raise ValueError("a quaternion must have length 1")
-        return self
+    rotation: Axes
 
     def box(self) -> OrientedBox:
-        if self.quaternion is not None:
-            rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
-        else:
-            rotation = Rotation.from_matrix(np.array(self.rotation))
-        return OrientedBox.from_parts(np.array(self.center), rotation.as_matrix(), np.array(self.size))
-
-
-class Box3DOut(BaseModel):
-    """A 3D box in a response; the columns of `rotation` are its axes."""
-
-    center: list[float]
-    size: list[float]
-    rotation: list[list[float]]
+        rotation = Rotation.from_matrix(np.array(self.rotation)).as_matrix()
+        return OrientedBox.from_parts(np.array(self.center), rotation, np.array(self.size))
 
     @classmethod
-    def of(cls, box: OrientedBox) -> Box3DOut:
-        pose = box.pose
+    def of(cls, source: OrientedBox, /, **_: Any) -> Self:  # type: ignore[override]
+        pose = source.pose
         return cls.model_construct(
-            center=pose[:3, 3].tolist(), size=box.size_m.tolist(), rotation=pose[:3, :3].tolist()
+            center=tuple(pose[:3, 3].tolist()),
+            size=tuple(source.size_m.tolist()),
+            rotation=tuple(map(tuple, pose[:3, :3].tolist())),
         )
 
 
@@ -203,7 +185,7 @@ class LabelJson(Schema):
 
     uid: str
     label: str
-    box: Box3DOut
+    box: Box3DJson
     score: float | None
     source: Source
     state: ReviewState

@@ -13,7 +13,7 @@ type Size = { width: number; height: number };
 type Rect = { x_min: number; y_min: number; x_max: number; y_max: number };
 type Box2D = Rect & { label: string; score?: number };
 /** The columns of `rotation` are the box's x (length), y (width) and z (height) axes. */
-type Box3D = Api.Box3DOut;
+type Box3D = { center: number[]; size: number[]; rotation: number[][] };
 /** A point p is at px x = (axes[0].p - origin_m[0]) / metres_per_px; y likewise with axes[1]. */
 type Plane = Pick<Api.ViewJson, "axes" | "metres_per_px" | "origin_m">;
 type Camera = Api.CameraJson & Size;
@@ -406,7 +406,8 @@ type Panel = typeof import("../../web_assets/js/label/side_panel.js");
 // -- Review
 
 /** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
-type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns"> & {
+type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns" | "box"> & {
+  box: Box3D;
   source: string;
   author: string | null;
   isNew?: boolean;

@@ -64,7 +64,11 @@ WRONG: list[Any] = [None, True, -1, 2**63, 2**70, 1.5, "", "a" * 70, [], [[]], {
 
 
 def test_values_of_the_wrong_type_are_refused(live: Live) -> None:
-    box = {"center": [0.0, 0.0, 3.0], "size": [1.0, 1.0, 1.0], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+    box: dict[str, Any] = {
+        "center": [0.0, 0.0, 3.0],
+        "size": [1.0, 1.0, 1.0],
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    }
     right = {"kind": "create", "label": "person", "box": box, "track_id": 1}
     for wrong in WRONG:
         bodies = [{"revision": wrong, "changes": [right]}, {"revision": 0, "changes": wrong}]

@@ -107,7 +107,7 @@ INVALID: tuple[dict[str, Any], ...] = (
     {"changes": [{"kind": "explode"}]},
     {"changes": [{"kind": "finalise", "extra": 1}]},
     {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "size": [0, 1, 1]}}]},
-    {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "quaternion": None}}]},
+    {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "rotation": [[1, 0, 0]] * 3}}]},
     {"changes": [{"kind": "finalise"}], "effort": {"actions": -1, "seconds": 0}},
 )
 

@@ -136,7 +136,11 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 # The minimum number of edits before each kill.
 EDITS_BEFORE_KILL = 5
 LOG_CHARACTERS = 6000
-BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+BOX = {
+    "center": [0.1, 0.2, 3.0],
+    "size": [0.8, 0.5, 1.7],
+    "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+}
 
 
 @contextmanager

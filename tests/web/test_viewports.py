@@ -73,7 +73,7 @@ def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> No
     assert show(live, viewport, frame=frame_id).status_code == 200
     scene = viewport_of(live, viewport)._scene
     assert [shown.uid for shown in scene.content.boxes] == [uid]
-    moved = {"center": [0.5, 0, 3], "size": [1, 1, 1], "quaternion": [1, 0, 0, 0]}
+    moved = {"center": [0.5, 0, 3], "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
     show(live, viewport, frame=frame_id, selected=uid, preview={"uid": uid, "box": moved}, gizmo="rotate")
     assert [shown.uid for shown in scene.content.boxes] == [uid]
     np.testing.assert_allclose(scene.selected.box.center_m, [0.5, 0, 3])

@@ -15,7 +15,7 @@ from annotator.web.schemas import (
     MOST_BOXES,
     Axes,
     Box2DJson,
-    Box3DOut,
+    Box3DJson,
     FrameChange,
     FrameStateJson,
     ImageBoxIn,
@@ -75,7 +75,7 @@ class StepsOut(Schema):
     """
 
     steps: list[StepJson]
-    box: Box3DOut | None
+    box: Box3DJson | None
     outline: Outline | None
     points: int
     stop: str | None
@@ -113,7 +113,7 @@ class SaveOut(Schema):
 class WholeBoxJson(Schema):
     """A whole box with its outline on the image."""
 
-    box: Box3DOut
+    box: Box3DJson
     outline: Outline
 
 
@@ -157,7 +157,7 @@ def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Rea
             )
             for step in labelling.steps
         ],
-        box=None if labelling.box is None else Box3DOut.of(labelling.box),
+        box=None if labelling.box is None else Box3DJson.of(labelling.box),
         outline=None if labelling.box is None else labelling.outline.round(2).tolist(),
         points=labelling.points,
         stop=labelling.stop,
@@ -179,7 +179,7 @@ def whole(at: AtFrame, body: ImageBoxIn) -> WholeOut:
     outlines = visible_edges(frame.camera, [offer.box for offer in offers])
     return WholeOut(
         boxes=[
-            WholeBoxJson(box=Box3DOut.of(offer.box), outline=outline.round(2).tolist())
+            WholeBoxJson(box=Box3DJson.of(offer.box), outline=outline.round(2).tolist())
             for offer, outline in zip(offers, outlines, strict=True)
         ]
     )

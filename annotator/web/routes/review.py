@@ -16,7 +16,6 @@ from annotator.web.context import AtProject
 from annotator.web.frame_json import STALE, AtFrame, InFrame, drawn_view
 from annotator.web.schemas import (
     Box3DJson,
-    Box3DOut,
     ClassName,
     FrameChange,
     FrameStateJson,
@@ -75,7 +74,7 @@ class FitOut(Schema):
     `too_few_points`, it cannot be drawn by hand on views either.
     """
 
-    box: Box3DOut | None
+    box: Box3DJson | None
     outline: Outline
     points: int
     score: float | None
@@ -117,7 +116,7 @@ def fit(at: AtFrame, body: ImageBoxIn) -> FitOut:
 def _fitted(at: InFrame, found: FoundBox, ready: Readiness) -> FitOut:
     return FitOut.of(
         found,
-        box=None if found.box is None else Box3DOut.of(found.box),
+        box=None if found.box is None else Box3DJson.of(found.box),
         outline=found.outline.round(2).tolist(),
         quality=QualityJson.of(found.quality),
         measured_by=None if ready.detector is None else ready.detector.title,

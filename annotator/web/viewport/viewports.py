@@ -25,7 +25,7 @@ from websockets.typing import Origin, Subprotocol
 
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
-from annotator.web.schemas import Box3DOut
+from annotator.web.schemas import Box3DJson
 from annotator.web.viewport.drawing import SceneContent, pick
 from annotator.web.viewport.scene import PointCounts, Scene
 
@@ -280,7 +280,7 @@ class Viewport(ViserPage):
             self._dragged_s = None if event.phase == "end" else time.monotonic()
             box, selected = self._scene.gizmo_box(), self._scene.selected
             if event.phase != "start" and box is not None and selected is not None:
-                self.send("box", uid=selected.uid, box=Box3DOut.of(box).model_dump(), final=event.phase == "end")
+                self.send("box", uid=selected.uid, box=Box3DJson.of(box).model_dump(), final=event.phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
         self.used_s = time.monotonic()
