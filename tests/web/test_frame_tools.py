@@ -14,11 +14,9 @@ import pytest
 from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM, change, propose, state
 from scipy.spatial import cKDTree
-from test_events import listen, next_of
 
-from annotator.project import NewLabel, Project, WriteContext, open_project
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.backup.make import Reason, automatic_backups
-from annotator.project.classes.edit import rename_class
 from annotator.recordings import open_recording
 from annotator.types import Correction
 from annotator.web.follow_runs import FollowRuns
@@ -71,31 +69,6 @@ def latest(live: Live) -> dict[str, Any]:
 
 def boxes(live: Live) -> list[int]:
     return [len(state(live.client, frame)["labels"]) for frame in range(1, 6)]
-
-
-def test_a_second_box_of_a_track_in_a_frame_is_refused(live: Live, project: Project) -> None:
-    first = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX, "track_id": 5}).json()
-    answer = change(live.client, 1, {"kind": "create", "label": "person", "box": BOX, "track_id": 5})
-    refused = answer.json()
-    assert (answer.status_code, refused["error"]["kind"], refused["track"]) == (409, "TrackTakenError", 5)
-    assert "track 5 has a box in this frame already" in refused["error"]["message"]
-    assert state(live.client, 1)["labels"] == first["labels"]
-
-
-@pytest.mark.usefixtures("following_view")
-def test_a_box_is_followed_through_the_recording_as_one_action(live: Live, project: Project, generated: Path) -> None:
-    (uid,) = accept_truth(project, generated)
-    begun = follow(live, uid=uid, effort={"actions": 1, "seconds": 2.0})
-    assert (begun["state"], begun["total"], begun["has_detector"]) == ("running", 4, True)
-    wait_until(lambda: latest(live)["state"] != "running")
-    run = latest(live)
-    assert (run["state"], run["done"], run["message"]) == ("done", 4, None)
-    assert [(track["boxes"], track["track_id"], track["stops"]) for track in run["tracks"]] == [(4, 1, [])]
-    assert run["first"][0] == 2
-    assert boxes(live) == [1] * 5
-    assert live.client.post(f"{ROOM}/undo", json={}).json()["done"] == "propose 4 labels (frames 000000 to 000004)"
-    assert boxes(live) == [1, 0, 0, 0, 0]
-    assert project.labels.get(uid).label.track_id is None
 
 
 @pytest.mark.usefixtures("following_view")
@@ -241,20 +214,14 @@ def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, projec
     assert state(live.client, 1)["labels"] == []
 
 
-def test_the_list_counts_boxes_and_values_and_pages_hear_of_changes(live: Live, project: Project) -> None:
+def test_the_list_counts_boxes_and_values(live: Live) -> None:
     for attribute in (POSE, RAIN):
         edit(live, do="attribute", attribute=attribute)
     uid = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX}).json()["labels"][0]["uid"]
     set_values(live, 1, uid=uid, values={"pose": "sitting"})
-    with live.listen() as socket, open_project(project.path) as other:
-        # by another process
-        other.change_classes(lambda config: rename_class(config, "person", "human"), "Cleo")
-        while (message := json.loads(socket.recv(timeout=PATIENCE_S)))["type"] != "classes":
-            pass
-    assert message == {"type": "classes", "project": "room", "renamed": {"person": "human"}, "operator": "Cleo"}
     listed = live.client.get(f"{ROOM}/classes").json()
-    (row,) = [row for row in listed["classes"] if row["name"] == "human"]
-    assert row == {"name": "human", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
+    (row,) = listed["classes"]
+    assert row == {"name": "person", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
     assert (listed["attributes"], listed["values"], listed["unknown"]) == ([POSE, RAIN], {"pose": 1}, [])
 
 
@@ -355,17 +322,6 @@ def test_up_is_estimated_set_and_cleared(live: Live) -> None:
     assert state(live.client, 2)["up"] == pytest.approx(answer["up"])
     cleared = live.client.post(f"{RECORDING}/up", json={**body, "up": None, "adjusted": answer["adjusted"]}).json()
     assert (cleared["up_source"], cleared["up"]) == ("files", known)
-
-
-def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(live: Live) -> None:
-    with listen(live) as socket, open_project(live.settings.projects_root / "room") as outside:
-        next_of(socket, "presence")
-        correct(live.client, TURNED)
-        event = next_of(socket, "adjusted")
-        assert (event["recording"], event["operator"]) == (1, "Ada")
-        outside.adjustments.correct(1, Correction(), "annotator calibrate")
-        assert next_of(socket, "adjusted")["operator"] == "annotator calibrate"
-    assert shown(live.client)["correction"] == NONE
 
 
 def test_wrong_corrections_are_refused(live: Live) -> None:
