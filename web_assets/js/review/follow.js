@@ -5,7 +5,6 @@
 
 import { trackColor } from "../colors.js";
 import { button, count, h, iconButton } from "../dom.js";
-import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 /** Numbers of the runs that the operator has closed. */
@@ -132,26 +131,18 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     if (!app.state.frame) return;
     await desk.flush();
     const { id } = currentFrame(app).frame;
-    app.effort.action();
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
       /** @type {Api.FollowRunJson} */
-      const answer = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "follow"), {
-          revision: currentFrame(app).frame.revision,
-          uid,
-          direction,
-        }),
-      );
+      const answer = await desk.change("follow", () => ({ uid, direction }));
       own.number = answer.number;
       take(answer);
       // events of the run may have come before its number
       visitFirst();
     } catch (error) {
       begun = null;
-      if (isStale(error)) app.frames.take(error.body.state);
-      app.toast(error, isStale(error) ? "warn" : undefined);
+      app.toast(error);
     }
   }
 
