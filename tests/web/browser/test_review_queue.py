@@ -31,23 +31,12 @@ def test_the_whole_queue_is_accepted_with_one_key_per_proposal_also_after_a_relo
     page.reload()
     for number in range(1, FRAMES + 1):
         frame = desk.frame
-        if number == 2:
-            # the operator has chosen this frame, which is left only when asked
-            desk.press("n")
-            expect(shown).to_have_text("3 / 5")
-            desk.press("p")
-            expect(shown).to_have_text("2 / 5")
-            page.reload()
         for _ in desk.project.labels.of_frame(frame):
             items -= 1
             desk.settled()
             assert desk.frame == frame
             desk.press("Space")
             expect(page.get_by_test_id("queue-item")).to_have_count(items)
-        if number == 2:
-            desk.settled()
-            assert desk.frame == frame
-            desk.press("Space")
         if number < FRAMES:
             expect(shown).to_have_text(f"{number + 1} / 5")
             desk.settled()
