@@ -13,8 +13,6 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from weakref import WeakKeyDictionary
 
-from starlette.types import ASGIApp, Receive, Scope, Send
-
 from annotator.project import REVIEWED, Project
 from annotator.project.backup.make import BackupClock, Reason, back_up_automatically
 from annotator.project.database.store import waiting_at_most
@@ -187,21 +185,6 @@ def _learned(project: Project, reviewed: int) -> int:
         return 0
     decision = decision_of(models[-1])
     return reviewed if decision is None or decision.reviewed is None else decision.reviewed
-
-
-class StepAside:
-    """ASGI middleware: a job in the background waits while the server answers requests about a frame."""
-
-    def __init__(self, app: ASGIApp, jobs: JobRunner) -> None:
-        self.app, self._jobs = app, jobs
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on."""
-        if scope["type"] != "http" or "/frames/" not in scope["path"]:
-            await self.app(scope, receive, send)
-            return
-        with self._jobs.stepping_aside():
-            await self.app(scope, receive, send)
 
 
 WATCH_EVERY_S = 0.5

@@ -27,7 +27,7 @@ from annotator.web.schemas import (
 from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.save_object import ObjectDrawn, save_object, suggested_image_boxes
+from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 
 router = APIRouter(tags=["label"])
 
@@ -193,8 +193,9 @@ def suggestions(at: AtFrame) -> SuggestionsOut:
         return SuggestionsOut(boxes=[], problem=at.ctx.public(ready.problem))
     opened = at.open()
     min_score = frame_config(at.project, opened.frame).min_image_score
-    boxes = suggested_image_boxes(opened, ready.detector, min_score, at.project.config.classes)
-    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in boxes])
+    classes = at.project.config.classes
+    found = [box for box in opened.image_detections(ready.detector) if box.score >= min_score and box.label in classes]
+    return SuggestionsOut(boxes=[Box2DJson.of(box) for box in found])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)
