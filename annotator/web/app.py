@@ -21,20 +21,9 @@ from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.folders import clear_leftovers
 from annotator.web.jobs.runner import JobRunner
-from annotator.web.routes import (
-    alignment,
-    classes,
-    frames,
-    jobs,
-    label,
-    projects,
-    recordings,
-    review,
-    session,
-    tracks,
-    viewport,
-)
+from annotator.web.routes import alignment, frames, jobs, projects, recordings, review, session, tracks
 from annotator.web.security import Guard, ServerSettings, check_settings
+from annotator.web.viewport import viewports
 
 PLOTLY = "/assets/vendor/plotly.min.js"
 
@@ -112,8 +101,8 @@ class Fair:
             await self.app(scope, receive, sending)
 
 
-# Modules of `annotator.web.routes`; each defines `router`.
-ROUTES = (session, projects, classes, recordings, frames, label, review, tracks, alignment, jobs, viewport)
+# The modules with routes; each defines `router`.
+ROUTES = (session, projects, recordings, frames, review, tracks, alignment, jobs, viewports)
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
