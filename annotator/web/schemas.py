@@ -94,13 +94,12 @@ class Box3DJson(Schema):
         return OrientedBox.from_parts(np.array(self.center), rotation, np.array(self.size))
 
     @classmethod
-    def of(cls, source: OrientedBox, /, **_: Any) -> Self:  # type: ignore[override]
-        pose = source.pose
-        return cls.model_construct(
-            center=tuple(pose[:3, 3].tolist()),
-            size=tuple(source.size_m.tolist()),
-            rotation=tuple(map(tuple, pose[:3, :3].tolist())),
-        )
+    def of(cls, source: object, /, **more: Any) -> Self:
+        """From an `OrientedBox`; nothing is validated."""
+        assert isinstance(source, OrientedBox)
+        center, size = tuple(source.pose[:3, 3].tolist()), tuple(source.size_m.tolist())
+        rotation = tuple(map(tuple, source.pose[:3, :3].tolist()))
+        return super().of(source, center=center, size=size, rotation=rotation, **more)
 
 
 class Effort(Schema):

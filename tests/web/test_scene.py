@@ -37,7 +37,6 @@ from annotator.web.viewport.drawing import (
     pick,
     placed_box_lines,
     point_colors,
-    point_size_m,
     shown_points,
     view_placement,
 )
@@ -372,15 +371,6 @@ def test_height_colours_depend_only_on_the_height() -> None:
     assert colors[-1, 0] > colors[-1, 2]  # high: red
     moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
     np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
-
-
-@given(st.floats(1, 60))
-def test_point_size_and_initial_camera_scale_with_the_scene(distance_m: float) -> None:
-    rng = np.random.default_rng(1)
-    xyz = rng.normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])
-    unit, scaled = frame_of(xyz), frame_of(xyz * distance_m)
-    assert point_size_m(scaled.cloud, 500) == pytest.approx(distance_m * point_size_m(unit.cloud, 500), rel=1e-3)
-    np.testing.assert_allclose(initial_camera(scaled).position, distance_m * initial_camera(unit).position, rtol=1e-3)
 
 
 def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
