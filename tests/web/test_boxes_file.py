@@ -23,7 +23,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext, LiftRequest
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import Preview, preview_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -180,6 +180,19 @@ def test_3d_boxes_are_proposed_from_the_file(
     assert done.result["proposals"] == sent["boxes"]["Person"] and done.result["failures"] == 0
     assert done.message.endswith("proposals in 2 frames, measured by: this project's view detector")
     assert len(project.labels.select()) == sent["boxes"]["Person"]
+
+
+def test_3d_boxes_are_proposed_from_2d_boxes_of_the_project(
+    live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
+    monkeypatch.setattr(work, "require_view", lambda _: ReadyDetector(knowing("people").view, BoxKind.BOX, Lock()))
+    project = live.context.project("room")
+    run(project, tmp_path, upload=sent["id"])
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 2
+    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
+    assert work.lift_work(job, LiftRequest(kind="lift")).result["proposals"] == sent["boxes"]["person"]
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
 
 
 @pytest.fixture
