@@ -103,7 +103,7 @@ class Corrections:
         opened, ready = self._desk.open(frame), self._ready
         config = frame_config(self._desk.project, opened.frame, ready)
         bill.act("refit", KEY_S)
-        return self._desk.wait("refit", bill, lambda: refit(opened, box, thing.label, config, ready)).box
+        return self._desk.wait("refit", bill, lambda: refit(opened, box, thing.label, config, ready)).box or box
 
     def drawn(self, frame: StoredFrame, thing: Thing, bill: Bill) -> OrientedBox | None:
         """Draws an object on the image; where no box is found, on the four views, too. None if it cannot be drawn."""

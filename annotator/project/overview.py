@@ -1,24 +1,22 @@
-"""The data of one frame, of a list of frames, and of the classes, for the page; each is read in one transaction."""
+"""The data of one frame, and of the classes, for the page; each is read in one transaction."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import ScalarSelect, bindparam, func, select
+from sqlalchemy import ScalarSelect, bindparam, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.classes.counts import ClassCounts
-from annotator.project.database.schema import frames, image_labels, labels, recordings
+from annotator.project.database.schema import frames, recordings
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.labels import StoredLabel, read_stored, stored_labels
+from annotator.project.labels import StoredLabel, read_stored
 from annotator.project.project import Project
 from annotator.project.rows import values_of
-from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
@@ -45,20 +43,6 @@ class FramePage:
     def drawn(self) -> tuple[StoredLabel, ...]:
         """The labels that were drawn from a box on this image, not on that of another camera."""
         return tuple(each for each in self.labels if each.is_own and each.image_box is not None)
-
-
-@dataclass(frozen=True, eq=False)
-class FrameRow:
-    """One line of a list of frames.
-
-    Attributes:
-        image_boxes: number of boxes on its image; None if it is unlabelled.
-    """
-
-    frame: StoredFrame
-    counts: Mapping[ReviewState, int]
-    image_boxes: int | None
-    proposed: tuple[StoredLabel, ...]
 
 
 def read_page(project: Project, frame_id: int, known: FramePage | None = None) -> FramePage:
@@ -110,34 +94,6 @@ _HEAD = (
     .join(recordings, recordings.c.id == frames.c.recording_id)
     .where(frames.c.id == bindparam("frame"), recordings.c.removed_ns.is_(None))
 )
-
-
-def list_frames(
-    project: Project, recording_id: int | None = None, offset: int = 0, limit: int | None = None
-) -> tuple[tuple[FrameRow, ...], int]:
-    """Some frames of a recording (None: of all) in order, and their total number.
-
-    Frames that the latest scan did not find are left out.
-    """
-    query = select(frames).where(frames.c.position.is_not(None))
-    if recording_id is not None:
-        query = query.where(frames.c.recording_id == recording_id)
-    page = query.order_by(frames.c.recording_id, frames.c.position).offset(offset).limit(limit)
-    with project.store.read() as connection:
-        total = int(connection.execute(select(func.count()).select_from(query.subquery())).scalar_one())
-        shown = [frame_of(row) for row in connection.execute(page)]
-        ids = [frame.id for frame in shown]
-        on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
-        boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
-        rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
-        stored = stored_labels(connection, rows.all())
-    counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
-    proposed: dict[int, list[StoredLabel]] = defaultdict(list)
-    for entry in stored:
-        counts[entry.frame_id][entry.label.state] += 1
-        if entry.label.state is ReviewState.PROPOSED:
-            proposed[entry.frame_id].append(entry)
-    return tuple(FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown), total
 
 
 # --- the classes ------------------------------------------------------------------------------------------------------

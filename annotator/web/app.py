@@ -16,24 +16,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from annotator import __version__
 from annotator.types.errors import ConfigError
-from annotator.web.background import AutomaticBackups, Learner, StepAside, Watch, preload
+from annotator.web.background import AutomaticBackups, Learner, Watch, preload
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.folders import clear_leftovers
-from annotator.web.routes import (
-    alignment,
-    classes,
-    frames,
-    jobs,
-    label,
-    projects,
-    recordings,
-    review,
-    session,
-    tracks,
-    viewport,
-)
+from annotator.web.jobs.runner import JobRunner
+from annotator.web.routes import alignment, frames, jobs, projects, recordings, review, session, tracks
 from annotator.web.security import Guard, ServerSettings, check_settings
+from annotator.web.viewport import viewports
 
 PLOTLY = "/assets/vendor/plotly.min.js"
 
@@ -81,10 +71,13 @@ _PROJECT = re.compile(r"/api/projects/([^/]+)")
 
 
 class Fair:
-    """ASGI middleware: requests to a project beyond the bound wait in the event loop, not in a thread."""
+    """ASGI middleware: requests to a project beyond the bound wait in the event loop, not in a thread.
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
+    A job in the background waits while the server answers requests about a frame.
+    """
+
+    def __init__(self, app: ASGIApp, jobs: JobRunner) -> None:
+        self.app, self._jobs = app, jobs
         # a gate is gone once no request holds it
         self._gates = WeakValueDictionary[str, asyncio.Semaphore]()
 
@@ -97,6 +90,8 @@ class Fair:
         gate = self._gates.setdefault(found[1], asyncio.Semaphore(AT_ONCE))
         async with AsyncExitStack() as held:
             await held.enter_async_context(gate)
+            if "/frames/" in scope["path"]:
+                held.enter_context(self._jobs.stepping_aside())
 
             async def sending(message: Message) -> None:
                 # the work is done; a slow download must not count
@@ -106,8 +101,8 @@ class Fair:
             await self.app(scope, receive, sending)
 
 
-# Modules of `annotator.web.routes`; each defines `router`.
-ROUTES = (session, projects, classes, recordings, frames, label, review, tracks, alignment, jobs, viewport)
+# The modules with routes; each defines `router`.
+ROUTES = (session, projects, recordings, frames, review, tracks, alignment, jobs, viewports)
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
@@ -142,8 +137,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
     for module in ROUTES:
         app.include_router(module.router)
     add_static(app)
-    app.add_middleware(StepAside, jobs=context.jobs)
-    app.add_middleware(Fair)
+    app.add_middleware(Fair, jobs=context.jobs)
     # added last, so that it is the first to see a request
     app.add_middleware(Guard, settings=settings)
     return app

@@ -13,8 +13,6 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from weakref import WeakKeyDictionary
 
-from starlette.types import ASGIApp, Receive, Scope, Send
-
 from annotator.project import REVIEWED, Project
 from annotator.project.backup.make import BackupClock, Reason, back_up_automatically
 from annotator.project.database.store import waiting_at_most
@@ -156,14 +154,9 @@ class Learner:
         self._jobs = jobs
         # number of reviewed boxes when the last round began
         self._learned = WeakKeyDictionary[Project, int]()
-        # the last round's job, and the number before it
-        self._rounds = WeakKeyDictionary[Project, tuple[str, int]]()
 
     def look(self, name: str, project: Project) -> None:
-        """Starts a round of a project if it is due and no other job runs or waits.
-
-        A round that stepped aside for another job is started again afterwards.
-        """
+        """Starts a round of a project if it is due and no other job runs or waits."""
         every = project.config.settings.learn_every
         if every is None:
             self._learned.pop(project, None)
@@ -172,15 +165,12 @@ class Learner:
         if project not in self._learned:
             self._learned[project] = _learned(project, reviewed)
         learned = self._learned[project]
-        if project in self._rounds and self._jobs.stepped_aside(self._rounds[project][0]):
-            self._learned[project] = learned = self._rounds.pop(project)[1]
         if reviewed - learned < every or not self._jobs.is_idle():
             return
         # a training that somebody started has learned, too
         learned = self._learned[project] = max(learned, _learned(project, learned))
         if reviewed - learned >= every:
-            job = self._jobs.add(name, project.path, ROUND, OPERATOR)
-            self._rounds[project] = (job.id, learned)
+            self._jobs.add(name, project.path, ROUND, OPERATOR)
             self._learned[project] = reviewed
 
 
@@ -195,21 +185,6 @@ def _learned(project: Project, reviewed: int) -> int:
         return 0
     decision = decision_of(models[-1])
     return reviewed if decision is None or decision.reviewed is None else decision.reviewed
-
-
-class StepAside:
-    """ASGI middleware: a job in the background waits while the server answers requests about a frame."""
-
-    def __init__(self, app: ASGIApp, jobs: JobRunner) -> None:
-        self.app, self._jobs = app, jobs
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on."""
-        if scope["type"] != "http" or "/frames/" not in scope["path"]:
-            await self.app(scope, receive, send)
-            return
-        with self._jobs.stepping_aside():
-            await self.app(scope, receive, send)
 
 
 WATCH_EVERY_S = 0.5

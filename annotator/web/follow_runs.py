@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 from weakref import WeakKeyDictionary
 
@@ -25,26 +25,6 @@ from annotator.workflows.tracks.follow_run import Following, FollowRun
 LOG = logging.getLogger("annotator.web")
 
 Direction = Literal["forward", "backward"]
-
-
-class StopJson(Schema):
-    """The frame in which an object was not found, and why."""
-
-    frame: int
-    key: str
-    reason: str
-
-
-class FollowedJson(Schema):
-    """What became of one object, as `FollowedTrack` describes it."""
-
-    uid: str
-    track_id: int | None
-    label: str
-    boxes: int
-    doubtful: int
-    stops: list[StopJson]
-    is_open: bool
 
 
 class FollowRunJson(Schema):
@@ -67,7 +47,7 @@ class FollowRunJson(Schema):
     state: Literal["running", "done", "stopped", "failed", "undone"]
     done: int
     total: int
-    tracks: list[FollowedJson]
+    tracks: tuple[FollowedTrack, ...]
     first: tuple[int, str] | None
     message: str | None
 
@@ -181,8 +161,9 @@ class FollowRuns:
             )
 
 
-def _tracks(state: Following, public_message: Callable[[str], str]) -> list[FollowedJson]:
-    def stops(track: FollowedTrack) -> list[StopJson]:
-        return [StopJson.of(at, frame=at.frame_id, reason=public_message(at.reason)) for at in track.stops]
-
-    return [FollowedJson.of(track, stops=stops(track)) for track in state.tracks]
+def _tracks(state: Following, public_message: Callable[[str], str]) -> tuple[FollowedTrack, ...]:
+    """The tracks, with reasons for browsers."""
+    return tuple(
+        replace(track, stops=tuple(replace(at, reason=public_message(at.reason)) for at in track.stops))
+        for track in state.tracks
+    )

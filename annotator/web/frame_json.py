@@ -1,4 +1,4 @@
-"""The JSON of frames, labels and views, and the responses that contain it."""
+"""The JSON of a frame with its labels and views, and the responses that contain it."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, Receipt, ViewBoxes
-from annotator.project.overview import FrameRow
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Ctx, InProject, Operator
 from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
-    Box2DOut,
-    Box3DOut,
+    Box2DJson,
+    Box3DJson,
     CameraJson,
     FrameChange,
     FrameJson,
-    FrameRowJson,
     FrameStateJson,
     HistoryJson,
     ImageBoxesJson,
@@ -37,13 +35,11 @@ from annotator.web.schemas import (
     QualityJson,
     RowId,
     SaidJson,
-    SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
-from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
 
@@ -143,7 +139,7 @@ def _state(at: InFrame) -> FrameStateJson:
         points=len(frame.cloud),
         image_boxes=None
         if boxes is None
-        else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
+        else ImageBoxesJson(boxes=[Box2DJson.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=list(objects.values()),
         labels=list(labels.values()),
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
@@ -161,18 +157,6 @@ def _image_version(project: Project, shown: ShownFrame) -> str:
 def _offset(opened: OpenFrame) -> str:
     """The end of an image's URL, which differs if a time offset shows another image; the page ignores it."""
     return f"&adjusted={opened.adjusted}" if opened.adjusted else ""
-
-
-def frame_row(row: FrameRow) -> FrameRowJson:
-    """One row of the list of frames; its doubt is the highest one of its proposals."""
-    doubts = [doubt(stored.quality, stored.label.score) for stored in row.proposed]
-    return FrameRowJson.of(
-        row.frame,
-        recording=row.frame.recording_id,
-        counts={state.value: number for state, number in row.counts.items()},
-        image_boxes=row.image_boxes,
-        doubt=max((value for value in doubts if value is not None), default=None),
-    )
 
 
 def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:
@@ -213,11 +197,10 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
     label = shown.stored.label
     return LabelJson.of(
         label,
-        box=Box3DOut.of(label.box),
+        box=Box3DJson.of(label.box),
         quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
-        suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
         said=[SaidJson.of(each) for each in shown.stored.said],
         attributes=dict(label.attributes),
         kept=kept,
@@ -241,8 +224,8 @@ def _objects(
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
     return ObjectJson.of(
         drawn,
-        image_box=Box2DOut.of(drawn.image_box),
-        views=[(_stored_view(name, project, view), Box2DOut.of(view.boxes[0])) for view in drawn.views],
+        image_box=Box2DJson.of(drawn.image_box),
+        views=[(_stored_view(name, project, view), Box2DJson.of(view.boxes[0])) for view in drawn.views],
     )
 
 

@@ -36,7 +36,6 @@ class Client:
     since: int = 0
     queue: asyncio.Queue[str | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
     frame: int | None = None
-    viewports: set[str] = field(default_factory=set)
     dropped: bool = False
 
 
@@ -72,11 +71,6 @@ class Hub:
             client.project, client.frame = project or before, frame
         for name in {before, client.project}:
             self._send_presence(name)
-
-    def add_viewport(self, client: Client, viewport: str) -> None:
-        """Records that a page shows a viewport, so that it receives the viewport's events."""
-        with self._lock:
-            client.viewports.add(viewport)
 
     # --- the state of the pages (any thread) --------------------------------------------------------------------------
 
@@ -156,16 +150,17 @@ class Hub:
         """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""
         self.send({"type": "classes", "project": project, "renamed": dict(renamed), "operator": operator})
 
-    def send(self, message: Message) -> None:
-        """Sends an event to the pages of its "project" or "workbench" (the viewport's id), or else to all pages.
+    def send(self, message: Message, to: str | None = None) -> None:
+        """Sends an event to the pages of its "project" if it has one, of an operator or (None) of all.
 
         Never blocks; keeps the order of calls.
         """
+        project = message.get("project")
         text = _text(message)
         with self._lock:
             concerned = defaultdict[asyncio.AbstractEventLoop, list[Client]](list)
             for client, loop in self._clients.items():
-                if _concerns(client, message):
+                if project in (None, client.project) and to in (None, client.operator):
                     concerned[loop].append(client)
             # within the lock, so that concurrent events reach all pages in the same order; one call for all pages, as
             # each wakes the event loop
@@ -184,11 +179,6 @@ class Hub:
 
     def _presence_event(self, project: str) -> Message:
         return {"type": "presence", "project": project, "frames": self.presence(project)}
-
-
-def _concerns(client: Client, message: Message) -> bool:
-    project, viewport = message.get("project"), message.get("workbench")
-    return (project is None or project == client.project) and (viewport is None or viewport in client.viewports)
 
 
 def _call(loop: asyncio.AbstractEventLoop, function: Any, *arguments: Any) -> None:

@@ -7,7 +7,7 @@ import ipaddress
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
@@ -85,9 +85,8 @@ class Connections:
     def __init__(self, most: int) -> None:
         self._most, self._most_silent, self._most_of_address = most, int(most * SILENT), int(most * OF_ADDRESS)
         self._addresses: dict[asyncio.Transport, str] = {}
-        # dictionaries, since they keep the order of arrival
+        # a dictionary, since it keeps the order of arrival
         self._silent: dict[asyncio.Transport, None] = {}
-        self._silent_of: dict[str, dict[asyncio.Transport, None]] = {}
 
     def __len__(self) -> int:
         return len(self._addresses)
@@ -104,29 +103,23 @@ class Connections:
             return
         self._addresses[transport] = address
         self._silent[transport] = None
-        same = self._silent_of.setdefault(address, {})
-        same[transport] = None
-        if len(same) > self._most_of_address:
-            self._turn_out(same)
-        elif len(self._silent) > self._most_silent:
-            self._turn_out(self._silent)
+        if len(self._silent) > self._most_of_address:
+            same = [each for each in self._silent if self._addresses[each] == address]
+            if len(same) > self._most_of_address:
+                self._turn_out(same)
+            elif len(self._silent) > self._most_silent:
+                self._turn_out(self._silent)
 
     def heard(self, transport: asyncio.Transport) -> None:
         """A connection has sent the headers of a request."""
-        if transport in self._silent:
-            del self._silent[transport]
-            address = self._addresses[transport]
-            same = self._silent_of[address]
-            del same[transport]
-            if not same:
-                del self._silent_of[address]
+        self._silent.pop(transport, None)
 
     def leave(self, transport: asyncio.Transport) -> None:
         """Removes a connection that has ended."""
         self.heard(transport)
         self._addresses.pop(transport, None)
 
-    def _turn_out(self, silent: dict[asyncio.Transport, None]) -> bool:
+    def _turn_out(self, silent: Iterable[asyncio.Transport]) -> bool:
         oldest = next(iter(silent), None)
         if oldest is None:
             return False

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING
 
 import cv2
@@ -42,55 +42,30 @@ if TYPE_CHECKING:
     import viser
 
 
-class Interrupts:
-    """A context in which SIGTERM (from `kill`, a service manager or a stopped container) ends a session like Ctrl-C.
+@contextmanager
+def sigterm_as_interrupt() -> Iterator[Callable[[], None]]:
+    """In this context, SIGTERM (from `kill`, a service manager or a stopped container) ends a session like Ctrl-C.
 
-    Both raise KeyboardInterrupt. Once the session is ending, further SIGTERMs are ignored, since the recording is being
-    stored. A further Ctrl-C interrupts the storing, too.
+    Both raise KeyboardInterrupt. From the first SIGTERM on, or after a call of the function that the context yields,
+    further ones are ignored, since the recording is being stored. A further Ctrl-C interrupts the storing, too.
     """
+    # only the main thread may set signal handlers
+    is_main = threading.current_thread() is threading.main_thread()
 
-    def __init__(self) -> None:
-        self._is_ending = self._is_deferring = False
-        self._deferred: int | None = None
-        self._former: dict[int, signal._HANDLER] = {}
+    def ignore() -> None:
+        if is_main:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
-    def __enter__(self) -> Interrupts:
-        if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
-            self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
-        return self
+    def interrupt(number: int, stack: FrameType | None) -> None:
+        ignore()
+        raise KeyboardInterrupt
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        for number, former in self._former.items():
-            signal.signal(number, former if former is not None else signal.SIG_DFL)
-
-    @contextmanager
-    def session(self) -> Iterator[None]:
-        """The session itself; when the block is left, the session is ending."""
-        try:
-            yield
-        finally:
-            self._is_ending = True
-
-    @contextmanager
-    def deferred(self) -> Iterator[None]:
-        """Defers a signal to the end of the block."""
-        self._is_deferring = True
-        try:
-            yield
-        finally:
-            self._is_deferring = False
-            if self._deferred is not None:
-                self._handle(self._deferred, None)
-
-    def _handle(self, number: int, stack: FrameType | None) -> None:
-        if self._is_deferring:
-            self._deferred = number
-            return
-        is_new, self._is_ending = not self._is_ending, True
-        if is_new or number == signal.SIGINT:
-            raise KeyboardInterrupt
+    former = signal.signal(signal.SIGTERM, interrupt) if is_main else None
+    try:
+        yield ignore
+    finally:
+        if is_main:
+            signal.signal(signal.SIGTERM, former if former is not None else signal.SIG_DFL)
 
 
 # About the width of the panel beside the 3D view, pixels.
@@ -292,7 +267,7 @@ def run_live(
                 project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
             )
         ) as source,
-        Interrupts() as interrupts,
+        sigterm_as_interrupt() as ignore_sigterm,
     ):
         detectors, warm = active_detectors(project, backend=options.backend), options.warm_start
         rotation = project.config.settings.rotation
@@ -307,7 +282,7 @@ def run_live(
                 pipeline = Pipeline(
                     source, detection, page.show, record=recorder, max_frames=options.frames, report=_few(report)
                 )
-                serve_live(settings, page, pipeline, interrupts)
+                serve_live(settings, page, pipeline, ignore_sigterm)
                 return pipeline.figures()
 
         if options.record is None:
@@ -353,11 +328,13 @@ def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
     return app
 
 
-def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, interrupts: Interrupts) -> None:
+def serve_live(
+    settings: ServerSettings, page: LivePage, pipeline: Pipeline, ignore_sigterm: Callable[[], None]
+) -> None:
     """Runs a pipeline and serves its page until the pipeline ends or is interrupted; prints the URL.
 
     Args:
-        interrupts: a context that the caller has entered, and leaves after storing a recording.
+        ignore_sigterm: of a context that the caller has entered, and leaves after storing a recording.
     """
     server = Running(settings, live_app(settings, page))
 
@@ -367,10 +344,15 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
     sys.stdout.flush()
     try:
         # Ctrl-C is the regular end of a session
-        with suppress(KeyboardInterrupt), limited_log(None), interrupts.session():
-            with interrupts.deferred():  # all threads of the pipeline are started, or none
-                pipeline.start()
-            # on either signal, uvicorn shuts down and then raises the signal again
-            server.serve_until_stopped()
+        with suppress(KeyboardInterrupt), limited_log(None):
+            try:
+                # in a thread, which no interrupt reaches: all threads of the pipeline are started
+                starting = threading.Thread(target=pipeline.start)
+                starting.start()
+                starting.join()
+                # on either signal, uvicorn shuts down and then raises the signal again
+                server.serve_until_stopped()
+            finally:
+                ignore_sigterm()
     finally:
         pipeline.end()

@@ -57,7 +57,7 @@ class Schema(BaseModel):
 
 
 class Box2DJson(Schema):
-    """A box on an image, in a request."""
+    """A box on an image."""
 
     label: ClassName
     x_min: Px
@@ -83,53 +83,23 @@ class ImageBoxIn(Schema):
 
 
 class Box3DJson(Schema):
-    """A 3D box in a request: with `rotation` (columns = box axes) or `quaternion` (w, x, y, z)."""
+    """A 3D box; the columns of `rotation` are its axes."""
 
     center: Vector3
     size: tuple[Length, Length, Length]
-    rotation: Axes | None = None
-    quaternion: tuple[Unit, Unit, Unit, Unit] | None = None
-
-    @model_validator(mode="after")
-    def _has_one_rotation(self) -> Box3DJson:
-        if (self.rotation is None) == (self.quaternion is None):
-            raise ValueError("give either rotation or quaternion")
-        if self.quaternion is not None and not 0.5 <= float(np.linalg.norm(self.quaternion)) <= 2:
-            raise ValueError("a quaternion must have length 1")
-        return self
+    rotation: Axes
 
     def box(self) -> OrientedBox:
-        if self.quaternion is not None:
-            rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
-        else:
-            rotation = Rotation.from_matrix(np.array(self.rotation))
-        return OrientedBox.from_parts(np.array(self.center), rotation.as_matrix(), np.array(self.size))
-
-
-class Box2DOut(Schema):
-    """A box on an image, in a response."""
-
-    label: str
-    x_min: float
-    y_min: float
-    x_max: float
-    y_max: float
-    score: float
-
-
-class Box3DOut(BaseModel):
-    """A 3D box in a response; the columns of `rotation` are its axes."""
-
-    center: list[float]
-    size: list[float]
-    rotation: list[list[float]]
+        rotation = Rotation.from_matrix(np.array(self.rotation)).as_matrix()
+        return OrientedBox.from_parts(np.array(self.center), rotation, np.array(self.size))
 
     @classmethod
-    def of(cls, box: OrientedBox) -> Box3DOut:
-        pose = box.pose
-        return cls.model_construct(
-            center=pose[:3, 3].tolist(), size=box.size_m.tolist(), rotation=pose[:3, :3].tolist()
-        )
+    def of(cls, source: object, /, **more: Any) -> Self:
+        """From an `OrientedBox`; nothing is validated."""
+        assert isinstance(source, OrientedBox)
+        center, size = tuple(source.pose[:3, 3].tolist()), tuple(source.size_m.tolist())
+        rotation = tuple(map(tuple, source.pose[:3, :3].tolist()))
+        return super().of(source, center=center, size=size, rotation=rotation, **more)
 
 
 class Effort(Schema):
@@ -197,17 +167,6 @@ class QualityJson(BaseModel):
         return None if quality is None else cls.model_validate(quality)
 
 
-class SuggestionJson(Schema):
-    """The view detector that suggested boxes; `corrected`: the operator drew or changed some of them."""
-
-    detector: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-    fingerprint: Annotated[str, StringConstraints(max_length=200)]
-    corrected: bool
-
-    def stored(self) -> Suggestion:
-        return Suggestion(self.detector, self.fingerprint, self.corrected)
-
-
 class SaidJson(Schema):
     """What other software, or another person, says of an object: its class, and the certainty in 0..1 if known."""
 
@@ -225,7 +184,7 @@ class LabelJson(Schema):
 
     uid: str
     label: str
-    box: Box3DOut
+    box: Box3DJson
     score: float | None
     source: Source
     state: ReviewState
@@ -235,7 +194,7 @@ class LabelJson(Schema):
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None
-    suggestion: SuggestionJson | None
+    suggestion: Suggestion | None
     said: list[SaidJson]
     box_kind: BoxKind
     attributes: dict[str, Value]
@@ -281,15 +240,15 @@ class ImageJson(Schema):
 class ImageBoxesJson(Schema):
     """The boxes on the camera image, and what they enclose."""
 
-    boxes: list[Box2DOut]
+    boxes: list[Box2DJson]
     box_kind: BoxKind
 
 
 class ObjectJson(Schema):
     """An object drawn in Label mode: its image box, the views with their boxes, and its label's uid once finished."""
 
-    image_box: Box2DOut
-    views: list[tuple[ViewJson, Box2DOut | None]]
+    image_box: Box2DJson
+    views: list[tuple[ViewJson, Box2DJson | None]]
     uid: str | None
 
 
@@ -323,9 +282,6 @@ class FrameRowJson(Schema):
     index: int | None
     revision: int
     finalised: bool
-    counts: dict[str, int]
-    image_boxes: int | None
-    doubt: float | None
 
 
 class FrameListJson(Schema):

@@ -7,12 +7,10 @@ needed, since the project has them.
 from __future__ import annotations
 
 import io
-import os
 import re
 import shutil
 import time
 import uuid
-from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -29,8 +27,8 @@ from annotator.types.errors import FormatError, NotFoundError
 from annotator.web.security import UPLOAD_LIMIT
 
 FOLDER = ".uploads"
-# Number of uploads kept per project: those that nobody has imported.
-MOST_KEPT = 5
+# An upload that nobody has imported is kept so long; no job waits as long for its turn.
+KEPT_S = 24 * 3600.0
 # Limits of a packed dataset: files, and bytes of its text files, which are read into some ten times as much memory.
 MOST_FILES, MOST_BYTES = 200_000, UPLOAD_LIMIT
 TEXTS = (".json", ".txt", ".yaml", ".csv")
@@ -48,12 +46,8 @@ class Upload:
     format: AnyFormat
 
 
-def add_upload(project: Project, name: str, content: bytes, in_use: Collection[str] = ()) -> Upload:
-    """Stores a file, and unpacks it if it is a `.zip`; removes the oldest uploads.
-
-    Args:
-        in_use: ids of uploads that are not removed.
-    """
+def add_upload(project: Project, name: str, content: bytes) -> Upload:
+    """Stores a file, and unpacks it if it is a `.zip`; removes old uploads."""
     uploads = project.path / FOLDER
     place = uploads / uuid.uuid4().hex
     file = Path(_NAME.sub("_", PurePosixPath(name).name)[-100:].lstrip(".") or "boxes")
@@ -66,23 +60,15 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
             _unpack(file, content, place / file.stem)
         else:
             (place / file).write_bytes(content)
-        # A file system stamps by the kernel's tick: two uploads within 4 ms would have the same age.
-        os.utime(place, ns=(time.time_ns(),) * 2)
         upload = find_upload(project, place.name)
     except BaseException:
         remove_upload(project, place.name)
         raise
-    for old in sorted((folder for folder in uploads.iterdir() if folder.name not in in_use), key=_age)[:-MOST_KEPT]:
-        shutil.rmtree(old, ignore_errors=True)
+    for old in uploads.iterdir():
+        with suppress(FileNotFoundError):  # another request has removed it
+            if old.stat().st_mtime < time.time() - KEPT_S:
+                shutil.rmtree(old, ignore_errors=True)
     return upload
-
-
-def _age(folder: Path) -> int:
-    """When an upload was stored; 0 if it was removed in the meantime."""
-    try:
-        return folder.stat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
 
 
 def find_upload(project: Project, upload_id: str) -> Upload:

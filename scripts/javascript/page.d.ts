@@ -13,7 +13,7 @@ type Size = { width: number; height: number };
 type Rect = { x_min: number; y_min: number; x_max: number; y_max: number };
 type Box2D = Rect & { label: string; score?: number };
 /** The columns of `rotation` are the box's x (length), y (width) and z (height) axes. */
-type Box3D = Api.Box3DOut;
+type Box3D = { center: number[]; size: number[]; rotation: number[][] };
 /** A point p is at px x = (axes[0].p - origin_m[0]) / metres_per_px; y likewise with axes[1]. */
 type Plane = Pick<Api.ViewJson, "axes" | "metres_per_px" | "origin_m">;
 type Camera = Api.CameraJson & Size;
@@ -47,7 +47,7 @@ type Attribute = {
 };
 /** A label as far as its attributes are concerned. */
 type AttributeOwner = Pick<Api.LabelJson, "uid" | "label" | "attributes"> & { isNew?: boolean };
-/** Sends one change of the classes; the fields are those of `annotator.web.routes.classes`. */
+/** Sends one change of the classes; the fields are those of `annotator.web.routes.projects`. */
 type ChangeClasses = (body: Api.ClassChange["change"]) => Promise<unknown>;
 type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
 type Direction = "next" | "previous";
@@ -305,7 +305,7 @@ type Item = {
   boxes: ViewBox[];
   views: (Api.ViewJson | null)[];
   /** The detectors whose boxes were accepted. */
-  suggested: (Api.SuggestionJson | null)[];
+  suggested: (Api.Suggestion | null)[];
   stored: Box2D | null;
 };
 
@@ -330,7 +330,7 @@ type Draft = {
   /** The name of the detector that suggests boxes. */
   measuredBy: string | null;
   /** What a label records of this detector. */
-  suggestion: Api.SuggestionJson | null;
+  suggestion: Api.Suggestion | null;
   /** The reason why the detector could not be loaded. */
   problem: string | null;
   /** The reason why it suggests nothing. */
@@ -406,7 +406,8 @@ type Panel = typeof import("../../web_assets/js/label/side_panel.js");
 // -- Review
 
 /** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
-type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns"> & {
+type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns" | "box"> & {
+  box: Box3D;
   source: string;
   author: string | null;
   isNew?: boolean;
@@ -427,7 +428,7 @@ type Change = {
   track_id?: number | null;
   box_kind?: Api.BoxKind | null;
   image_box?: (Rect & { label: string }) | null;
-  suggestion?: Api.SuggestionJson | null;
+  suggestion?: Api.Suggestion | null;
 };
 /** A label that the operator is changing: `sending` are the values being sent, `sent` is whether that succeeds. */
 type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolean>; problem: string | null };

@@ -196,10 +196,8 @@ FILES: dict[str, bytes] = {
     "no JSON": safetensors(b"{\x00\xff\xfe}"),
     "deep JSON": safetensors(b'{"a":' * 100_000),
     "negative offsets": safetensors({"a": {"dtype": "F32", "shape": [2], "data_offsets": [-8, 0]}}, bytes(8)),
-    "offsets past the end": safetensors({"a": {"dtype": "F32", "shape": [2], "data_offsets": [2**40, 2**40 + 8]}}),
     "overlap": safetensors({**HEADER, "b": HEADER["a"]}, bytes(8)),
     "shape and size differ": safetensors({"a": {"dtype": "F32", "shape": [3], "data_offsets": [0, 8]}}, bytes(8)),
-    "unknown format": safetensors({"a": {"dtype": "EVIL", "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
     "metadata that is no text": safetensors({"__metadata__": {"description": {"a": 1}}, **HEADER}, bytes(8)),
     "no description": safetensors(HEADER, bytes(8)),
     "two equal names": safetensors(

@@ -54,3 +54,61 @@ export function frameState(revision, labels = [], id = 1, project = "room") {
     image_boxes: null,
   };
 }
+
+/** An element without a display: it keeps attributes, children and listeners. */
+class FakeElement extends EventTarget {
+  constructor(tagName) {
+    super();
+    Object.assign(this, {
+      tagName,
+      attributes: {},
+      children: [],
+      style: {},
+      dataset: {},
+      clientLeft: 0,
+      clientTop: 0,
+    });
+    this.classList = { add() {}, remove() {}, toggle() {} };
+  }
+  setAttribute(name, value) {
+    this.attributes[name] = value;
+  }
+  removeAttribute(name) {
+    delete this.attributes[name];
+  }
+  append(...children) {
+    this.children.push(...children);
+  }
+  replaceChildren(...children) {
+    this.children = children;
+  }
+  getBoundingClientRect = () => ({ left: 0, top: 0, width: 700, height: 500 });
+  closest = () => null;
+  matches = () => true;
+  contains = (other) => other === this;
+  focus() {}
+  setPointerCapture() {}
+}
+
+/** The browser's globals that the 2D editor takes: elements of 700 x 500 px, and pictures that are decoded at once. */
+export function fakeBrowser() {
+  const make = (tagName) => new FakeElement(tagName);
+  Object.assign(globalThis, {
+    Element: FakeElement,
+    HTMLElement: FakeElement,
+    document: { createElement: make, createElementNS: (_, tagName) => make(tagName), activeElement: null },
+    window: new EventTarget(),
+    devicePixelRatio: 1,
+    requestAnimationFrame: () => 0,
+    cancelAnimationFrame() {},
+    ResizeObserver: class {
+      observe() {}
+      disconnect() {}
+    },
+    Image: class {
+      naturalWidth = 1;
+      decode = async () => {};
+    },
+  });
+  return make;
+}

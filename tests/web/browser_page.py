@@ -1,22 +1,29 @@
-"""Helpers of the tests in a real browser; see browser/conftest.py for the fixtures."""
+"""What the tests in a real browser use: the mouse, a page in Label mode (`Bench`), and one in Review mode (`Desk`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
+from annotator.types import Label, OrientedBox, Proposal, Quality, Source
 from annotator.workflows.recorded.reading import load_truth
 
 if TYPE_CHECKING:
+    from conftest import Shop
     from drawing import Scene
-    from playwright.sync_api import Page, Response
+    from live_server import Live
+    from playwright.sync_api import Locator, Page, Response
 
     from annotator.web.viewport.viewports import Viewport
+
 
 POLL_MS = 50
 VIEWS = ("front", "side", "front-2", "side-2")
@@ -111,3 +118,179 @@ def seen_by_viewer(viewport: Viewport, rect: dict[str, float], point: np.ndarray
         rect["x"] + rect["width"] / 2 + focal * seen[0] / seen[2],
         rect["y"] + rect["height"] / 2 + focal * seen[1] / seen[2],
     )
+
+
+FRAME = 1
+EDGES = ("x_min", "y_min", "x_max", "y_max")
+
+
+@dataclass(eq=False)
+class Bench:
+    """A page in Label mode, its project, and the true objects of its frame."""
+
+    page: Page
+    live: Live
+    project: Project
+    scene: Scene
+
+    @property
+    def api(self) -> str:
+        """The URL path of the project's API."""
+        return f"/api/projects/{self.project.path.name}"
+
+    @property
+    def labels(self) -> list[Label]:
+        return list(self.project.labels.of_frame(FRAME))
+
+    @property
+    def image_boxes(self) -> list[dict[str, float]]:
+        known = self.state["image_boxes"]
+        return [] if known is None else known["boxes"]
+
+    @property
+    def state(self) -> dict[str, Any]:
+        return self.live.client.get(f"{self.api}/frames/{FRAME}").json()
+
+    @property
+    def hint(self) -> str:
+        return self.page.get_by_test_id("hint").inner_text()
+
+    def saved(self) -> None:
+        """Waits until all changes are saved."""
+        self.page.wait_for_selector(".label-mode:not([data-saving])")
+        assert self.page.get_by_test_id("save-problem").inner_text() == ""
+
+    def draw_on_image(self, number: int) -> dict[str, Any]:
+        """Draws the image box of a true object; returns the answer's views and suggestions."""
+        with self.page.expect_response(answers_drag(0)) as answer:
+            self.drag_on_image(number)
+        drawn: dict[str, Any] = answer.value.json().get("drawn", {})
+        return drawn
+
+    def drag_on_image(self, number: int) -> None:
+        camera = self.scene.frame.camera
+        drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
+
+    def wait_for_view(self, place: int, view: dict[str, Any]) -> None:
+        pane = self.page.get_by_test_id(f"view-{VIEWS[place]}")
+        pane.locator(f'img.picture[src="{view["url"]}"]').wait_for(state="attached")
+
+    def pull(self, place: int, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drags the dashed box of a view; both points are shares of its width and height."""
+        # in one call, because the editor may draw the box again in between
+        find = "(pane) => pane.querySelector('.box.suggested rect.line').getBoundingClientRect().toJSON()"
+        shown = self.page.get_by_test_id(f"view-{VIEWS[place]}").evaluate(find)
+        corner, size = np.array([shown["x"], shown["y"]]), np.array([shown["width"], shown["height"]])
+        drag(self.page, tuple(corner + start * size), tuple(corner + end * size))
+
+    def draw_object(self, number: int) -> None:
+        """Draws all five boxes of a true object."""
+        first = self.draw_on_image(number)
+        with self.page.expect_response(answers_drag(2)) as answer:
+            draw_on_views(self.page, self.scene, number, first["steps"][0]["views"])
+        draw_on_views(self.page, self.scene, number, answer.value.json()["drawn"]["steps"][1]["views"], step=1)
+        self.saved()
+
+    def other_saves(self, box: dict[str, Any]) -> None:
+        """Another operator adds a box to the image."""
+        state = self.state
+        boxes = [*([] if state["image_boxes"] is None else state["image_boxes"]["boxes"]), box]
+        changes = [{"kind": "image_boxes", "boxes": boxes, "box_kind": "silhouette"}]
+        body = {"revision": state["frame"]["revision"], "changes": changes}
+        answer = self.live.client.post(f"{self.api}/frames/{FRAME}/changes", json=body)
+        assert answer.status_code == 200, answer.text
+
+
+FRAMES = 3
+
+
+@dataclass(eq=False)
+class Desk:
+    """A page in Review mode, and its project."""
+
+    page: Page
+    live: Live
+    project: Project
+
+    @property
+    def name(self) -> str:
+        """The project's name."""
+        return self.project.path.name
+
+    @property
+    def api(self) -> str:
+        """The URL path of the project's API."""
+        return f"/api/projects/{self.name}"
+
+    @property
+    def frame(self) -> int:
+        """The id of the shown frame."""
+        return int(self.page.url.split("/review/")[1].split("?")[0])
+
+    @property
+    def uid(self) -> str:
+        """The uid of the selected label."""
+        row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
+        uid = row.get_attribute("data-uid")
+        assert uid is not None
+        return uid
+
+    @property
+    def label(self) -> Label:
+        """The selected label as it is stored."""
+        return self.project.labels.get(self.uid).label
+
+    def box(self, view: str) -> Locator:
+        """The rectangle of the selected box in one of the views along its axes."""
+        return self.page.get_by_test_id(f"ortho-{view}").locator("rect.line")
+
+    def settled(self) -> None:
+        """Waits until all changes are saved and the three views show the current box."""
+        from playwright.sync_api import expect
+
+        expect(self.page.get_by_test_id("saving")).to_have_text("")
+        expect(self.page.locator('[data-testid="orthos"][data-shown]:not([data-shown=""])')).to_be_visible()
+        for view in ("top", "front", "side"):
+            self.box(view).wait_for()
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        between = [start[i] + np.outer((0.25, 0.5, 0.75, 1.0), (end[i] - start[i])).ravel() for i in (0, 1)]
+        drag(self.page, start, *zip(*between, strict=True))
+
+
+def begin(page: Page, shop: Shop) -> Desk:
+    """Opens Review mode of a new project with proposals; the most doubtful one is selected."""
+    project = shop.new_project("proposed")
+    page.goto(f"/#/{project.path.name}/review")
+    desk = Desk(page, shop.live, project)
+    page.locator(f"[data-testid=review-image] img.picture[src*='/{desk.name}/']").wait_for()
+    desk.settled()
+    return desk
+
+
+def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
+    """One proposal per true object, displaced from it: the further, the higher its doubt."""
+    opened = open_recording(recording)
+    rng = np.random.default_rng(5)
+    for index, stored in enumerate(project.frames.of()[:frames]):
+        frame = opened.frame(index)
+        proposals = []
+        for truth in load_truth(opened, index, frame):
+            off = rng.uniform(0.2, 1.0)
+            turn = Rotation.from_rotvec(rng.normal(0, 0.05 * off, 3)).as_matrix() @ truth.box.rotation
+            box = OrientedBox.from_parts(truth.box.center_m + rng.normal(0, 0.03 * off, 3), turn, truth.box.size_m)
+            image_box = box_on_image(frame.camera, box, truth.label)
+            if image_box is not None:
+                proposals.append(Proposal(truth.label, 1 - off / 2, box, image_box, (), Quality(off / 3, 0.9, off / 9)))
+        project.proposals.replace(stored.id, proposals, WriteContext(stored.revision, "detectors", Source.AUTO))
+
+
+def middle(element: Locator) -> tuple[float, float]:
+    """The centre of an element on the screen."""
+    box = element.bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2

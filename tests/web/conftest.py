@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 from job_threads import WorkerThread
-from live_server import PATIENCE_S, wait_until
+from live_server import PATIENCE_S, Live, wait_until
 from room_server import live, live_of_file, own_live, projects_with_room, web_settings
 
+from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.web.jobs import runner
 from annotator.workflows.detectors import Detectors
@@ -20,6 +21,12 @@ from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
 __all__ = ["live", "live_of_file", "own_live", "projects_with_room", "web_settings"]
+
+
+@pytest.fixture
+def project(live: Live) -> Project:
+    """The project `room` of the server."""
+    return live.context.project("room")
 
 
 @pytest.fixture

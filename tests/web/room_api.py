@@ -8,13 +8,15 @@ from typing import Any
 import httpx
 import numpy as np
 from drawing import Scene
+from scipy.spatial.transform import Rotation
 
 from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 from annotator.web.security import ServerSettings
 
 ROOM = "/api/projects/room"
-BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
+TURNED = Rotation.from_quat([0.9, 0.1, 0.4, 0.1], scalar_first=True).as_matrix().tolist()
+BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "rotation": TURNED}
 
 
 def propose(project: Project, frame: int, *places: float) -> list[str]:

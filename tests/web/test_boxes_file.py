@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import io
-import itertools
 import json
+import os
 import re
 import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Lock
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -24,7 +23,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext, LiftRequest
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import Preview, preview_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -151,7 +150,6 @@ def test_nothing_is_undone_while_an_import_stores_its_boxes(
     sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
     job = live.client.post(f"{ROOM}/jobs", json={"kind": "boxes", "upload": sent["id"]}).json()
     wait_for(live, job, "store the 2D boxes")
-    assert live.context.jobs.uploads_in_use(project.path) == {sent["id"]}
     for step in ("undo", "redo"):
         refused = live.client.post(f"{ROOM}/{step}", json={})
         assert refused.status_code == 409
@@ -162,7 +160,6 @@ def test_nothing_is_undone_while_an_import_stores_its_boxes(
     assert "still running" not in live.client.post(f"{ROOM}/undo", json={}).json()["error"]["message"]
     live.client.post(f"/api/jobs/{job['id']}/cancel")
     ended(live, job)
-    assert live.context.jobs.uploads_in_use(project.path) == set()
 
 
 def wait_for(live: Live, job: dict[str, Any], stage: str) -> None:
@@ -183,6 +180,19 @@ def test_3d_boxes_are_proposed_from_the_file(
     assert done.result["proposals"] == sent["boxes"]["Person"] and done.result["failures"] == 0
     assert done.message.endswith("proposals in 2 frames, measured by: this project's view detector")
     assert len(project.labels.select()) == sent["boxes"]["Person"]
+
+
+def test_3d_boxes_are_proposed_from_2d_boxes_of_the_project(
+    live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
+    monkeypatch.setattr(work, "require_view", lambda _: ReadyDetector(knowing("people").view, BoxKind.BOX, Lock()))
+    project = live.context.project("room")
+    run(project, tmp_path, upload=sent["id"])
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 2
+    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
+    assert work.lift_work(job, LiftRequest(kind="lift")).result["proposals"] == sent["boxes"]["person"]
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
 
 
 @pytest.fixture
@@ -275,20 +285,15 @@ def test_a_packed_dataset_is_bounded(room: Project, monkeypatch: pytest.MonkeyPa
         read(room, "set.zip", packed({"classes.txt": "person and more\n"}))
 
 
-def test_only_the_latest_files_are_kept(room: Project, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # all within one tick of the kernel's clock, by which a file system stamps
-    times_ns = itertools.count(time.time_ns())
-    monkeypatch.setattr(uploads, "time", SimpleNamespace(time_ns=lambda: next(times_ns)))
-    project, content = room, json.dumps(coco(generated)).encode()
-    ids = [uploads.add_upload(project, "boxes.json", content).id for _ in range(uploads.MOST_KEPT + 1)]
+def test_files_that_nobody_imports_are_kept_for_a_day(room: Project, generated: Path) -> None:
+    content = json.dumps(coco(generated)).encode()
+    ids = [uploads.add_upload(room, "boxes.json", content).id for _ in range(2)]
+    for upload, age_s in zip(ids, (uploads.KEPT_S + 60, uploads.KEPT_S - 60), strict=True):
+        os.utime(room.path / uploads.FOLDER / upload, (time.time() - age_s,) * 2)
+    uploads.add_upload(room, "boxes.json", content)
     with pytest.raises(NotFoundError, match="choose it again"):
-        uploads.find_upload(project, ids[0])
-    assert uploads.find_upload(project, ids[-1]).path.name == "boxes.json"
-    for _ in range(uploads.MOST_KEPT + 1):
-        uploads.add_upload(project, "boxes.json", content, in_use={ids[1]})
-    assert uploads.find_upload(project, ids[1]), "a job still has to read it"
-    with pytest.raises(NotFoundError):
-        uploads.find_upload(project, ids[2])
+        uploads.find_upload(room, ids[0])
+    assert uploads.find_upload(room, ids[1]).path.name == "boxes.json"
 
 
 def test_a_file_may_be_larger_than_other_requests(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,14 +118,13 @@ def test_a_slow_page_does_not_delay_others(live: Live, wait_for: WaitFor) -> Non
     slow.close()
 
 
-def test_events_of_a_viewport_go_to_its_page() -> None:
+def test_events_of_a_viewport_go_to_the_pages_of_its_operator() -> None:
     async def scenario() -> list[int]:
-        hub, clients = Hub(), (Client("room", "A"), Client("room", "B"))
+        hub, clients = Hub(), (Client("room", "A"), Client("room", "B"), Client("hall", "A"))
         for client in clients:
             hub.join(client)
-        hub.add_viewport(clients[0], "w1")
-        hub.send({"type": "viewport", "workbench": "w1"})
+        hub.send({"type": "viewport", "project": "room"}, "A")
         await asyncio.sleep(0)
         return [client.queue.qsize() for client in clients]
 
-    assert asyncio.run(scenario()) == [2, 1], "each has its presence"
+    assert asyncio.run(scenario()) == [2, 1, 1], "each has its presence"

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from live_server import ended, running
 from room_api import BOX, change, state
-from test_events import listen, next_of
 
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside
@@ -68,7 +67,8 @@ def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
 
 
 TRICKS = (
-    *("", ".", "..", "/", "/etc", "secret", "data-2", "DATA", "%2e%2e", "～"),
+    *("", ".", "..", "/", "/etc", "secret", "data-2", "DATA", "%2e%2e", "～", "~", "$HOME", "\ud800"),
+    *("C:\\", "file:///etc", "s3://bucket/x", "http://127.0.0.1:1/"),
     *("data/", "data//sub", "data/..", "data/./sub", "data/../secret", "data/sub/../../secret"),
     *("data/.hidden", "data/outside", "data/outside/in", "data/sibling", "data/nowhere", "data/circle"),
     *("data\\sub", "data/sub\0", "data/sub\n", "data/missing", "data/" + "a" * 5000, "data/" + "/".join(["a"] * 2000)),
@@ -96,12 +96,9 @@ def test_a_folder_that_may_not_be_read(tree: Path) -> None:
         (tree / "sub").chmod(0o755)
 
 
-def test_recordings_are_recognised(generated: Path) -> None:
+def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
     entries = Folders((generated,)).list(generated.name).entries
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
-
-
-def test_a_folder_with_a_cloud_can_still_be_opened(tree: Path) -> None:
     (tree / "sub" / "stray.npy").write_bytes(b"")
     entries = Folders((tree,)).list("data").entries
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
@@ -109,18 +106,13 @@ def test_a_folder_with_a_cloud_can_still_be_opened(tree: Path) -> None:
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
-    top = live.client.get("/api/folders").json()
-    assert top == {
-        "path": "",
-        "parent": None,
-        "entries": [{"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}],
-    }
+    (top,) = live.client.get("/api/folders").json()["entries"]
+    assert top == {"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
     assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
-    for path in ("../..", f"{generated.name}/../..", "/etc"):
-        answer = live.client.get("/api/folders", params={"path": path})
+    for target in ("folders", "bags"):
+        answer = live.client.get(f"/api/{target}", params={"path": f"{generated.name}/../.."})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
-    assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
 
 
 def test_a_project_can_be_created_and_filled(
@@ -247,7 +239,7 @@ def label_one(live: Live) -> None:
     change(live.client, state(live.client)["frame"]["revision"], {"kind": "create", "label": "person", "box": BOX})
 
 
-def test_a_renamed_project_keeps_its_labels_and_jobs_and_its_pages_are_told(live: Live) -> None:
+def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
     label_one(live)
     job = done_export(live)
     live.client.post("/api/projects", json={"name": "taken", "classes": ["person"]})
@@ -255,11 +247,8 @@ def test_a_renamed_project_keeps_its_labels_and_jobs_and_its_pages_are_told(live
         assert live.client.post(f"{ROOM}/rename", json={"name": name}).status_code == status
     assert "choose another name" in error(live.client.post(f"{ROOM}/rename", json={"name": "taken"}))[1]
 
-    with listen(live) as socket:
-        renamed = live.client.post(f"{ROOM}/rename", json={"name": "hall"})
-        told = next_of(socket, "renamed")
+    renamed = live.client.post(f"{ROOM}/rename", json={"name": "hall"})
     assert renamed.json()["labels_by_state"]["accepted"] == 1
-    assert (told["name"], told["operator"]) == ("hall", "Ada")
     assert live.client.get(ROOM).status_code == 404
     assert len(live.client.get("/api/projects/hall/frames/1").json()["labels"]) == 1
     listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()["jobs"]}
@@ -307,17 +296,9 @@ def done_export(live: Live) -> Job:
 def test_a_recording_is_removed_and_comes_back_with_its_labels(live: Live) -> None:
     label_one(live)
     before, place = state(live.client), f"{ROOM}/recordings/1"
-    with listen(live) as socket:
-        (listed,) = live.client.delete(place).json()["recordings"]
-        told = next_of(socket, "recordings")
+    (listed,) = live.client.delete(place).json()["recordings"]
     assert (listed["name"], listed["labels"], listed["removed_by"]) == ("people", 1, "Ada")
-    assert (told["recording"], told["operator"]) == (1, "Ada")
-    assert live.client.get(ROOM).json()["recordings"] == []
-    assert live.client.get(f"{ROOM}/frames/1").status_code == 404
-    refused = change(live.client, before["frame"]["revision"], {"kind": "create", "label": "person", "box": BOX})
-    assert (refused.status_code, refused.json()["error"]["kind"]) == (404, "NotFoundError")
-    assert live.client.delete(place).status_code == 404
-
+    assert live.client.get(f"{ROOM}/frames/1").status_code == live.client.delete(place).status_code == 404
     (back,) = live.client.post(f"{place}/restore").json()["recordings"]
     assert (back["labels"], back["removed_by"]) == (1, None)
     assert state(live.client) == before

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from live_pages import TruthDetection, detections, served
+from live_server import wait_until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
@@ -18,13 +21,54 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
-from annotator.types import Box2D, Frame, LostObject, OrientedBox
-from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, table
+from annotator.types import Box2D, Frame, LostObject, OrientedBox, Proposal, Quality
+from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections, live_app, sigterm_as_interrupt, table
 from annotator.web.security import ServerSettings
-from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.open_source import Playback
+from annotator.web.serve import Running
+from annotator.workflows.live.detection import Detected, Taken
+from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline
 from annotator.workflows.recorded.reading import load_truth
+
+
+def detections(frame: Frame, *boxes: OrientedBox) -> FrameProposals:
+    quality = Quality(0.0, 1.0, 0.0)
+    proposals = [Proposal("hand", 0.8, box, Box2D("hand", 40.0, 60.0, 120.0, 150.0, 0.9), (), quality) for box in boxes]
+    return FrameProposals(frame.key, tuple(proposals), ())
+
+
+class TruthDetection:
+    """A detection that returns the ground truth."""
+
+    def __init__(self, folder: Path) -> None:
+        self.recording = open_recording(folder)
+
+    def detect(self, taken: Taken) -> Detected:
+        truths = load_truth(self.recording, taken.frame.index, taken.frame)
+        answer = detections(taken.frame, *(truth.box for truth in truths))
+        return Detected(taken.frame, answer, taken.taken_s, {"read": taken.read_s, "views": 0.001})
+
+
+@contextmanager
+def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LivePage]]:
+    """Serves a live page that runs until the block is left."""
+    page = LivePage("hands", {"backend": "truth"})
+    pipeline = Pipeline(
+        Playback(open_recording(folder), rate=4.0, repeat=Repeat.BACK), TruthDetection(folder), page.show
+    )
+    page.follow(pipeline)
+    server = Running(settings, live_app(settings, page))
+    thread = threading.Thread(target=server.serve_until_stopped)
+    thread.start()
+    pipeline.start()
+    try:
+        wait_until(lambda: server.started and pipeline.figures().shown)
+        yield f"http://127.0.0.1:{server.port}", pipeline, page
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        pipeline.end()
+        page.close()
 
 
 @pytest.fixture(scope="module")
@@ -122,28 +166,16 @@ def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None
         assert row in after
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-@pytest.mark.parametrize("number", SIGNALS)
-def test_a_deferred_signal_interrupts_at_the_end_of_the_block(number: signal.Signals) -> None:
-    before = [signal.getsignal(n) for n in SIGNALS]
-    done = []
-    with Interrupts() as interrupts:
-        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
-            signal.raise_signal(number)
-            done.append("started")
-        assert done == ["started"]
-        signal.raise_signal(signal.SIGTERM)  # ignored, since the session is ending
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert [signal.getsignal(n) for n in SIGNALS] == before
-
-
-def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
-    with Interrupts() as interrupts:
-        with interrupts.session(), interrupts.deferred():
-            pass
-        signal.raise_signal(signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+def test_sigterm_interrupts_once_and_not_after_the_end_of_a_session() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    for is_ending in (False, True):
+        with sigterm_as_interrupt() as ignore:
+            if is_ending:
+                ignore()
+            else:
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGTERM) == before

@@ -16,12 +16,10 @@ import zipfile
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
 import pytest
-from drawing import Scene
 from live_server import PATIENCE_S, ended, look, running
 from test_events import listen, next_of
 
@@ -35,29 +33,22 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.web import background
 from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
 from annotator.web.context import Context
-from annotator.web.jobs import runner, work
+from annotator.web.jobs import runner
 from annotator.web.jobs.records import (
     FILE,
     WORK,
-    JobContext,
     JobState,
-    JobStoppedError,
-    LiftRequest,
     TrainRequest,
     read_journal,
 )
-from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, STEPPED_ASIDE, JobRunner
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, JobRunner
 from annotator.web.jobs.worker import NICENESS
-from annotator.web.schemas import Box2DJson
 from annotator.web.security import ServerSettings
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.training.held_out import Decision
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
-
-    from annotator.workflows.detectors import Detectors
 
 
 WaitFor = Callable[[Callable[[], Any]], None]
@@ -246,14 +237,12 @@ def test_export_and_download(live: Live) -> None:
     split = {"shares": "train=3,val=2", "seed": 4}
     request = {"kind": "export", "format": "kitti", "states": ["accepted"], "recordings": [1], "split": split}
     done = ended(live, live.client.post(JOBS, json=request).json())
-    assert (done["state"], done["message"]) == ("done", "15 boxes in 5 frames")
-    assert done["result"]["splits"] == {"train": 3, "val": 2}
+    assert (done["state"], done["message"], done["download"]) == ("done", "15 boxes in 5 frames", "kept")
     assert any("clouds have colours" in line for line in done["result"]["lost"])
     answer = live.client.get(f"/api/jobs/{done['id']}/download")
     assert 'filename="room-kitti.zip"' in answer.headers["content-disposition"]
     with zipfile.ZipFile(BytesIO(answer.content)) as archive:
         assert len(archive.read("room-kitti/ImageSets/val.txt").split()) == 2
-    assert done["download"] == "kept"
     folder = live.settings.projects_root / ".jobs" / done["id"]
     assert sorted(path.name for path in folder.iterdir()) == ["room-kitti.zip", "worker.log"]
     formats = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()["formats"]}
@@ -298,23 +287,6 @@ def test_a_project_without_models(live: Live) -> None:
     assert live.client.post(f"{MODELS}/1/activate").status_code == 404
     assert live.client.get(f"{MODELS}/1/pictures/0.jpg").status_code == 404
     assert live.client.get(f"{MODELS}/{10**30}/pictures/0.jpg").status_code == 422
-
-
-def test_the_job_proposes_3d_boxes_from_drawn_boxes(
-    live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    view = ReadyDetector(knowing("people").view, BoxKind.BOX, Lock())
-    monkeypatch.setattr(work, "require_view", lambda _: view)
-    project = live.context.project("room")
-    boxes = [Box2DJson(**Scene.of(generated / "people", 0, ["person"]).image_box(0)).box()]
-    project.boxes.set_on_image(1, boxes, BoxKind.SILHOUETTE, WriteContext(0, "Ada"))
-    assert live.client.get(MODELS).json()["material"]["to_lift"] == 1
-    with pytest.raises(JobStoppedError):
-        work.lift_work(JobContext(project, tmp_path, "Ada", lambda _: None, lambda: True), LiftRequest(kind="lift"))
-    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
-    said = work.lift_work(job, LiftRequest(kind="lift")).message
-    assert said.endswith("in 1 frame, measured by: this project's view detector")
-    assert live.client.get(MODELS).json()["material"]["to_lift"] == 0
 
 
 ROUND = {"kind": "train", "roles": ["view"], "background": True}
@@ -407,39 +379,15 @@ def test_a_training_that_somebody_started_has_learned_too(
         assert sum(job.background for job in jobs.all()) == rounds
 
 
-def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
-    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Labels, "count", lambda self, states: 10)
-    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
-    learner = Learner(jobs)
-    learner.look("room", project)
-    (first,) = jobs.all()
-    jobs._update(first.id, state=JobState.RUNNING)
-    jobs._waiting.clear()
-    other = jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
-    assert not jobs.stepped_aside(first.id)
-    jobs._update(first.id, state=JobState.DONE)
-    assert not jobs.stepped_aside(first.id)
-    jobs._update(first.id, state=JobState.CANCELLED)
-    assert jobs.stepped_aside(first.id)
-    learner.look("room", project)
-    assert len(jobs.all()) == 2
-    jobs._update(other.id, state=JobState.DONE)
-    jobs._waiting.clear()
-    for _ in range(3):
-        learner.look("room", project)
-    assert len(jobs.all()) == 3
-
-
-def test_a_job_in_the_background_stops_for_another_job(learning: Live) -> None:
+def test_a_job_in_the_background_stops_for_another_job_and_begins_again(learning: Live) -> None:
     job: dict[str, Any] = learning.client.post(JOBS, json=ROUND).json()
     assert job["background"] is True
+    for _ in range(2):
+        until(learning, job, "running", "learn")
+        assert ended(learning, begin(learning, fake_jobs.QUICK))["state"] == "done"
     until(learning, job, "running", "learn")
-    other = begin(learning, fake_jobs.QUICK)
-    assert ended(learning, other)["state"] == "done"
-    now = ended(learning, job)
-    assert (now["state"], now["message"]) == ("cancelled", STEPPED_ASIDE)
+    learning.client.post(f"/api/jobs/{job['id']}/cancel")
+    assert ended(learning, job)["state"] == "cancelled"
 
 
 def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(

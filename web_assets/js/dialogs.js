@@ -1,7 +1,7 @@
 /** Modal dialogs: a form in a <dialog>, which keeps the focus inside and closes with Escape. */
 
 import { elementById, h, iconButton } from "./dom.js";
-import { isAborted, messageOf } from "./errors.js";
+import { isAborted, isStale, messageOf } from "./errors.js";
 
 /**
  * Shows a dialog until one of its actions is done.
@@ -161,7 +161,7 @@ function keyCaps(/** @type {import("./keys.js").KeyRow} */ row) {
 const SHOWN_MS = { info: 4000, good: 4000, warn: 8000, error: 12000 };
 
 /**
- * toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn and error.
+ * toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn (also for a stale change) and error.
  *
  * @param {unknown} message an error, or a text.
  * @param {keyof typeof SHOWN_MS} [kind]
@@ -169,7 +169,7 @@ const SHOWN_MS = { info: 4000, good: 4000, warn: 8000, error: 12000 };
 export function toast(message, kind) {
   if (isAborted(message)) return;
   const isError = message instanceof Error;
-  const shown = kind ?? (isError ? "error" : "info");
+  const shown = kind ?? (isStale(message) ? "warn" : isError ? "error" : "info");
   const text = messageOf(message);
   const host = elementById("toasts");
   for (const old of host.children) if (old.getAttribute("data-text") === text) old.remove();

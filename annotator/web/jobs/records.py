@@ -36,7 +36,7 @@ class TrainRequest(Schema):
             number of images.
         model: an ultralytics detection model such as yolo11n; null: the default.
         image_size_px, view_size_px: longer side of the training images; null: the default.
-        background: at the lowest priority; it steps aside for other jobs and for drawing.
+        background: at the lowest priority; it stops for other jobs, and begins again after them; it waits for drawing.
     """
 
     kind: Literal["train"]
@@ -304,7 +304,6 @@ class Progress(Schema):
     stage: str
     done: float
     total: float
-    eta_s: float | None = None
 
 
 class Measured(Schema):
@@ -350,11 +349,11 @@ class JobContext:
     send: Callable[[WorkerMessage], None]
     stopped: Callable[[], bool]
 
-    def progress(self, stage: str, done: float = 0.0, total: float = 0.0, eta_s: float | None = None) -> None:
+    def progress(self, stage: str, done: float = 0.0, total: float = 0.0) -> None:
         """Reports the progress. A job stops at its next call of this method."""
         if self.stopped():
             raise JobStoppedError("stopped")
-        self.send(Progress(stage=stage, done=done, total=total, eta_s=eta_s))
+        self.send(Progress(stage=stage, done=done, total=total))
 
     def counter(self, stage: str) -> Callable[[int, int], None]:
         """A progress callback (done, total) for a workflow."""

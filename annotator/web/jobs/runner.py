@@ -32,7 +32,6 @@ from annotator.web.jobs.records import (
     STOP,
     WORK,
     WORKER_MESSAGE,
-    BoxesRequest,
     Ended,
     Job,
     JobRequest,
@@ -134,7 +133,6 @@ class WorkerProcess:
 # Number of listed jobs, of downloads kept per project, and of jobs that may wait.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
 WORK_LOG = "worker.log"
-STEPPED_ASIDE = "stepped aside for another job; a new round starts after it"
 # A job in the background goes on this long after the last request that it made room for.
 PAUSE_AFTER_S = 2.0
 # Shorter than GRACE_S, so that the server ends quickly.
@@ -183,7 +181,8 @@ class JobRunner:
         self._closed = False
         # requests that a job in the background makes room for: how many there are, and how many there were
         self._drawing, self._pauses = 0, 0
-        self._stepped_aside: set[str] = set()
+        # jobs in the background that stop for another one, and then wait again
+        self._aside: set[str] = set()
         self._threads = [threading.Thread(target=self._run, args=(heavy,), daemon=True) for heavy in (True, False)]
 
     def start(self) -> None:
@@ -211,17 +210,11 @@ class JobRunner:
             self._publish(job)
             self._lock.notify_all()
             aside = self._background() if task.is_heavy and not job.background else None
-            if aside is not None:
-                self._stepped_aside.add(aside.id)
-        if aside is not None:
-            self.cancel(aside.id)
+            if aside is not None and aside.id not in self._aside:
+                self._aside.add(aside.id)
+                if aside.id in self._workers:
+                    self._workers[aside.id].stop()
         return job
-
-    def stepped_aside(self, job_id: str) -> bool:
-        """True for a job in the background that was stopped for another job before it was done."""
-        with self._lock:
-            job = self._jobs.get(job_id)
-            return job_id in self._stepped_aside and job is not None and job.state is JobState.CANCELLED
 
     def stores_boxes(self, project: str, operator: str) -> bool:
         """True while a job stores the 2D boxes of a file as an action of this operator."""
@@ -230,12 +223,6 @@ class JobRunner:
             and job.stage != LIFT_STAGE
             for job in self.all()
         )
-
-    def uploads_in_use(self, path: Path) -> set[str]:
-        """Ids of the files with 2D boxes that jobs of the project in the folder `path` still have to read."""
-        with self._lock:
-            tasks = [task.request for task in (*self._waiting, *self._current) if task.path == path]
-        return {request.upload for request in tasks if isinstance(request, BoxesRequest)}
 
     def is_idle(self) -> bool:
         return all(job.state.ended for job in self.all())
@@ -354,6 +341,7 @@ class JobRunner:
             with self._lock:
                 self._current.remove(task)
                 self._stopping.discard(task.job_id)
+                self._aside.discard(task.job_id)
             self._tidy()
 
     def _next(self, heavy: bool) -> _Task | None:
@@ -386,7 +374,7 @@ class JobRunner:
         worker = WorkerProcess(order, folder / WORK_LOG)
         with self._lock:
             self._workers[job_id] = worker
-            if self._closed or job_id in self._stopping:
+            if self._closed or job_id in self._stopping | self._aside:
                 worker.stop(CLOSING_GRACE_S)
             elif self._drawing:
                 self._pause(True)
@@ -395,18 +383,25 @@ class JobRunner:
             self._handle(job_id, last, began)
         with self._lock:
             del self._workers[job_id]
-        self._ended(job_id, last, worker.exit_code)
+        self._ended(task, last, worker.exit_code)
 
     def _handle(self, job_id: str, message: WorkerMessage, began: float) -> None:
         match message:
             case Progress():
                 stage = "stopping" if job_id in self._stopping else message.stage
-                eta_s = message.eta_s if message.eta_s is not None else _estimate(message, began)
-                self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=eta_s)
+                left_s = _estimate(message, began)
+                self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=left_s)
             case Measured():
                 self._update(job_id, curves=(*self.get(job_id).curves, message.point))
 
-    def _ended(self, job_id: str, last: WorkerMessage | None, exit_code: int | None) -> None:
+    def _ended(self, task: _Task, last: WorkerMessage | None, exit_code: int | None) -> None:
+        job_id = task.job_id
+        was_stopped = not isinstance(last, Ended) or last.state is JobState.CANCELLED
+        with self._lock:
+            if was_stopped and job_id in self._aside - self._stopping and not self._closed:
+                self._waiting.append(task)
+                self._update(job_id, state=JobState.QUEUED, stage="", done=0.0, total=0.0, eta_s=None)
+                return
         end: dict[str, Any] = {"state": JobState.FAILED}
         match last:
             case Ended(state=JobState.DONE, message=message, result=result):
@@ -418,9 +413,8 @@ class JobRunner:
             case Ended(is_fault=True):
                 LOG.error("job %s failed:\n%s", job_id, last.message)
                 end["message"] = INTERNAL
-            case Ended(state=state):
-                aside = state is JobState.CANCELLED and job_id in self._stepped_aside
-                end = {"state": state, "message": STEPPED_ASIDE if aside else last.message}
+            case Ended(state=state, message=message):
+                end = {"state": state, "message": message}
             case _ if job_id in self._stopping:
                 end = {"state": JobState.CANCELLED, "message": "stopped"}
             case _:

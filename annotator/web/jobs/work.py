@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
+from annotator.detection.config import TrainingConfig
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.project import new_action
 from annotator.project.backup.take_in import copy_project
@@ -29,7 +29,7 @@ from annotator.web.jobs.records import (
     TrainRequest,
 )
 from annotator.web.uploads import find_upload, remove_upload
-from annotator.workflows.detectors import trained_detectors, used_model
+from annotator.workflows.detectors import trained_detectors
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.importing import (
     Become,
@@ -47,7 +47,6 @@ from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.rounds import FIRST_PART_S
 from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.loaded_detectors import require_view
 
@@ -65,9 +64,7 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
         minutes=request.minutes,
     )
     roles = tuple(dict.fromkeys(request.roles))
-    starts = used_model(job.project, DetectorKind.VIEW) is not None
-    minutes = plan.minutes or (FIRST_PART_S / 60 if starts else None)
-    reporter = _ProgressReporter(job, plan, roles, minutes)
+    reporter = _ProgressReporter(job, roles)
     job.progress(f"draw training images for the {roles[0]} detector")
     try:
         trained = train(job.project, plan, roles=roles, progress=reporter.step, stop=job.stopped)
@@ -97,18 +94,15 @@ def _training_config(
 
 @dataclass(eq=False)
 class _ProgressReporter:
-    """Converts the progress of one or two trainings into that of the job, in training images shown.
+    """Converts the progress of one or two trainings into that of the job: each counts 1.
 
     Attributes:
-        minutes: expected duration of the view detector's training; None: by its number of images.
         reported: latest reported epoch of each training, by part.
         measured: latest mAP50-95 of each training.
     """
 
     job: JobContext
-    plan: TrainPlan
     roles: tuple[DetectorKind, ...]
-    minutes: float | None = None
     reported: dict[DetectorKind, dict[int, int]] = field(default_factory=dict)
     measured: dict[DetectorKind, float | None] = field(default_factory=dict)
 
@@ -120,25 +114,10 @@ class _ProgressReporter:
             self._measured(role, step, sum(reported.values()))
         if self.job.stopped():  # the training itself stops at its next safe point
             return
-        before = sum(map(self._images, self.roles[: self.roles.index(role)]))
-        total = sum(map(self._images, self.roles))
-        shown = self._images(role) * step.share_done
         epoch = min(step.epoch + 1, step.epochs)
         part = f"part {step.part} of {step.parts}, " if step.parts > 1 else ""
         stage = f"train the {role} detector, {part}epoch {epoch} of {step.epochs}"
-        self.job.progress(stage, before + shown, total, self._seconds_left(step, before + shown, shown, total))
-
-    def _seconds_left(self, step: TrainingProgress, done: float, shown: float, total: float) -> float | None:
-        """The remaining time of this training by its own estimate, plus that of the next one at the same speed."""
-        if step.seconds_left is None or shown <= 0 or step.parts > 1:
-            return None
-        after = total - done - (self._images(DetectorKind(step.role)) - shown)
-        return step.seconds_left + after * step.seconds / shown
-
-    def _images(self, role: DetectorKind) -> float:
-        if role is DetectorKind.VIEW and self.minutes is not None:
-            return self.minutes * 60 * PICTURES_A_SECOND
-        return float((self.plan.image if role is DetectorKind.IMAGE else self.plan.view).pictures_seen)
+        self.job.progress(stage, self.roles.index(role) + step.share_done, float(len(self.roles)))
 
     def _measured(self, role: DetectorKind, step: TrainingProgress, epoch: int) -> None:
         metrics = {name.rpartition("/")[2]: value for name, value in step.losses.items()}

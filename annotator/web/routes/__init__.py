@@ -1,1 +1,1 @@
-"""The routes of the API, one module per topic; `annotator.web.app.ROUTES` lists the modules."""
+"""The routes of the API, one module per topic; `annotator.web.app.ROUTES` lists them, and that of the 3D view."""

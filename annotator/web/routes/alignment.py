@@ -9,7 +9,10 @@ from fastapi import APIRouter
 from fastapi.responses import Response
 from pydantic import Field
 
-from annotator.project import Basis
+from annotator.geometry.projection import thin
+from annotator.project import Basis, StoredFrame
+from annotator.recordings.clouds.virtual_camera import has_virtual_image
+from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.types import Correction
 from annotator.types.frame import MOST_OFFSET_S, MOST_SHIFT_M
 from annotator.web.context import AtProject, Ctx, InProject
@@ -17,9 +20,12 @@ from annotator.web.frame_json import AtFrame
 from annotator.web.schemas import CameraJson, RowId, Schema, Unit3, WithEffort
 from annotator.workflows.recorded.adjusting import correct_calibration, estimate_recording_up
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import alignment
 
 router = APIRouter(tags=["alignment"])
+
+MOST_POINTS = 15_000
+# Images that are offered: 30 seconds before and after at 30 Hz, some 90 kB of JSON.
+MOST_IMAGES = 2000
 
 # as `Correction` allows them
 Degrees = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
@@ -145,21 +151,43 @@ def _adjusted(at: InProject, frame_id: int) -> AlignmentJson:
 
 
 def _alignment(at: InProject, frame_id: int) -> AlignmentJson:
-    shown = alignment(at.project, at.ctx.caches.frames, frame_id)
-    camera, recording = shown.recorded.camera, shown.recording
-    return AlignmentJson.of(
-        shown,
+    project, cache = at.project, at.ctx.caches.frames
+    stored = project.frames.get(frame_id)
+    recording = project.recordings.get(stored.recording_id)
+    recorded, up = cache.recorded(project, frame_id), cache.read(project, frame_id).up
+    keep = thin(len(recorded.cloud), MOST_POINTS)
+    xyz_m = recorded.cloud.xyz_m if keep is None else recorded.cloud.xyz_m[keep]
+    correction = recording.correction
+    return AlignmentJson.model_construct(
         recording=recording.id,
         name=recording.name,
         adjusted=recording.adjusted,
-        camera=CameraJson.of(camera),
-        width=camera.width_px,
-        height=camera.height_px,
-        points=shown.xyz_m.astype(np.float64).round(4).ravel().tolist(),
+        camera=CameraJson.of(recorded.camera),
+        width=recorded.camera.width_px,
+        height=recorded.camera.height_px,
+        points=xyz_m.astype(np.float64).round(4).ravel().tolist(),
         correction=CorrectionJson.model_construct(
-            turn_deg=tuple(np.degrees(recording.correction.turn_rad).tolist()),
-            shift_m=recording.correction.shift_m,
-            time_offset_s=recording.correction.time_offset_s,
+            turn_deg=tuple(np.degrees(correction.turn_rad).tolist()),
+            shift_m=correction.shift_m,
+            time_offset_s=correction.time_offset_s,
         ),
-        images=[ImageAt(frame=frame, seconds=seconds) for frame, seconds in shown.images],
+        up=None if up is None else tuple(up.tolist()),
+        up_source="unknown" if up is None else "files" if recording.up is None else "project",
+        images=_images(at, stored),
+        labels=project.labels.count(recordings=[recording.id]),
+        drawn_images=len(project.boxes.on_images([recording.id])),
+        is_virtual=has_virtual_image(recorded),
     )
+
+
+def _images(at: InProject, stored: StoredFrame) -> list[ImageAt]:
+    """The frames whose images a time offset may show, nearest times first."""
+    recording = at.ctx.caches.frames.recording(at.project, stored.recording_id)
+    times = (recorded_times(recording) if has_times(recording) else None) or {}
+    now = times.get(stored.key)
+    if now is None:
+        return []
+    frames = [(frame, times.get(frame.key)) for frame in at.project.frames.of([stored.recording_id])]
+    apart = [(each.id, (time - now) / 1e9) for each, time in frames if each.index is not None and time is not None]
+    nearest = sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES]
+    return [ImageAt(frame=frame, seconds=seconds) for frame, seconds in nearest]

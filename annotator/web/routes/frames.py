@@ -22,14 +22,13 @@ from annotator.project.changes import (
     NewLabel,
     Payload,
 )
-from annotator.project.overview import list_frames
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind
+from annotator.types import BoxKind, Suggestion
 from annotator.types.errors import HistoryError
 from annotator.types.label import MOST_TRACK
 from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response
-from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse, frame_row
+from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse
 from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
@@ -37,10 +36,10 @@ from annotator.web.schemas import (
     ClassName,
     FrameChange,
     FrameListJson,
+    FrameRowJson,
     FrameStateJson,
     RowId,
     Schema,
-    SuggestionJson,
     Uid,
     WithEffort,
 )
@@ -103,7 +102,7 @@ class Create(Schema):
     box: Box3DJson
     track_id: TrackId | None = None
     image_box: Box2DJson | None = None
-    suggestion: SuggestionJson | None = None
+    suggestion: Suggestion | None = None
 
     def payload(self) -> Payload:
         return NewLabel(
@@ -112,7 +111,7 @@ class Create(Schema):
             track_id=self.track_id,
             origin=Origin.PLACED if self.image_box is None else Origin.DRAWN,
             image_box=None if self.image_box is None else self.image_box.box(),
-            suggestion=None if self.suggestion is None else self.suggestion.stored(),
+            suggestion=self.suggestion,
         )
 
 
@@ -175,8 +174,12 @@ def frames(
     limit: Annotated[int, Query(ge=1, le=1000)] = 200,
 ) -> FrameListJson:
     """A part of the list of frames, in order."""
-    rows, total = list_frames(at.project, recording, offset, limit)
-    return FrameListJson(frames=[frame_row(row) for row in rows], total=total)
+    found = at.project.frames.of(None if recording is None else [recording])
+    present = [frame for frame in found if frame.index is not None]
+    shown = present[offset : offset + limit]
+    return FrameListJson(
+        frames=[FrameRowJson.of(each, recording=each.recording_id) for each in shown], total=len(present)
+    )
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)

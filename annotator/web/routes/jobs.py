@@ -125,7 +125,7 @@ class BoxesFile(Schema):
 @router.post("/api/projects/{name}/boxes-files", status_code=201)
 def upload(at: AtProject, file: Annotated[str, FileName], content: Content) -> BoxesFile:
     """Send a JSON file of 2D or 3D boxes, a CSV file of 3D boxes, or a packed folder of boxes. Nothing is imported."""
-    stored = add_upload(at.project, file, content, at.ctx.jobs.uploads_in_use(at.project.path))
+    stored = add_upload(at.project, file, content)
     try:
         return _described(at.project, stored, None)
     except BaseException:

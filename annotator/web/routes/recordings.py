@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -13,7 +13,6 @@ from pydantic import BaseModel, Field
 
 from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
-from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, MovedError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
 from annotator.web.errors import error_response, status_of
@@ -23,29 +22,12 @@ from annotator.web.routes.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId, Schema
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.recorded.own_labels import has_own_labels
-from annotator.workflows.workbench.frame_state import preview_bag
+from annotator.workflows.workbench.frame_state import BagPreview, preview_bag
 
 router = APIRouter(tags=["recordings"])
 
 BagPath = Annotated[str, Query(min_length=1, max_length=4096)]
 TopicName = Annotated[str | None, Query(max_length=1024)]
-
-
-class BagChoice(BaseModel):
-    """A bag as it would be read.
-
-    Attributes:
-        frames: their number; 0 if it cannot be read.
-        notes: what the reader says about it.
-        problem: why it cannot be read, and what to choose; "" if it can.
-        picture: the first frame with its points, as a `data:` URL; "" if it cannot be read.
-    """
-
-    topics: list[TopicReport]
-    frames: int
-    notes: list[str]
-    problem: str
-    picture: str
 
 
 @router.get("/api/bags")
@@ -58,18 +40,14 @@ def bag(
     depth: TopicName = None,
     camera_info: TopicName = None,
     depth_info: TopicName = None,
-) -> BagChoice:
+) -> BagPreview:
     """The topics of a bag below one of the server's folders, and its first frame with these topics."""
     chosen = {
         "image": image, "points": points, "depth": depth, "camera_info": camera_info, "depth_info": depth_info,
     }  # fmt: skip
     options = parse_options(**{name: topic or None for name, topic in chosen.items()})
     found = preview_bag(ctx.folders.find(path), options)
-    picture = "" if found.jpeg is None else f"data:image/jpeg;base64,{base64.b64encode(found.jpeg).decode()}"
-    return BagChoice(
-        topics=list(found.topics), frames=found.frames, notes=list(found.notes),
-        problem=_public(ctx, found.problem, [topic.name for topic in found.topics]), picture=picture,
-    )  # fmt: skip
+    return replace(found, problem=_public(ctx, found.problem, [topic.name for topic in found.topics]))
 
 
 def _public(ctx: Ctx, text: str, topics: list[str]) -> str:

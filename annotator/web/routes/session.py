@@ -88,21 +88,14 @@ class Closed(Schema):
     type: Literal["close"]
 
 
-class Shows(Schema):
-    """The page shows the 3D viewport with this id, and receives its events."""
-
-    type: Literal["workbench"]
-    id: Annotated[str, Field(max_length=64)]
-
-
-PageMessage = TypeAdapter[Opened | Closed | Shows](Annotated[Opened | Closed | Shows, Field(discriminator="type")])
+PageMessage = TypeAdapter[Opened | Closed](Annotated[Opened | Closed, Field(discriminator="type")])
 
 
 @router.websocket("/api/events")
 async def events(
     socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
-    """Sends events to a page, and receives which frame and viewport it shows."""
+    """Sends events to a page, and receives which frame it shows."""
     since = 0 if project is None else await run_in_threadpool(_newest_event, ctx, project)
     # joined before the page knows that it is connected: what it reads from then on is followed by every later event
     client = Client(project, operator, since)
@@ -153,5 +146,3 @@ def _handle(ctx: Context, client: Client, text: str) -> None:
             ctx.hub.set_frame(client, project, frame)
         case Closed():
             ctx.hub.set_frame(client, None, None)
-        case Shows(id=viewport):
-            ctx.hub.add_viewport(client, viewport)

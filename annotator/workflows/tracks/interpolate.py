@@ -48,7 +48,7 @@ def box_fitter(
         config = frame_config(project, opened.frame, detector, label.box_kind)
         if detector is not None and config.box_kind is not label.box_kind:
             return box
-        fitted = refit(opened, box, label.label, config, detector).box
+        fitted = refit(opened, box, label.label, config, detector).box or box
         return fitted if iou_3d(fitted, box) >= MIN_IOU else box
 
     return fit

@@ -2,20 +2,20 @@
 
 The object is seen from above, from its front, and from its right: a view shows the nearest points of the side that it
 is named after. Points outside the box are dimmed. The pictures of contact sheets, whose boxes are accepted together,
-are drawn ahead, those of the selected track first, and kept.
+are drawn ahead for the selected track, and kept.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int64, UInt8
+from jaxtyping import Bool, Float, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import every_nth, thin
@@ -24,7 +24,7 @@ from annotator.project.boxes import png
 from annotator.project.changes import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
-from annotator.types.errors import AnnotatorError, ConfigError, FrameError
+from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.workbench.frame_cache import FrameCache, Memo, OpenFrame
 
 # Margin on each side of a view, share of the box's longest side; and in front of and behind the box, share of its
@@ -76,7 +76,8 @@ def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[Ortho
 
 def shown_volume(box: OrientedBox) -> OrientedBox:
     """Returns the box that encloses all points that the three views of a box may show."""
-    return replace(box, size_m=_shown(box, 2 * MARGIN * float(box.size_m.max())))
+    longest_m = float(box.size_m.max())
+    return replace(box, size_m=np.maximum(longest_m * (1 + 2 * MARGIN), box.size_m * (1 + 2 * DEPTH_MARGIN)))
 
 
 def views_of_points(
@@ -105,11 +106,6 @@ def _near(
     inside, around = every_nth(near[is_inside], MAX_INSIDE), every_nth(near[~is_inside], MAX_AROUND)
     cloud = replace(points, normals=None).select(np.concatenate([inside, around]))
     return cloud, np.arange(len(cloud)) < len(inside)
-
-
-def _shown(box: OrientedBox, margin_m: float) -> Float64[np.ndarray, "3"]:
-    """Returns the sides of the box that encloses the volumes of all three views, metres."""
-    return np.maximum(np.full(3, float(box.size_m.max())) + margin_m, box.size_m * (1 + 2 * DEPTH_MARGIN))
 
 
 def _view(
@@ -208,11 +204,8 @@ LOG = logging.getLogger("annotator.web")
 
 # A picture takes some 15 kB.
 MOST_PICTURES = 4000
-# Pause after each frame that is drawn ahead, so that requests go first, seconds.
+# Pause after each picture that is drawn ahead, so that requests go first, seconds.
 PAUSE_S = 0.05
-
-
-Key = tuple[object, ...]
 
 
 class SheetPictures:
@@ -222,8 +215,8 @@ class SheetPictures:
         self._frames, self._pictures = frames, Memo(MOST_PICTURES)
         self._lock = threading.Lock()
         self._executor = ThreadPoolExecutor(1, "sheets")
-        # for each recording that is being drawn: the boxes to draw before its others
-        self._first: dict[tuple[Project, int], deque[tuple[StoredFrame, list[Label]]]] = {}
+        # what is drawn ahead of each recording: the boxes of its track that was asked for last
+        self._ahead: dict[tuple[Project, int], deque[tuple[StoredFrame, Label]]] = {}
         self._closed = threading.Event()
 
     def close(self) -> None:
@@ -231,75 +224,31 @@ class SheetPictures:
         self._closed.set()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def get(self, project: Project, stored: StoredFrame, box: OrientedBox, frame: Frame | None = None) -> bytes:
-        """The picture of a box as a PNG file; drawn once, even if several threads ask for it.
+    def get(self, project: Project, stored: StoredFrame, box: OrientedBox) -> bytes:
+        """The picture of a box as a PNG file; drawn once, even if several threads ask for it."""
+        pose, adjusted = box.pose.tobytes(), project.adjustments.newest(stored.recording_id)
+        # not its path: another project can take its place
+        key = project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
+        return self._pictures.get(key, lambda: png(picture(self._frames.look(project, stored), box)))
 
-        Args:
-            frame: the frame, if it is read already.
-        """
-
-        def draw() -> bytes:
-            return png(picture(self._frames.look(project, stored) if frame is None else frame, box))
-
-        return self._pictures.get(self._key(project, stored, box), draw)
-
-    def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]] = ()) -> None:
-        """Draws pictures in the background: those of a track first, then of a recording's open proposals."""
+    def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]]) -> None:
+        """Draws pictures of a track in the background, in place of those of the recording's former one."""
         job = project, recording_id
         with self._lock:
-            is_drawing = job in self._first
-            self._first[job] = deque((stored, [label]) for stored, label in track if stored.index is not None)
+            is_drawing = job in self._ahead
+            self._ahead[job] = deque(each for each in track if each[0].index is not None)
         if not is_drawing and not self._closed.is_set():
-            self._executor.submit(self._prepare, project, recording_id)
+            self._executor.submit(self._draw_ahead, job)
 
-    def _prepare(self, project: Project, recording_id: int) -> None:
-        job = project, recording_id
-        try:
-            rest = self._open_proposals(project, recording_id)
-            while not self._closed.is_set():
-                with self._lock:
-                    waiting = self._first[job] or rest
-                    if not waiting:
-                        break
-                    stored, labels = waiting.popleft()
-                self._prepare_frame(project, stored, labels)
-        except AnnotatorError as error:
-            LOG.info("the contact sheets were not drawn ahead: %s", error)
-        finally:
+    def _draw_ahead(self, job: tuple[Project, int]) -> None:
+        while not self._closed.is_set():
             with self._lock:
-                self._first.pop(job, None)
-
-    def _open_proposals(self, project: Project, recording_id: int) -> deque[tuple[StoredFrame, list[Label]]]:
-        """The open proposals of a recording, frame by frame, as many as are kept."""
-        by_frame: dict[int, list[Label]] = defaultdict(list)
-        for each in project.labels.select(states=[ReviewState.PROPOSED], recordings=[recording_id]):
-            by_frame[each.frame_id].append(each.label)
-        chosen: deque[tuple[StoredFrame, list[Label]]] = deque()
-        left = MOST_PICTURES
-        for stored in project.frames.of([recording_id]):
-            left -= len(by_frame[stored.id])
-            if left < 0:
-                break
-            if stored.index is not None and by_frame[stored.id]:
-                chosen.append((stored, by_frame[stored.id]))
-        return chosen
-
-    def _prepare_frame(self, project: Project, stored: StoredFrame, labels: list[Label]) -> None:
-        missing = [label for label in labels if self._key(project, stored, label.box) not in self._pictures]
-        if not missing:
-            return
-        try:
-            frame = self._frames.look(project, stored)
-        except FrameError as error:  # shown when the frame is opened
-            LOG.info("%s", error)
-            return
-        for label in missing:
-            self.get(project, stored, label.box, frame)
-        self._closed.wait(PAUSE_S)
-
-    @staticmethod
-    def _key(project: Project, stored: StoredFrame, box: OrientedBox) -> Key:
-        pose = box.pose.tobytes()
-        adjusted = project.adjustments.newest(stored.recording_id)
-        # not its path: another project can take its place
-        return project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
+                if not self._ahead[job]:
+                    del self._ahead[job]
+                    return
+                stored, label = self._ahead[job].popleft()
+            try:
+                self.get(job[0], stored, label.box)
+            except AnnotatorError as error:  # shown on the sheet
+                LOG.info("%s", error)
+            self._closed.wait(PAUSE_S)

@@ -1,31 +1,29 @@
-"""A frame as the page shows it: labels with outline, point count and doubt, drawn objects, and how the cloud lies on
-the image; and a bag before it is added: its topics, and the cloud of its first frame over the image.
+"""A frame as the page shows it: labels with outline, point count and doubt, and drawn objects; and a bag before it is
+added: its topics, and the cloud of its first frame over the image.
 """
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from annotator.geometry.outline import visible_edges
-from annotator.geometry.projection import inside_image, project, thin
-from annotator.project import Project, StoredLabel, StoredRecording, ViewBoxes
-from annotator.project.adjusting import Up
+from annotator.geometry.projection import inside_image, project
+from annotator.project import Project, StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage, read_page
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.clouds.virtual_camera import has_virtual_image
-from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types import Box2D, Frame
 from annotator.types.errors import InputError, MissingExtraError
 from annotator.workflows.inspect import bag_topics
 from annotator.workflows.views import ObjectViews, front_and_side, views_by_object
-from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.review_queue import doubt
 
 
@@ -119,69 +117,6 @@ def _views_of(frame_id: int, image_box: Box2D, views: ObjectViews) -> tuple[View
     return tuple(pairs)
 
 
-MOST_POINTS = 15_000
-# Images that are offered: 30 seconds before and after at 30 Hz, some 90 kB of JSON.
-MOST_IMAGES = 2000
-
-UpSource = Literal["unknown", "files", "project"]
-
-
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """A frame as its recording's files give it, and the recording's adjustment.
-
-    Attributes:
-        recorded: the frame without the correction.
-        xyz_m: some of its points, (n, 3).
-        recording: with the correction.
-        up: unit vector against gravity in the corrected camera frame.
-        up_source: where `up` comes from.
-        images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
-        drawn_images: number of its frames with boxes on their image.
-        is_virtual: the image is drawn from the cloud, so there is no calibration to correct.
-    """
-
-    recorded: Frame
-    xyz_m: Float32[np.ndarray, "n 3"]
-    recording: StoredRecording
-    up: Up | None
-    up_source: UpSource
-    images: tuple[tuple[int, float], ...]
-    labels: int
-    drawn_images: int
-    is_virtual: bool
-
-
-def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
-    """Reads the alignment of a frame."""
-    stored = project.frames.get(frame_id)
-    recording = project.recordings.get(stored.recording_id)
-    frame, up = cache.recorded(project, frame_id), cache.read(project, frame_id).up
-    keep = thin(len(frame.cloud), MOST_POINTS)
-    return Alignment(
-        frame,
-        frame.cloud.xyz_m if keep is None else frame.cloud.xyz_m[keep],
-        recording,
-        None if up is None else (float(up[0]), float(up[1]), float(up[2])),
-        "unknown" if up is None else "files" if recording.up is None else "project",
-        _images(project, cache, stored.recording_id, stored.key),
-        project.labels.count(recordings=[stored.recording_id]),
-        len(project.boxes.on_images([stored.recording_id])),
-        has_virtual_image(frame),
-    )
-
-
-def _images(project: Project, cache: FrameCache, recording_id: int, key: str) -> tuple[tuple[int, float], ...]:
-    recording = cache.recording(project, recording_id)
-    times = recorded_times(recording) if has_times(recording) else None
-    now = None if times is None else times.get(key)
-    if times is None or now is None:
-        return ()
-    frames = [(frame, times.get(frame.key)) for frame in project.frames.of([recording_id]) if frame.index is not None]
-    apart = [(frame.id, (time - now) / 1e9) for frame, time in frames if time is not None]
-    return tuple(sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES])
-
-
 WIDTH_PX = 640
 JPEG_QUALITY = 80
 NEAREST_M = 0.05
@@ -194,15 +129,15 @@ class BagPreview:
     Attributes:
         frames: their number; 0 if it cannot be read.
         notes: what the reader says about it.
-        problem: why it cannot be read; "" if it can.
-        jpeg: its first frame; None if that cannot be read.
+        problem: why it cannot be read, and what to choose; "" if it can.
+        picture: the first frame with its points, as a `data:` URL; "" if it cannot be read.
     """
 
     topics: tuple[TopicReport, ...]
     frames: int
     notes: tuple[str, ...]
     problem: str
-    jpeg: bytes | None
+    picture: str
 
 
 def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
@@ -210,12 +145,12 @@ def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
     topics = bag_topics(path, options)
     try:
         recording = open_recording(path, options)
-        jpeg, problem = _drawn(recording.frame(0)), ""
+        picture = f"data:image/jpeg;base64,{base64.b64encode(_drawn(recording.frame(0))).decode()}"
     except MissingExtraError:
         raise
     except InputError as error:
-        return BagPreview(topics, 0, (), str(error), None)
-    return BagPreview(topics, len(recording), recording.notes, problem, jpeg)
+        return BagPreview(topics, 0, (), str(error), "")
+    return BagPreview(topics, len(recording), recording.notes, "", picture)
 
 
 def _drawn(frame: Frame) -> bytes:

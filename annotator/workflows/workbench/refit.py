@@ -48,7 +48,6 @@ from annotator.types import (
 )
 from annotator.workflows.workbench.frame_cache import OpenFrame
 
-RCV, POINTS = "rcv", "points"
 # The points inside the box enlarged by this factor are the cloud of the recursion.
 SEARCH_FACTOR = 1.3
 # The recursion starts as if this many steps had led to the given box.
@@ -65,22 +64,24 @@ PLACED_DOUBT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Refit:
-    """A refitted box.
+class FoundBox:
+    """A fitted box: of an object that was drawn on the image, or in place of a box that there was.
 
     Attributes:
-        box: the new box, or the given one if the fit failed.
+        box: None if the object was not found.
         outline: (k, 2, 2) its visible edges on the image, pixels.
-        quality: the recursion's signals, if it was used.
-        method: "rcv" or "points".
-        note: why the recursion was not used, for the operator; or None.
+        score, quality: of the recursion; None if it found nothing or was not used. A refitted box has no score.
+        note: why the object was not found, or the recursion not used; or None.
+        too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
     """
 
-    box: OrientedBox
+    box: OrientedBox | None
     outline: Float64[np.ndarray, "k 2 2"]
+    points: int
+    score: float | None
     quality: Quality | None
-    method: str
     note: str | None
+    too_few_points: bool = False
 
 
 def refit(
@@ -90,8 +91,8 @@ def refit(
     config: RcvConfig,
     detector: Detector | None,
     problem: str | None = None,
-) -> Refit:
-    """Refits an existing box.
+) -> FoundBox:
+    """Refits an existing box; returns the given one if that is not possible.
 
     Args:
         config: with the orientation for the frame and the box kind of the detector.
@@ -103,28 +104,7 @@ def refit(
     state = _recurse(opened, box, label, config, detector)
     if state is None or state.box is None:
         return _from_points(opened, box, config, NOT_DETECTED)
-    return _result(opened, with_axes_like(state.box, box), state.quality, RCV, None)
-
-
-@dataclass(frozen=True, eq=False)
-class FoundBox:
-    """The 3D box of an object that was drawn on the image.
-
-    Attributes:
-        box: None if the object was not found.
-        outline: (k, 2, 2) its visible edges on the image, pixels.
-        score, quality: of the recursion; None if the object was not found.
-        note: why the object was not found, or None.
-        too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
-    """
-
-    box: OrientedBox | None
-    outline: Float64[np.ndarray, "k 2 2"]
-    points: int
-    score: float | None
-    quality: Quality | None
-    note: str | None
-    too_few_points: bool = False
+    return _result(opened, with_axes_like(state.box, box), state.quality, None)
 
 
 def find_box(
@@ -175,8 +155,7 @@ def _found(
     box = best.box
     if known and config.box_kind is BoxKind.BOX:
         box = _through_known(frame, best, known, config)
-    outline = visible_edges(frame.camera, [box])[0]
-    return FoundBox(box, outline, opened.points_in(box), best.score, best.quality, None)
+    return _result(opened, box, best.quality, None, best.score)
 
 
 def _thinned(frame: Frame, image_box: Box2D) -> Frame:
@@ -262,14 +241,16 @@ def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud
     return ObjectState(0, image_box, cloud, up, box.rotation.T, box, steps=(step,) * STEPS_BEFORE)
 
 
-def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
+def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> FoundBox:
     xyz_m = opened.frame.cloud.xyz_m[opened.inside(box)]
     if len(xyz_m) < MIN_POINTS:
         note = f"{reason}, and the box is unchanged: it contains too few points ({len(xyz_m)})"
-        return _result(opened, box, None, POINTS, note)
+        return _result(opened, box, None, note)
     note = f"{reason}: the sides were moved to the {len(xyz_m)} points inside, the rotation is unchanged"
-    return _result(opened, aligned_box(xyz_m, box.rotation), None, POINTS, note)
+    return _result(opened, aligned_box(xyz_m, box.rotation), None, note)
 
 
-def _result(opened: OpenFrame, box: OrientedBox, quality: Quality | None, method: str, note: str | None) -> Refit:
-    return Refit(box, visible_edges(opened.frame.camera, [box])[0], quality, method, note)
+def _result(
+    opened: OpenFrame, box: OrientedBox, quality: Quality | None, note: str | None, score: float | None = None
+) -> FoundBox:
+    return FoundBox(box, visible_edges(opened.frame.camera, [box])[0], opened.points_in(box), score, quality, note)

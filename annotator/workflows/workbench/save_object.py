@@ -28,7 +28,6 @@ from annotator.workflows.workbench.drawing_steps import (
 )
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownObject, present_page, shown_objects
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
@@ -148,14 +147,6 @@ def save_object(
         return Saved(None, uid)
     target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
     return Saved(project.log.append(frame_id, payloads, replace(context, effort_target=target)), uid)
-
-
-def suggested_image_boxes(
-    opened: OpenFrame, detector: ReadyDetector, min_score: float, classes: Sequence[str]
-) -> list[Box2D]:
-    """Returns the image detector's boxes of the given classes on a frame, best first."""
-    boxes = opened.image_detections(detector)
-    return [box for box in boxes if box.score >= min_score and box.label in classes]
 
 
 def _view_boxes(

@@ -21,12 +21,10 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from browser_page import sign_in
+from browser_page import FRAME, Bench, Desk, begin, propose, sign_in
 from drawing import Scene
 from job_threads import WorkerThread
-from label_bench import FRAME, Bench
 from live_server import Live, running
-from review_desk import Desk, begin, propose
 from room_api import rig_settings
 
 from annotator.project import Project, create_project

@@ -146,7 +146,6 @@ def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
     page.unroute("**/frames/*/alignment")
 
     # another operator's adjustment is shown, also after a lost connection
-    page.unroute_all()
     page.goto(f"/#/{room.path.name}/alignment/1")
     page.reload()
     expect(page.get_by_test_id("correction-effect")).not_to_be_empty()
@@ -158,12 +157,6 @@ def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
     expect(page.get_by_text("Bob has adjusted this recording")).to_be_visible()
     page.get_by_test_id("discard-correction").click()
     expect(turn).to_have_value("1.15")
-    page.get_by_test_id("turn-x-field").fill("1")
-    # the button is also disabled while the answer is awaited
-    with page.expect_response(lambda response: response.request.method != "GET"):
-        page.get_by_test_id("keep-correction").click()
-    expect(page.get_by_test_id("keep-correction")).to_be_disabled()
-    assert room.recordings.all()[0].correction.turn_rad[0] == pytest.approx(0.01745, abs=1e-4)
     # Label opens the frame anew
     page.goto(f"/#/{room.path.name}/label/1")
     image.wait_for()

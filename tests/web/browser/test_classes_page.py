@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from label_bench import FRAME, Bench
-from review_desk import Desk
+from browser_page import FRAME, Bench, Desk
 
 from annotator.project import Project
 from annotator.project.classes import edit

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from threading import Event
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import answers_drag, drag_box, draw_on_views, until
-from label_bench import EDGES, FRAME, Bench
+from browser_page import EDGES, FRAME, Bench, answers_drag, drag_box, draw_on_views, until
 
 from annotator.detection import pretrained
 from annotator.geometry.iou import iou_3d
 from annotator.project.classes import edit
-from annotator.types import Box2D, BoxKind, DetectorKind, ReviewState, Suggestion
-from annotator.workflows.detectors import AGNOSTIC
+from annotator.types import BoxKind, DetectorKind, ReviewState, Suggestion
 
 if TYPE_CHECKING:
     from playwright.sync_api import Request
@@ -258,6 +255,11 @@ def test_keys_change_the_frame_finalise_it_and_list_themselves(bench: Bench) -> 
     bench.draw_on_image(0)
     bench.saved()
     assert len(bench.image_boxes) == 2
+    with page.expect_response("**/label/steps") as answer:
+        page.keyboard.press("b")
+    assert answer.value.request.post_data_json["box_kind"] == "box"
+    bench.saved()
+    assert bench.state["image_boxes"]["box_kind"] == "box"
 
     page.keyboard.press("?")
     table = page.get_by_test_id("key-table")
@@ -273,42 +275,6 @@ def test_keys_change_the_frame_finalise_it_and_list_themselves(bench: Bench) -> 
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     page.keyboard.press("p")
     page.wait_for_url("**/label/1")
-
-
-class TwoKinds:
-    """A class-agnostic detector with a small box for the visible part, and a large one for the whole object."""
-
-    labels, fingerprint = AGNOSTIC, "two kinds"
-
-    def detect(self, images: Sequence[Any]) -> list[list[Box2D]]:
-        found = []
-        for image in images:
-            height, width = image.rgb.shape[:2]
-            found.append(
-                [
-                    Box2D(label, share * width, share * height, (1 - share) * width, (1 - share) * height, 0.9)
-                    for label, share in zip(AGNOSTIC, (0.1, 0.3), strict=True)
-                ]
-            )
-        return found
-
-
-def test_another_kind_of_boxes_brings_its_own_suggestions(bench: Bench, teach: Callable[..., None]) -> None:
-    teach(class_agnostic=True, view=TwoKinds())
-    page = bench.page
-    first = bench.draw_on_image(0)["steps"][0]["suggested"]
-    dashed = page.locator(".views .box.suggested")
-    expect(dashed.first).to_be_visible()
-    bench.saved()
-    with page.expect_response("**/label/steps") as answer:
-        page.keyboard.press("b")
-    second = answer.value.json()["steps"][0]["suggested"]
-    assert answer.value.request.post_data_json["box_kind"] == "box"
-    edges = [[[box[edge] for edge in EDGES] for box in boxes] for boxes in (first, second)]
-    assert edges[0] != edges[1]
-    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
-    bench.saved()
-    assert bench.state["image_boxes"]["box_kind"] == "box"
 
 
 def test_one_drag_and_enter_make_a_label(
@@ -383,48 +349,15 @@ def test_one_drag_and_enter_make_a_label(
     assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
 
 
-class BlockedDetector:
-    """A detector that blocks while `may_answer` is not set."""
-
-    labels = ("person",)
-    fingerprint = "blocked"
-
-    def __init__(self, detector: Any) -> None:
-        self.detector = detector
-        self.may_answer = Event()
-
-    def detect(self, images: Any) -> Any:
-        assert self.may_answer.wait(60)
-        return self.detector.detect(images)
-
-
-def test_detected_image_boxes_are_accepted_and_a_box_drawn_while_the_detector_runs_is_kept(
+def test_detected_image_boxes_are_accepted(
     bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     page, perfect = bench.page, knowing("people", kind=BoxKind.SILHOUETTE)
-    blocked = BlockedDetector(perfect.view)
-    blocked.may_answer.set()
-    teach(image=perfect.image, view=blocked)
+    teach(image=perfect.image, view=perfect.view)
     expect(page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
-    with page.expect_response(answers_drag(0)) as answer:
+    with page.expect_response(answers_drag(0)):
         page.keyboard.press("Enter")
-    drawn = answer.value.json()["drawn"]
-    dashed = page.locator(".views .box.suggested")
-    expect(dashed).to_have_count(4)
-    blocked.may_answer.clear()
-    try:
-        # two drags before the first is answered
-        before = list(zip(drawn["steps"][0]["views"], drawn["steps"][0]["suggested"], strict=True))
-        for place, (view, _) in enumerate(before):
-            bench.wait_for_view(place, view)
-            bench.pull(place, (0.5, 0.3), (0.4, 0.3))
-        expect(page.get_by_test_id("hint")).to_contain_text("Looking for")
-    finally:
-        blocked.may_answer.set()
-    expect(dashed).to_have_count(2)
-    bench.saved()
-    for (_, kept), (_, box) in zip(bench.state["objects"][0]["views"], before, strict=True):
-        assert kept["x_min"] < box["x_min"] - 1 and abs(kept["y_min"] - box["y_min"]) < 2
+    expect(page.locator(".views .box.suggested")).to_have_count(4)
     page.keyboard.press("Enter")
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
     bench.saved()

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from browser_page import Bench
 from drawing import Scene
-from label_bench import Bench
 from live_server import ended, running
 
 from annotator.formats.rcv import read_rcv

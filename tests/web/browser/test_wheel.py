@@ -1,4 +1,4 @@
-"""The wheel, built and installed without network access: its commands in an empty folder, and its page in a browser.
+"""The wheel, built and installed without network access: its commands in an empty folder, and the files of its page.
 The sdist is built from the repository and the wheel from the sdist, so that files missing in either are detected. The
 wheel's environment contains the dependencies of this one, but not the repository.
 """
@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tarfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,13 +21,12 @@ from zipfile import ZipFile
 
 import httpx
 import pytest
-from browser_page import sign_in
 from live_server import PATIENCE_S
 
 from annotator import __version__
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    pass
 
 pytestmark = [
     pytest.mark.slow,
@@ -184,14 +183,3 @@ def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamesp
     code = {name for name in files_below(ROOT / "web_assets") if name.endswith((".js", ".css"))}
     assert {f"{live.url}/assets/{name}" for name in code} <= seen, "some files are not referenced"
     assert f"{live.url}/assets/vendor/plotly.min.js" in seen
-
-
-def test_the_page_opens_a_frame(live: SimpleNamespace, project: str, open_page: Callable[..., Page]) -> None:
-    page = open_page()
-    assert page.request.get(live.link).ok  # the cookie
-    sign_in(page, live.url)
-    page.goto(live.link)  # leads to the page of the project
-    image = page.get_by_test_id("image-editor").locator(f"img.picture[src*='/{project}/frames/']")
-    image.wait_for()
-    assert image.evaluate("image => image.decode().then(() => image.naturalWidth)") == 160
-    page.locator('[data-testid=viewport][data-state="ready"]').wait_for()

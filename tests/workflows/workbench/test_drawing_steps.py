@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -21,6 +21,7 @@ from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.workflows.detectors import Detectors
 from annotator.workflows.simulate import _draw, image_box_of, visible_objects
 from annotator.workflows.workbench.drawing_steps import (
     LABEL_VIEW_PX,
@@ -197,6 +198,14 @@ def test_the_fit_knows_the_drawn_boxes_and_only_the_other_views_have_suggestions
     last = found.steps[1].suggested[1]
     assert found.steps[1].suggested[0] is None and last is not None
     np.testing.assert_allclose(found.views[3].interval_m(last)[1], found.views[2].interval_m(shorter)[1], atol=0.02)
+
+
+@pytest.mark.parametrize(("class_agnostic", "kind"), [(True, BoxKind.BOX), (False, BoxKind.SILHOUETTE)])
+def test_a_class_agnostic_detector_suggests_boxes_of_the_kind_that_is_drawn(
+    desk: Desk, knowing: Callable[..., Detectors], class_agnostic: bool, kind: BoxKind
+) -> None:
+    detector = ReadyDetector(knowing("people").view, BoxKind.SILHOUETTE, Lock(), class_agnostic)
+    assert frame_config(desk.project, desk.frame, detector, BoxKind.BOX).box_kind is kind
 
 
 def test_without_a_found_object_the_reason_is_told_and_boxes_can_be_drawn(desk: Desk) -> None:

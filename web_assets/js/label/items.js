@@ -72,7 +72,7 @@ export function makeItem(imageBox, views = [], uid = null) {
 /**
  * What a label records of the detector whose boxes the operator accepted; null if there are none.
  *
- * @returns {Api.SuggestionJson | null}
+ * @returns {Api.Suggestion | null}
  */
 export function suggestionOf(/** @type {Item} */ { suggested }) {
   const used = suggested.find(Boolean);

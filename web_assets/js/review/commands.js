@@ -113,7 +113,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     if (!label) return;
     const { id } = currentFrame(app).frame;
     try {
-      /** @type {Api.RefitOut} */
+      /** @type {Api.FitOut} */
       const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
         box: label.box,
         label: label.label,
@@ -123,7 +123,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
         app.toast("The box was changed during the fit. Press G to fit it again.", "warn");
         return;
       }
-      await desk.edit({ box });
+      if (box) await desk.edit({ box });
       if (note) app.toast(note, "info");
       else app.toast(`Fitted again. Measured by: ${measured_by}`, "info");
     } catch (error) {

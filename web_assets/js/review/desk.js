@@ -74,6 +74,31 @@ export function createDesk(/** @type {App} */ app) {
     return done;
   }
 
+  /**
+   * Sends a change of the open frame for which the operator need not choose between two versions. If others have changed
+   * the frame in the meantime, theirs is shown, and the change is refused, or sent again.
+   *
+   * @param {string} what
+   * @param {() => object} body
+   * @param {boolean} [isSentAgain]
+   */
+  function change(what, body, isSentAgain = false) {
+    const { id } = currentFrame(app).frame;
+    const post = () =>
+      app.api.change(app.path("frames", id, what), { revision: currentFrame(app).frame.revision, ...body() });
+    app.effort.action();
+    return enqueue(async () => {
+      try {
+        return await post();
+      } catch (error) {
+        if (!isStale(error)) throw error;
+        app.frames.take(error.body.state);
+        if (!isSentAgain) throw error;
+        return post();
+      }
+    });
+  }
+
   /** Sends changes of the open frame; resolves to null if they are saved, else to the problem. */
   function send(/** @type {Change[]} */ changes, /** @type {string | null} */ subject) {
     const { id } = currentFrame(app).frame;
@@ -331,6 +356,7 @@ export function createDesk(/** @type {App} */ app) {
     },
     settle,
     enqueue,
+    change,
 
     /** Shows the selected label with other values, without saving them. */
     preview(/** @type {Partial<Wanted>} */ changes) {
@@ -402,50 +428,29 @@ export function createDesk(/** @type {App} */ app) {
       /** @type {string | null} */ id,
       /** @type {Record<string, string | number | boolean | null>} */ values,
     ) {
-      const { id: frame } = currentFrame(app).frame;
-      app.effort.action();
-      return enqueue(async () => {
-        /** @returns {Promise<FrameState>} */
-        const set = () =>
-          app.api.change(app.path("frames", frame, "attributes"), {
-            revision: currentFrame(app).frame.revision,
-            uid: id,
-            values,
-          });
-        try {
-          app.frames.take(await set());
-        } catch (error) {
-          if (!isStale(error)) throw error;
-          // tried again without asking: only these values change
-          app.frames.take(error.body.state);
-          app.frames.take(await set());
-        }
-      }).catch((error) => {
-        app.toast(error);
-        notify("frame");
-      });
+      // sent again without asking: only these values change
+      return change("attributes", () => ({ uid: id, values }), true)
+        .then(app.frames.take)
+        .catch((error) => {
+          app.toast(error);
+          notify("frame");
+        })
+        .catch((error) => {
+          app.toast(error);
+          notify("frame");
+        });
     },
 
     /** Copies reviewed boxes of the previous frame that this one lacks, as proposals; resolves to them. */
-    copyPrevious() {
-      const { id } = currentFrame(app).frame;
-      app.effort.action();
-      return enqueue(async () => {
-        let before = labels();
-        /** @returns {Promise<FrameState>} */
-        const copy = () =>
-          app.api.change(app.path("frames", id, "copy"), { revision: currentFrame(app).frame.revision, from: null });
-        try {
-          app.frames.take(await copy());
-        } catch (error) {
-          if (!isStale(error)) throw error;
-          // tried again without asking: the others' reviewed boxes stay
-          app.frames.take(error.body.state);
-          before = labels();
-          app.frames.take(await copy());
-        }
-        return labels().filter(({ uid }) => before.every((known) => known.uid !== uid));
-      });
+    async copyPrevious() {
+      let before = labels();
+      const body = () => {
+        before = labels();
+        return { from: null };
+      };
+      // sent again without asking: the others' reviewed boxes stay
+      app.frames.take(await change("copy", body, true));
+      return labels().filter(({ uid }) => before.every((known) => known.uid !== uid));
     },
 
     /**

@@ -5,7 +5,6 @@
 
 import { trackColor } from "../colors.js";
 import { button, count, h, iconButton } from "../dom.js";
-import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 /** Numbers of the runs that the operator has closed. */
@@ -132,26 +131,18 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     if (!app.state.frame) return;
     await desk.flush();
     const { id } = currentFrame(app).frame;
-    app.effort.action();
     const own = { frame: id, number: /** @type {number | null} */ (null) };
     begun = own;
     try {
       /** @type {Api.FollowRunJson} */
-      const answer = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "follow"), {
-          revision: currentFrame(app).frame.revision,
-          uid,
-          direction,
-        }),
-      );
+      const answer = await desk.change("follow", () => ({ uid, direction }));
       own.number = answer.number;
       take(answer);
       // events of the run may have come before its number
       visitFirst();
     } catch (error) {
       begun = null;
-      if (isStale(error)) app.frames.take(error.body.state);
-      app.toast(error, isStale(error) ? "warn" : undefined);
+      app.toast(error);
     }
   }
 
@@ -169,14 +160,14 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 }
 
 /** How far an object was followed; empty while it is not known, and if it has not come so far. */
-function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedJson} */ track) {
+function reached(/** @type {Api.FollowRunJson} */ run, /** @type {Api.FollowedTrack} */ track) {
   if (run.state !== "done" || track.stops.length > 0) return "";
   if (!track.is_open) return ", to its next reviewed box";
   return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
 }
 
 /**
- * @param {Api.FollowedJson} track
+ * @param {Api.FollowedTrack} track
  * @param {string} end how far it was followed.
  * @param {(target: Target) => unknown} open
  */
@@ -195,11 +186,11 @@ function trackRow(track, end, open) {
     { "data-testid": "followed" },
     text,
     ...track.stops.map((at) =>
-      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame, uid: null }), {
+      button([h("b", {}, `${at.key} →`), ` ${at.reason}`], () => open({ frame: at.frame_id, uid: null }), {
         class: "stop",
         title: "Go to this frame and correct or draw the box; then follow it from there",
         "data-testid": "follow-go",
-        "data-frame": String(at.frame),
+        "data-frame": String(at.frame_id),
       }),
     ),
   );

@@ -5,7 +5,6 @@
 
 import { trackColor } from "../colors.js";
 import { button, count, h } from "../dom.js";
-import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
@@ -144,21 +143,14 @@ export function createTracks(
     const label = desk.stored();
     if (!label || label.isNew) return;
     await desk.flush();
-    const { id } = currentFrame(app).frame;
-    app.effort.action();
     try {
       /** @type {Api.CopyNextOut} */
-      const done = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "copy-next"), {
-          revision: currentFrame(app).frame.revision,
-          uid: label.uid,
-        }),
-      );
+      const done = await desk.change("copy-next", () => ({ uid: label.uid }));
       await open(done);
       const copies = desk.labels().filter(({ uid }) => uid === done.uid);
       app.toast(...copiedText(copies));
     } catch (error) {
-      await refused(error);
+      app.toast(error);
     }
   }
 
@@ -167,16 +159,8 @@ export function createTracks(
     const label = desk.stored();
     if (!label || label.isNew) return;
     await desk.flush();
-    const { id } = currentFrame(app).frame;
-    app.effort.action();
     try {
-      const { state, ...done } = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "interpolate"), {
-          revision: currentFrame(app).frame.revision,
-          uid: label.uid,
-          refit,
-        }),
-      );
+      const { state, ...done } = await desk.change("interpolate", () => ({ uid: label.uid, refit }));
       app.frames.take(state);
       const left = done.finalised + done.covered;
       app.toast(
@@ -186,7 +170,7 @@ export function createTracks(
       known.key = "";
       await show();
     } catch (error) {
-      await refused(error);
+      app.toast(error);
     }
   }
 
@@ -197,29 +181,15 @@ export function createTracks(
     await desk.flush();
     const was = desk.formerBox(label.uid);
     if (was === null) return app.toast("Correct this box first; then A corrects the later ones alike.", "warn");
-    const { id } = currentFrame(app).frame;
-    app.effort.action();
     try {
       /** @type {Api.CarryOut} */
-      const { changed } = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "carry"), {
-          revision: currentFrame(app).frame.revision,
-          uid: label.uid,
-          was,
-        }),
-      );
+      const { changed } = await desk.change("carry", () => ({ uid: label.uid, was }));
       app.toast(`${count(changed, "later box", "later boxes")} corrected alike.`, "good");
       refresh();
       await onCarried();
     } catch (error) {
-      await refused(error);
+      app.toast(error);
     }
-  }
-
-  /** Reports a refused change. If others have changed the frame in the meantime, their version is shown. */
-  async function refused(/** @type {unknown} */ error) {
-    if (isStale(error)) app.frames.take(error.body.state);
-    app.toast(error, isStale(error) ? "warn" : undefined);
   }
 
   /** Reads the track again, since other frames may have got boxes. */

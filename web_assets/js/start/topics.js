@@ -32,7 +32,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     h("label", { class: "row bag-topic" }, h("span", {}, label), selects[index]),
   );
   const preview = h("figure", { class: "bag-preview", role: "status" });
-  /** @type {Api.BagChoice | null} */
+  /** @type {Api.BagPreview | null} */
   let bag = null;
   let asked = 0;
 
@@ -55,7 +55,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
     preview.replaceChildren(h("figcaption", { class: "muted" }, "Reading the first frame …"));
     try {
       const query = new URLSearchParams({ path: entry.path, ...chosen });
-      /** @type {Api.BagChoice} */
+      /** @type {Api.BagPreview} */
       const answer = await app.api.get(`/api/bags?${query}`);
       if (mine !== asked) return;
       bag = answer;
@@ -68,7 +68,7 @@ export async function chooseTopics(/** @type {App} */ app, /** @type {Api.Folder
   }
 
   /**
-   * @param {Api.BagChoice} answer
+   * @param {Api.BagPreview} answer
    * @param {Record<string, string>} named the topics that the operator has chosen.
    */
   function fill({ topics }, named) {
@@ -109,7 +109,7 @@ function nameOf(/** @type {Api.TopicReport} */ { name, type, messages, rate_hz }
   return `${name} (${type}, ${count(messages, "message")}${rate})`;
 }
 
-function describe(/** @type {Api.BagChoice} */ { frames, notes, problem, picture }) {
+function describe(/** @type {Api.BagPreview} */ { frames, notes, problem, picture }) {
   if (problem) {
     // the message names the options of the command line
     const text = CHOICES.reduce(

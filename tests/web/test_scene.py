@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,7 +37,6 @@ from annotator.web.viewport.drawing import (
     pick,
     placed_box_lines,
     point_colors,
-    point_size_m,
     shown_points,
     view_placement,
 )
@@ -47,6 +47,26 @@ from annotator.workflows.workbench.frame_cache import OpenFrame
 
 # Lines of one box.
 LINES = len(box_lines(np.ones(3)))
+
+
+class SentEvents(list[dict[str, Any]]):
+    """The events that a viewport has sent."""
+
+    def of(self, event: str) -> list[dict[str, Any]]:
+        return [message for message in self if message["event"] == event]
+
+
+@pytest.fixture
+def events() -> SentEvents:
+    return SentEvents()
+
+
+@pytest.fixture
+def viewport(events: SentEvents) -> Iterator[Viewport]:
+    """A viewport with a real viser server, without a browser."""
+    viewport = Viewport("0123456789abcdef", "Ada", "room", lambda message, _: events.append(message))
+    yield viewport
+    viewport.close()
 
 
 @pytest.fixture(scope="module")
@@ -269,16 +289,13 @@ def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: Orien
     nearest = np.linalg.norm(ends[:, None] - corners, axis=2)
     assert nearest.min(axis=1).max() < 1e-5
     np.testing.assert_array_equal(np.bincount(nearest.argmin(axis=1)), np.full(8, 3))
-    # in the box's own axes: from the middle of the top; the head begins in front of the front face
+    # in the box's own axes: from the middle of the top, along its heading, to a head in front of the front face
     shaft, head = ((part - truth.center_m) @ truth.rotation for part in (lines[12], lines[13:]))
-    mean_m, top_m, front_m = truth.size_m.mean(), truth.size_m[2] / 2, truth.size_m[0] / 2
-    tip = [front_m + 0.4 * mean_m, 0, top_m]
+    top_m, front_m = truth.size_m[2] / 2, truth.size_m[0] / 2
+    tip = [front_m + 0.4 * truth.size_m.mean(), 0, top_m]
     np.testing.assert_allclose(shaft, [[0, 0, top_m], tip], atol=1e-5)
+    assert (head[..., 0] > front_m).all()
     np.testing.assert_allclose(head[:4, 0], [tip] * 4, atol=1e-5)
-    corners = head[:4, 1]
-    np.testing.assert_allclose(corners[:, 0], front_m + 0.08 * mean_m, atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(corners[:, 1:] - [0, top_m], axis=1), 0.13 * mean_m, atol=1e-5)
-    np.testing.assert_allclose(head[4:], np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
@@ -354,15 +371,6 @@ def test_height_colours_depend_only_on_the_height() -> None:
     assert colors[-1, 0] > colors[-1, 2]  # high: red
     moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
     np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
-
-
-@given(st.floats(1, 60))
-def test_point_size_and_initial_camera_scale_with_the_scene(distance_m: float) -> None:
-    rng = np.random.default_rng(1)
-    xyz = rng.normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])
-    unit, scaled = frame_of(xyz), frame_of(xyz * distance_m)
-    assert point_size_m(scaled.cloud, 500) == pytest.approx(distance_m * point_size_m(unit.cloud, 500), rel=1e-3)
-    np.testing.assert_allclose(initial_camera(scaled).position, distance_m * initial_camera(unit).position, rtol=1e-3)
 
 
 def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:

@@ -1,0 +1,341 @@
+"""Tools of a frame over HTTP: tracks and following, classes and values, and the alignment of cloud and image."""
+
+from __future__ import annotations
+
+import base64
+import json
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import numpy as np
+import pytest
+from live_server import PATIENCE_S, wait_until
+from room_api import BOX, ROOM, change, propose, state
+from scipy.spatial import cKDTree
+
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.project.backup.make import Reason, automatic_backups
+from annotator.recordings import open_recording
+from annotator.types import Correction
+from annotator.web.follow_runs import FollowRuns
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.follow_objects import Follower
+from annotator.workflows.tracks.follow_run import follow_from_frame
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetectors
+
+if TYPE_CHECKING:
+    from live_server import Live
+
+
+def test_boxes_are_copied_and_interpolated(live: Live) -> None:
+    created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
+    uids = {frame: change(live.client, 0, created, frame=frame).json()["labels"][0]["uid"] for frame in (1, 4)}
+    for tool, frame in (("copy-next", 1), ("interpolate", 4)):
+        stale = live.client.post(f"{ROOM}/frames/{frame}/{tool}", json={"revision": 0, "uid": uids[frame]})
+        assert (stale.status_code, stale.json()["state"]["frame"]["revision"]) == (409, 1)
+    body = {"revision": 1, "uid": uids[1], "effort": {"actions": 1, "seconds": 2.0}}
+    done = live.client.post(f"{ROOM}/frames/1/copy-next", json=body).json()
+    assert done == {"frame": 2, "uid": state(live.client, 2)["labels"][0]["uid"]}
+    filled = live.client.post(f"{ROOM}/frames/4/interpolate", json={"revision": 1, "uid": uids[4]}).json()
+    assert (filled["filled"], filled["state"]["frame"]["id"]) == (2, 4)
+    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/5").json()["boxes"]
+    states = ["accepted", "proposed", "proposed", "accepted"]
+    assert [(box["frame"], box["state"]) for box in boxes] == list(zip((1, 2, 3, 4), states, strict=True))
+    assert live.client.get(f"{ROOM}/recordings/9/tracks/5").status_code == 404
+
+
+def accept_truth(project: Project, generated: Path, frame: int = 1, objects: int = 1) -> list[str]:
+    """Accepts the true boxes of a frame, without tracks; returns their labels."""
+    recording = open_recording(generated / "people")
+    truths = load_truth(recording, frame - 1, recording.frame(frame - 1))
+    context = WriteContext(project.frames.get(frame).revision, "Ada")
+    return list(project.labels.create(frame, [NewLabel(t.label, t.box) for t in truths[:objects]], context).uids)
+
+
+def follow(live: Live, frame: int = 1, **body: Any) -> dict[str, Any]:
+    body = {"revision": state(live.client, frame)["frame"]["revision"], **body}
+    answer = live.client.post(f"{ROOM}/frames/{frame}/follow", json=body)
+    assert answer.status_code == 200, answer.text
+    run: dict[str, Any] = answer.json()
+    return run
+
+
+def latest(live: Live) -> dict[str, Any]:
+    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()["run"]
+    return run
+
+
+def boxes(live: Live) -> list[int]:
+    return [len(state(live.client, frame)["labels"]) for frame in range(1, 6)]
+
+
+@pytest.mark.usefixtures("following_view")
+def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, project: Project, generated: Path) -> None:
+    accept_truth(project, generated)
+    numbers = []
+    for _ in range(2):
+        numbers.append(follow(live)["number"])
+        wait_until(lambda: latest(live)["state"] != "running")
+    restarted = FollowRuns(live.context.hub, str)
+    frame = project.frames.get(1)
+    run = follow_from_frame(project, frame.id, frame.revision, None, "Ada")
+    numbers.append(restarted.start(project, "Ada", run, frame.id, "forward", False).number)
+    restarted.close()
+    assert numbers[0] < numbers[1] < numbers[2] < 2**53, "the page's numbers are exact to 2**53"
+
+
+@pytest.mark.usefixtures("following_view")
+def test_undo_stops_a_run_and_takes_back_all_of_it(
+    live: Live, project: Project, generated: Path, following_gate: threading.Semaphore
+) -> None:
+    accept_truth(project, generated)
+    follow(live)
+    following_gate.release(2)
+    wait_until(lambda: latest(live)["done"] == 2)
+    # the run is asked to stop while it waits for a frame, and ends after that frame
+    running = live.context.follow_runs._runs[live.context.project("room")]["Ada"]
+    threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and following_gate.release(2)).start()
+    assert live.client.post(f"{ROOM}/undo", json={}).status_code == 200
+    assert latest(live) is None
+    assert boxes(live) == [1, 0, 0, 0, 0]
+
+
+@pytest.mark.usefixtures("following_view")
+def test_a_failed_run_is_reported(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("broken")
+
+    monkeypatch.setattr(Follower, "step", fail)
+    change(live.client, 0, {"kind": "create", "label": "person", "box": BOX, "track_id": 5})
+    follow(live)
+    wait_until(lambda: latest(live)["state"] != "running")
+    assert (latest(live)["state"], latest(live)["message"]) == ("failed", "internal error, see the server's log")
+
+
+def test_what_cannot_be_followed_is_refused(
+    live: Live, project: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (uid,) = accept_truth(project, generated)
+    assert latest(live) is None
+    assert live.client.post(f"{ROOM}/follow/stop").json() == {"run": None}
+    refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
+    assert refused.status_code == 400
+    assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
+    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
+    readiness = Readiness("failed", problem="the weights are damaged")
+    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: readiness)
+    refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid})
+    assert refused.json()["error"]["message"] == "the view detector cannot be used: the weights are damaged"
+
+
+def in_track(live: Live, project: Project) -> list[str]:
+    """One proposal of track 7 in each of three frames; returns their uids."""
+    uids = [propose(project, frame, 0.1)[0] for frame in (1, 2, 3)]
+    for frame, uid in enumerate(uids, 1):
+        track = {"kind": "track", "uid": uid, "track_id": 7}
+        change(live.client, state(live.client, frame)["frame"]["revision"], track, frame=frame)
+    return uids
+
+
+def test_a_sheet_shows_pictures_and_accepts_in_one_step(live: Live, project: Project) -> None:
+    uids = in_track(live, project)
+    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/7").json()["boxes"]
+    tiles = [json.loads(line) for line in live.client.get(f"{ROOM}/recordings/1/tracks/7/sheet").text.splitlines()]
+    assert [tile["uid"] for tile in tiles] == uids
+    assert all(base64.b64decode(tile["png"]).startswith(b"\x89PNG") for tile in tiles)
+    assert live.client.get(f"{ROOM}/recordings/9/tracks/7/sheet").status_code == 404
+    seen = [{key: box[key] for key in ("frame", "revision", "uid")} for box in boxes[:2]]
+    body = {"boxes": seen, "effort": {"actions": 2, "seconds": 3.0}}
+    assert live.client.post(f"{ROOM}/sheet/accept", json=body).json() == {"accepted": 2}
+    assert "open the sheet again" in live.client.post(f"{ROOM}/sheet/accept", json=body).text
+
+
+def test_later_proposals_are_corrected_alike(live: Live, project: Project) -> None:
+    uids = in_track(live, project)
+    shown = state(live.client)
+    revision, was = shown["frame"]["revision"], shown["labels"][0]["box"]
+    body = {"revision": revision, "uid": uids[0], "was": was}
+    assert "reviewed" in live.client.post(f"{ROOM}/frames/1/carry", json=body).text
+    center = [was["center"][0] + 0.25, *was["center"][1:]]
+    edit = {"kind": "edit", "uid": uids[0], "label": "person", "box": {**was, "center": center}, "track_id": 7}
+    change(live.client, revision, edit)
+    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).status_code == 409
+    body["revision"] = revision + 1
+    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).json() == {"changed": 2}
+
+
+POSE = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"], "key": "o"}
+SHIRT = {"name": "shirt", "kind": "text", "of": "track"}
+RAIN = {"name": "rain", "kind": "boolean", "of": "frame", "default": False}
+
+
+def edit(live: Live, expected: int = 200, **body: Any) -> Any:
+    answer = live.client.post(f"{ROOM}/classes", json={"change": body})
+    assert answer.status_code == expected, answer.text
+    return answer.json() if expected == 200 else answer.json()["error"]["message"]
+
+
+def set_values(live: Live, frame: int, expected: int = 200, **body: Any) -> Any:
+    body = {"revision": state(live.client, frame)["frame"]["revision"], **body}
+    answer = live.client.post(f"{ROOM}/frames/{frame}/attributes", json=body)
+    assert answer.status_code == expected, answer.text
+    return answer.json()
+
+
+def test_classes_and_attributes_are_changed_and_labels_follow(live: Live, project: Project) -> None:
+    uid = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX}).json()["labels"][0]["uid"]
+    for attribute in (POSE, SHIRT, RAIN):
+        info = edit(live, do="attribute", attribute=attribute)
+    assert info["attributes"] == [POSE, SHIRT, RAIN]
+    info = edit(live, do="add", name="dog", style={"colour": "#112233", "key": "d"})
+    assert (info["classes"][-1], info["class_styles"]["dog"]) == ("dog", {"colour": "#112233", "key": "d"})
+    styles = edit(live, do="style", name="dog", style={"key": "h"})["class_styles"]
+    assert styles == {"dog": {"colour": "#112233", "key": "h"}}
+    edit(live, do="order", names=info["classes"][::-1])
+    edit(live, do="rename_attribute", name="pose", choice="sitting", new="seated")
+    edit(live, do="rename", name="person", new="human")
+    assert state(live.client, 1)["labels"][0]["label"] == "human"
+    assert "merge them" in edit(live, 400, do="rename", name="human", new="dog")
+    assert "cannot be removed while boxes use it" in edit(live, 400, do="remove", name="human")
+    assert "needs at least one" in edit(live, 400, do="attribute", attribute={"name": "x", "kind": "choice"})
+    assert "has no class" in edit(live, 404, do="merge", names=["dog"], into="cat")
+    assert automatic_backups(project.path) == []
+    info = edit(live, do="merge", names=["human"], into="dog")
+    assert "human" not in info["classes"]
+    assert len(automatic_backups(project.path, Reason.CLASSES)) == 1
+    label = state(live.client, 1)["labels"][0]
+    assert (label["uid"], label["label"]) == (uid, "dog")
+    edit(live, do="rename_attribute", name="pose", new="posture")
+    edit(live, do="remove_attribute", name="posture")
+    edit(live, do="add", name="cat")
+    edit(live, do="remove", name="dog", with_boxes=True)
+    assert state(live.client, 1)["labels"] == []
+
+
+def test_the_list_counts_boxes_and_values(live: Live) -> None:
+    for attribute in (POSE, RAIN):
+        edit(live, do="attribute", attribute=attribute)
+    uid = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX}).json()["labels"][0]["uid"]
+    set_values(live, 1, uid=uid, values={"pose": "sitting"})
+    listed = live.client.get(f"{ROOM}/classes").json()
+    (row,) = listed["classes"]
+    assert row == {"name": "person", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
+    assert (listed["attributes"], listed["values"], listed["unknown"]) == ([POSE, RAIN], {"pose": 1}, [])
+
+
+def test_values_are_set_along_tracks_filtered_and_undone(live: Live, project: Project) -> None:
+    for attribute in (POSE, SHIRT, RAIN):
+        edit(live, do="attribute", attribute=attribute)
+    created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
+    uids = [change(live.client, 0, created, frame=frame).json()["labels"][0]["uid"] for frame in (1, 2)]
+    answer = set_values(live, 1, uid=uids[0], values={"pose": "sitting", "shirt": "red"})
+    assert answer["labels"][0]["attributes"] == {"pose": "sitting", "shirt": "red"}
+    assert state(live.client, 2)["labels"][0]["attributes"] == {"shirt": "red"}
+    assert set_values(live, 1, values={"rain": True})["frame"]["attributes"] == {"rain": True}
+    stale = set_values(live, 1, 409, uid=uids[0], values={"pose": None}, revision=1)
+    assert stale["state"]["frame"]["attributes"] == {"rain": True}
+    wrong = set_values(live, 1, 400, uid=uids[0], values={"pose": "flying"})
+    assert wrong["error"]["message"] == 'person: pose must be one of sitting, standing, not "flying"'
+    assert live.client.post(f"{ROOM}/undo", json={}).json()["state"]["frame"]["attributes"] == {}
+    undone = live.client.post(f"{ROOM}/undo", json={}).json()
+    assert undone["done"] == "set attributes of 2 labels (frames 000000 to 000001)"
+    assert state(live.client, 2)["labels"][0]["attributes"] == {}
+
+    first, second = propose(project, 3, 0.0), propose(project, 4, 0.5)
+    assert not state(live.client, 3)["labels"][0]["kept"]
+    assert set_values(live, 3, uid=first[0], values={"pose": "standing"})["labels"][0]["kept"]
+
+    def queued(query: str) -> list[str]:
+        return [item["uid"] for item in live.client.get(f"{ROOM}/queue?{query}").json()["items"]]
+
+    edit(live, do="attribute", attribute={"name": "mass", "kind": "number"})
+    set_values(live, 3, uid=first[0], values={"mass": 9.5})
+    set_values(live, 4, uid=second[0], values={"mass": 81})
+    set_values(live, 3, values={"rain": True})
+    for query, found in (
+        ("pose&value=standing", first),
+        ("pose", second),
+        ("pose&known=true", first),
+        ("pose&contains=STAND", first),
+        ("mass&low=10", second),
+        ("mass&low=9.5&high=80", first),
+        # values of the frame, or the default
+        ("rain&value=true", first),
+        ("rain&value=false", second),
+        ("rain", []),
+    ):
+        assert queued(f"attribute={query}") == found, query
+    edit(live, do="attribute", attribute={name: value for name, value in RAIN.items() if name != "default"})
+    assert queued("attribute=rain") == second
+
+
+RECORDING = f"{ROOM}/recordings/1"
+TURNED = {"turn_deg": [0.5, -2.0, 1.0], "shift_m": [0.03, 0.0, -0.1], "time_offset_s": 0.0}
+NONE = {"turn_deg": [0.0, 0.0, 0.0], "shift_m": [0.0, 0.0, 0.0], "time_offset_s": 0.0}
+
+
+def shown(client: httpx.Client, frame: int = 1) -> dict[str, Any]:
+    answer = client.get(f"{ROOM}/frames/{frame}/alignment")
+    assert answer.status_code == 200, answer.text
+    content: dict[str, Any] = answer.json()
+    return content
+
+
+def correct(client: httpx.Client, correction: dict[str, Any], frame: int = 1, **more: Any) -> httpx.Response:
+    body = {"correction": correction, "frame": frame, "adjusted": shown(client)["adjusted"], **more}
+    return client.post(f"{RECORDING}/correction", json=body)
+
+
+def test_the_points_are_those_of_the_files_whatever_the_correction(live: Live, generated: Path) -> None:
+    before = shown(live.client)
+    recorded = open_recording(generated / "people").frame(0)
+    points = np.array(before["points"]).reshape(-1, 3)
+    assert 1000 < len(points) <= 15_000
+    assert before["correction"] == NONE and not before["is_virtual"]
+    distance, _ = cKDTree(recorded.cloud.xyz_m).query(points)
+    assert distance.max() < 1e-3
+    after = correct(live.client, TURNED).json()
+    assert after["points"] == before["points"]
+    assert after["correction"]["turn_deg"] == pytest.approx(TURNED["turn_deg"])
+    assert after["adjusted"] > before["adjusted"]
+
+
+def test_a_correction_of_an_outdated_one_is_refused(live: Live) -> None:
+    seen = shown(live.client)["adjusted"]
+    assert correct(live.client, TURNED, adjusted=seen).status_code == 200
+    assert correct(live.client, NONE, adjusted=seen).status_code == 409
+    body = {"up": [0.0, -1.0, 0.0], "frame": 1, "adjusted": seen}
+    assert live.client.post(f"{RECORDING}/up", json=body).status_code == 409
+
+
+def test_up_is_estimated_set_and_cleared(live: Live) -> None:
+    known = state(live.client)["up"]
+    found = live.client.post(f"{RECORDING}/estimate-up", json={}).json()
+    assert np.degrees(np.arccos(np.dot(found["up"], known))) < 2
+    assert found["certainty"] > 0.6
+    assert live.client.post(f"{ROOM}/recordings/99/estimate-up", json={}).status_code == 404
+    body = {"up": [0.1, -0.99, 0.0], "frame": 1, "adjusted": shown(live.client)["adjusted"]}
+    answer = live.client.post(f"{RECORDING}/up", json=body).json()
+    assert answer["up_source"] == "project"
+    assert state(live.client, 2)["up"] == pytest.approx(answer["up"])
+    cleared = live.client.post(f"{RECORDING}/up", json={**body, "up": None, "adjusted": answer["adjusted"]}).json()
+    assert (cleared["up_source"], cleared["up"]) == ("files", known)
+
+
+def test_wrong_corrections_are_refused(live: Live) -> None:
+    # frames without times have no offset
+    wrong = ({"turn_deg": [0.0, 181.0, 0.0]}, {"time_offset_s": 1e9}, {"other": 1}, {"time_offset_s": 0.1})
+    for part in wrong:
+        assert correct(live.client, {**NONE, **part}).status_code in (400, 422)
+    unknown = correct(live.client, TURNED, frame=999)
+    assert unknown.status_code == 400 and "no such frame" in unknown.json()["error"]["message"]
+    assert shown(live.client)["correction"] == NONE
+
+
+def test_a_large_correction_of_the_command_line_can_be_changed(live: Live, project: Project) -> None:
+    project.adjustments.correct(1, Correction((0.0, 2.5, 0.0), (0.0, 0.0, 200.0)), "Ann")
+    stored = shown(live.client)["correction"]
+    answer = correct(live.client, {**stored, "turn_deg": [1.0, *stored["turn_deg"][1:]]})
+    assert answer.status_code == 200, answer.text
