@@ -4,33 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from test_warm_start import AnyClass
 
-from annotator.detection.perfect import PerfectDetector
-from annotator.types import Box2D, Image
 from annotator.workflows.detectors import Detectors
 from benchmarks import cold_start, follow
 
 SIZE_PX = 96
-
-
-class AnyClass:
-    """The boxes of a perfect detector without their classes."""
-
-    labels, fingerprint = ("whole", "seen"), "any class"
-
-    def __init__(self, detector: PerfectDetector) -> None:
-        self._detector = detector
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
 
 
 @pytest.fixture

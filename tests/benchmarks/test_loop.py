@@ -21,8 +21,6 @@ from annotator.workflows.training.samples import gather
 from benchmarks import loop
 from benchmarks.loop import Arguments, run
 
-KEYS = {"frames", "share_with_proposal", "mask_recall", "mask_precision", "mean_iou", "ap25", "ap50", "boxes_2d"}
-
 
 class TrainingStandIn:
     """A stand-in for the training that registers models; its detectors are perfect on the original recording."""
@@ -73,15 +71,6 @@ def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
     return put
 
 
-def test_the_report_contains_all_scores(generated: Path, untrained: Callable[..., TrainingStandIn]) -> None:
-    untrained()
-    result = run(Arguments(generated / "people"))
-    assert set(result) == KEYS | {"operator", "whole_boxes", "box_kind", "axes", "backend", "seconds"}
-    assert (result["frames"], result["share_with_proposal"], result["operator"]) == (2, 1.0, "box")
-    assert result["boxes_2d"] == 3 * 3 * 5
-    assert float(str(result["mean_iou"])) > 0.8
-
-
 def test_without_true_boxes_only_mask_scores_are_computed(
     own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn]
 ) -> None:
@@ -96,8 +85,3 @@ def test_without_true_boxes_only_mask_scores_are_computed(
     assert float(str(result["mask_precision"])) > 0.5  # a box also contains some floor
     with pytest.raises(ConfigError, match="needs true boxes"):
         run(Arguments(folder, operator=BoxKind.BOX))
-
-
-def test_a_label_is_for_masks_alone(generated: Path) -> None:
-    with pytest.raises(ConfigError, match="--label is only for recordings with masks"):
-        run(Arguments(generated / "people", label="person"))

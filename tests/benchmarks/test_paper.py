@@ -165,25 +165,3 @@ def test_the_kitti_protocol_and_a_repeated_run(
     little, _ = run("--fraction", "0.5", "--limit", "1")
     assert little["stages"]["import"]["train"] == little["stages"]["import"]["val"] == 1
     assert stand_in.trainings == 4
-
-
-@pytest.mark.shared
-def test_sun_rgbd_on_a_real_frame(shared: Path, stand_in: TrainingStandIn, tmp_path: Path) -> None:
-    root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
-    args = paper.Arguments(paper.Dataset.SUNRGBD, root, tmp_path)
-    result: Any = paper.run(args)
-    assert result["stages"]["import"] == {
-        "train": 1,
-        "val": 1,
-        "divided": "a single frame, for training and testing",
-        "lists": "",
-    }
-    assert result["stages"]["boxes"]["image_boxes"] == {"bed": 1, "night_stand": 1, "dresser": 1, "lamp": 1}
-    assert result["axes"] == "consensus"
-    assert set(result["ours"]) == {"0.15", "0.25", "0.5"}
-    for found in result["ours"].values():
-        present = {label: ap for label, ap in found["AP"].items() if ap is not None}
-        assert set(present) == {"bed", "night_stand", "dresser", "lamp"}
-        assert found["mAP"] == pytest.approx(sum(present.values()) / 4)
-    assert result["ours"]["0.25"]["mAP"] == 100.0
-    assert result["paper"]["mAP"] == 44.95

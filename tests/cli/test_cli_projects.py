@@ -15,9 +15,8 @@ from annotator.cli.main import main
 from annotator.geometry.oriented_box import same_box
 from annotator.project import BoxRotation, Project, open_project
 from annotator.rcv.config import Orientation
-from annotator.types import Correction, Frame, Label
+from annotator.types import Frame, Label
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.recorded.adjusting import correct_calibration
 
 WIDTH, HEIGHT = 8, 6
 
@@ -118,18 +117,6 @@ def clouds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "clouds"
 
 
-def test_cameras_are_added_by_name_or_all(clouds: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["new", "p", "--classes", "car"]) == 0
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "around-090", "around-180"]) == 0
-    output = capsys.readouterr().out
-    assert "added clouds@around-090: 1 frame (look_around)" in output and "clouds@around-000" not in output
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "all"]) == 0
-    output = capsys.readouterr().out
-    assert output.count("added ") == output.count("already in the project") == 2
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "left"]) == 2
-    assert "has no virtual camera left; it has around-000" in " ".join(capsys.readouterr().err.split())
-
-
 def test_inspect_says_how_much_of_a_scan_a_camera_sees(clouds: Path, capsys: pytest.CaptureFixture[str]):
     shares = []
     for camera in ("around-000", "around-120", "around-240"):
@@ -143,9 +130,6 @@ def test_inspect_says_how_much_of_a_scan_a_camera_sees(clouds: Path, capsys: pyt
     assert "--camera all: name one camera" in capsys.readouterr().err
     assert main(["inspect", "clouds", "--look-around", "6"]) == 0
     assert "6 cameras: around-000, around-060" in capsys.readouterr().out
-
-
-LEVEL = np.array([0.0, -1.0, 0.0])
 
 
 @pytest.fixture
@@ -233,15 +217,3 @@ def test_a_time_offset_shows_the_image_that_is_nearest_in_time(opened: Project, 
     run(capsys, "calibrate", "p", "room", "--time-offset", "0.04")
     assert np.array_equal(first(opened, 2)[0].rgb, frames[2].rgb)
     assert run(capsys, "calibrate", "p", "room", "--clear")["time_offset_s"] == 0
-
-
-def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, monkeypatch: pytest.MonkeyPatch):
-    theirs = Correction(shift_m=(0.0, 0.1, 0.0))
-
-    def late(project: Project, recording: int, *rest: Any) -> int:
-        project.adjustments.correct(recording, theirs, "Bob")
-        return correct_calibration(project, recording, *rest)
-
-    monkeypatch.setattr("annotator.cli.adjust.correct_calibration", late)
-    assert main(["calibrate", "p", "room", "--turn", "3", "0", "0"]) != 0
-    assert opened.recordings.all()[0].correction == theirs

@@ -103,15 +103,6 @@ def test_other_devices_need_torch(tiny_model: TrainedModel) -> None:
         make(tiny_model.weights, backend="openvino", device="cuda:1")
 
 
-@pytest.mark.parametrize("backend", ["torch", *EXPORTED])
-def test_missing_or_damaged_weights(tmp_path: Path, backend: Backend) -> None:
-    with pytest.raises(DetectionError, match=r"none\.pt: no such weights file; train"):
-        make(tmp_path / "none.pt", backend=backend)
-    (tmp_path / "bad.pt").write_bytes(b"weights")
-    with pytest.raises(DetectionError, match=r"bad\.pt: cannot be read as detector weights"):
-        make(tmp_path / "bad.pt", backend=backend)
-
-
 QUIET = """
 import json, socket, sys
 asked = []
@@ -156,9 +147,6 @@ def test_a_stored_export_runs_without_torch_and_network_access(
     runs = make(tiny_model.weights, backend=backend).backend
     assert json.loads(done.stdout) == {"asked": [], "loaded": [], "backend": runs}
     assert list(home.iterdir()) == []
-
-
-# Each trained model is exported once, and again if the stored export is damaged or stale.
 
 
 EXPORT_ONCE = lru_cache(export_module.export)

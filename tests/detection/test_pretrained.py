@@ -13,7 +13,7 @@ import pytest
 import annotator
 from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
-from annotator.detection.pretrained import check_model_name, check_start, find_starting_point
+from annotator.detection.pretrained import check_start, find_starting_point
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
 from annotator.rcv.config import AGNOSTIC_LABELS
@@ -36,12 +36,6 @@ def downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     monkeypatch.setattr(api(), "weights_dir", tmp_path / "weights")
     monkeypatch.setattr(api(), "user_offline", False)
     return asked
-
-
-@pytest.mark.parametrize("name", ["yolo99n", "yolo11n-seg", "../yolo11n", ""])
-def test_unknown_models_are_an_error_with_suggestions(name: str) -> None:
-    with pytest.raises(ConfigError, match="try yolo11n"):
-        check_model_name(name)
 
 
 def test_without_network_weights_are_random_with_a_note(downloads: list[str]) -> None:
@@ -126,9 +120,6 @@ def test_unusable_initial_weights_are_an_error(downloads: list[str], tmp_path: P
         check_start(TrainingConfig(pretrained=tmp_path / ("n" * 300)))
     with pytest.raises(ConfigError, match="last layer Segment"):
         check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))
-
-
-# The base detector's files in the package.
 
 
 # tests replace `pretrained.FOLDER`

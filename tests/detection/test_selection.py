@@ -9,27 +9,12 @@ from hypothesis import strategies as st
 
 from annotator.detection.yolo import (
     GREY,
-    SQUARE_UP_TO_PX,
     candidates,
     fill_batch,
     place,
     suppress,
     to_pictures,
 )
-
-# Scaling images to canvases, and boxes back to images.
-
-
-@given(height=st.integers(1, 700), width=st.integers(1, 700), side=st.sampled_from([64, 224, 320]))
-def test_the_canvas_is_the_smallest_multiple_of_the_stride(height: int, width: int, side: int) -> None:
-    placement = place((height, width), side, 32)
-    assert max(placement.scaled_width_px, placement.scaled_height_px) == side
-    for canvas, scaled, border in zip(
-        placement.canvas, (placement.scaled_width_px, placement.scaled_height_px), placement.corner, strict=True
-    ):
-        assert canvas % 32 == 0
-        assert canvas == side if side <= SQUARE_UP_TO_PX else 0 <= canvas - scaled < 32
-        assert border == (canvas - scaled) // 2
 
 
 @given(height=st.integers(40, 300), width=st.integers(40, 300), side=st.sampled_from([64, 96]), seed=st.integers(0, 99))
@@ -75,9 +60,6 @@ def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
     assert selected.numbers.tolist() == [0]
     assert selected.spreads is not None and selected.spreads.tolist() == [[1, 2, 3, 4]]
     assert candidates(raw[:, :6], end2end, 0.35).spreads is None
-
-
-# Greedy suppression of overlapping boxes.
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:

@@ -198,9 +198,6 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
         np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)
 
 
-# The Muon optimiser.
-
-
 @pytest.mark.parametrize("shape", [(8, 8), (4, 30), (30, 4), (1, 9)])
 def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -> None:
     torch = api().torch

@@ -53,18 +53,6 @@ def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, sc
     assert np.median(np.abs(errors)) < 10
 
 
-def test_boxes_do_not_depend_on_the_other_images(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    sizes = [(96, 96), (60, 96), (96, 40), (200, 150), (33, 70), (96, 96), (64, 128)]
-    scenes = [scene(seed, size) for seed, size in enumerate(sizes)]
-    together = detector.detect(scenes)
-    for one, boxes in zip(scenes, together, strict=True):
-        alone = detector.detect([one])[0]
-        assert [box.label for box in alone] == [box.label for box in boxes]
-        for a, b in zip(alone, boxes, strict=True):
-            np.testing.assert_allclose(a.xyxy, b.xyxy, atol=0.01)
-            assert a.score == pytest.approx(b.score, abs=1e-4)
-
-
 def test_a_view_is_scaled_to_its_own_size(detector: YoloDetector, scene: Callable[..., Any]) -> None:
     rgb = scene(3, (192, 160)).rgb
     view = PseudoView(rgb, np.eye(3), 0.01, np.zeros(2), np.zeros((1, 3), np.float32), look_px=192)

@@ -40,35 +40,12 @@ def test_average_precision_equals_the_value_computed_by_hand(
     assert result.classes["a"].curves[0.5].area == pytest.approx(expected)
 
 
-def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
-    found = BoxTable.of([(0, "a", cube(0), 0.5), (1, "a", cube(0), 0.9)])
-    # the false positive has the higher score: recall 1/2 at precision 1/2
-    result = evaluate_oriented(found, BoxTable.of([(0, "a", cube(0), 1.0), (1, "a", cube(5), 1.0)]))
-    assert result.classes["a"].curves[0.5].area == pytest.approx(0.25)
-
-
 Row = tuple[int, str, OrientedBox, float]
 
 
 def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), turn: Rotation | None = None):
     matrix = np.eye(3) if turn is None else turn.as_matrix()
     return OrientedBox.from_parts(np.array([x, y, 5.0]), matrix, np.array(size, np.float64))
-
-
-def rooms(count: int, seed: int) -> list[Row]:
-    """Rotated boxes of three classes, some of which overlap."""
-    rng = np.random.default_rng(seed)
-    return [
-        (
-            int(rng.integers(6)),
-            str(rng.choice(["bed", "chair", "desk"])),
-            OrientedBox.from_parts(
-                rng.uniform(0, 2, 3), Rotation.random(rng=rng).as_matrix(), rng.uniform(0.5, 1.5, 3)
-            ),
-            float(rng.random()),
-        )
-        for _ in range(count)
-    ]
 
 
 def test_boxes_match_only_within_their_frame_and_class() -> None:

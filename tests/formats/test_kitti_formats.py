@@ -23,18 +23,14 @@ from annotator.formats.kitti_objects import (
     each_kitti_frame,
     read_kitti_file,
     read_kitti_folder,
-    read_kitti_shifts,
 )
 from annotator.formats.kitti_rows import (
-    derived_box,
     dump_label_line,
-    heading_rotation,
     kitti_row,
     read_object_labels,
     read_tracking_areas,
     read_tracking_labels,
 )
-from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.losses import Losses, Lost
 from annotator.geometry.occlusion import Sight
@@ -87,20 +83,6 @@ def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path) -> None:
         bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
         np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
         np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
-
-
-def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path):
-    composed, decomposed = (unicodedata.normalize(form, "Bü") for form in ("NFC", "NFD"))
-    for name, text in (
-        (f"label_2/{composed}.txt", CAR), (f"label_02/{decomposed}.txt", f"3 1 {CAR}"),
-        (f"calib/{decomposed}.txt", "P2: 100 0 50 6 0 100 40 0 0 0 1 0\n"),
-    ):  # fmt: skip
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    assert [frame for frame, _ in each_kitti_frame(tmp_path, KittiRows())] == [composed]
-    np.testing.assert_allclose(read_kitti_shifts(tmp_path)[composed], [0.06, 0, 0])
-    frames, shifts = read_kitti_tracks(tmp_path, KittiRows())
-    assert list(frames) == list(shifts) == [f"{composed}/000003"]
 
 
 def test_a_name_in_both_unicode_forms_is_refused(tmp_path: Path):
@@ -187,25 +169,6 @@ def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
 
 
 CAMERA = Camera(200, 100, 100.0, 100.0, 99.5, 49.5)
-
-
-def cube(x: float, z: float, size: float = 1.0) -> OrientedBox:
-    return OrientedBox.from_parts(np.array([x, 0.0, z]), heading_rotation(0.0), np.full(3, size))
-
-
-def test_the_2d_box_is_shifted_with_the_colour_camera() -> None:
-    beside = derived_box(CAMERA, cube(0.0, 5.5), RigidTransform.from_translation([0.5, 0.0, 0.0]))
-    assert beside is not None
-    assert beside.clipped == pytest.approx((99.5, 39.5, 119.5, 59.5))
-
-
-def test_a_box_behind_the_camera_has_no_2d_box() -> None:
-    assert derived_box(CAMERA, cube(0.0, -5.0), None) is None
-    around = derived_box(CAMERA, cube(0.0, 0.0), None)
-    assert around is not None
-    assert around.clipped == (0.0, 0.0, 199.0, 99.0)
-    beside = derived_box(CAMERA, cube(-50.0, 5.0), None)
-    assert beside is not None and beside.truncated == 1.0
 
 
 # Axes of upright boxes in the camera frame, with the length to the right, forward, to the left, towards the camera.
@@ -358,20 +321,6 @@ def test_files_that_do_not_fit_their_frames_are_errors(tmp_path: Path, name: str
         dict(each_kitti_frame(folder, KittiRows()))
 
 
-def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:
-    file = tmp_path / "label_02.txt"
-    file.write_text(
-        f"0 5 {ROW}0 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n3 5 {ROW}4 -1 DontCare" + " -1" * 14
-    )
-    for path in (tmp_path, file):
-        found = dict(each_kitti_frame(path, KittiRows()))
-        assert {name: [t.track_id for t in truths] for name, truths in found.items()} == {
-            "000000": [5],
-            "000003": [5],
-            "000004": [],
-        }
-
-
 HEAD = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
 <!DOCTYPE boost_serialization>
 <boost_serialization signature="serialization::archive" version="9">
@@ -437,29 +386,3 @@ def test_frames_tracks_and_corners_are_those_of_the_devkit(tmp_path: Path):
         np.testing.assert_allclose(distance.min(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(frames[3][0].box.rotation[:, 0], [np.cos(0.5), np.sin(0.5), 0])
     np.testing.assert_allclose(frames[3][0].box.size_m, [4.5, 1.8, 2.0])
-
-
-BOMB = (
-    "<!DOCTYPE a ["
-    + "".join(f'<!ENTITY e{n + 1} "{f"&e{n};" * 10}">' if n else '<!ENTITY e1 "ha">' for n in range(10))
-    + "]><a>&e10;</a>"
-)
-BROKEN_TRACKLETS = [
-    (document(VAN)[:-60], r"is not valid XML, or truncated"),
-    (BOMB, ":1: defines entities"),
-    ('<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "defines entities"),
-    (document(VAN.replace("<l>4.5</l>", "<l>-4.5</l>")), r"object 0: l w h must be positive, not -4\.5"),
-    (document(VAN.replace(">Van<", "> <")), "object 0 has no objectType"),
-    (document(VAN.replace(">3</first", ">-1</first")), "first_frame must be a whole number"),
-    (document(VAN.replace("<ry>0</ry>", "<ry>0.2</ry>", 1)), "object 0, pose 0 has rx or ry"),
-    # unknown, bytes-to-bytes, multi-byte, and one whose decoder raises
-    *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "idna")),
-]
-
-
-@pytest.mark.parametrize(("text", "complaint"), BROKEN_TRACKLETS)
-def test_errors_name_the_file_and_the_object(tmp_path: Path, text: str, complaint: str):
-    path = written(tmp_path, text)
-    with pytest.raises(FormatError, match=complaint) as caught:
-        read_tracklets(path)
-    assert str(caught.value).startswith(str(path))

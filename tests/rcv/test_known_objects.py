@@ -24,9 +24,6 @@ from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, Frame, Image, OrientedBox, PseudoView, Truth
 
-# The labelling procedure: five boxes per object, which select the object's points.
-
-
 UP = np.array([0.0, -1.0, 0.0])
 BOX = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
 CONFIG = RcvConfig(orientation=Orientation.UPRIGHT)

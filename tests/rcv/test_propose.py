@@ -11,7 +11,6 @@ from scenes import Counting, frame_with, some_box
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv import recursion
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
 from annotator.types import Box2D, BoxKind, Image, StopReason
@@ -111,16 +110,6 @@ def test_an_empty_frustum_stops_with_too_few_points() -> None:
 
     result = propose([frame], Corner(perfect), perfect, RcvConfig())[0]
     assert result.lost[0].trace[0].stop is StopReason.TOO_FEW_POINTS
-
-
-def test_the_step_limit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recursion, "AXES_TOLERANCE_RAD", 1e-9)
-    monkeypatch.setattr(recursion, "BOX_TOLERANCE", 1e-9)
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths, jitter=0.05)
-    (found,) = propose([frame], perfect, perfect, RcvConfig(max_steps=2))[0].proposals
-    assert len(found.trace) == 2
-    assert found.trace[-1].stop is StopReason.STEP_LIMIT
 
 
 def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:

@@ -21,7 +21,6 @@ from annotator.workflows.add_recordings import add_recordings, bring_back, move_
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing import Note
-from annotator.workflows.recorded.condition import broken_frames
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 
@@ -29,9 +28,6 @@ from annotator.workflows.recorded.reading import load_truth
 def remove_frame(folder: Path, key: str) -> None:
     (folder / "color" / f"{key}.jpg").unlink()
     (folder / "depth" / f"{key}.png").unlink()
-
-
-# --- adding ----------------------------------------------------------------------------------------------------------
 
 
 def test_adding_a_recording_again_finds_new_and_missing_frames(
@@ -130,9 +126,6 @@ def test_a_recording_of_another_format_is_not_accepted_as_the_moved_one(people: 
         move_recording(people, recording.id, kitti, "ann")
 
 
-# --- labels of recordings --------------------------------------------------------------------------------------------
-
-
 def test_a_recordings_labels_are_imported(people: Project) -> None:
     (recording,) = people.recordings.all()
     told: list[tuple[int, int]] = []
@@ -222,9 +215,6 @@ def test_a_broken_label_file_affects_only_its_frame(
     assert labelled == [True, False, True, True, True]
 
 
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
 def test_frames_are_read_by_key_not_by_index(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
@@ -293,19 +283,6 @@ def mend(folder: Path, generated: Path, *names: str) -> None:
 def present(project: Project) -> dict[str, int]:
     """The indices of the frames that queues, batches and exports see, by key."""
     return {frame.key: frame.index for frame in project.frames.of() if frame.index is not None}
-
-
-def test_each_kind_of_fault_is_counted(damaged: Path) -> None:
-    (damaged / "depth" / "000000.png").unlink()
-    broken = broken_frames(open_recording(damaged), seconds=ALWAYS)
-    assert list(broken.errors) == ["000000", *BROKEN]
-    first, *kinds = broken.sentences
-    assert first == "4 of 5 frames cannot be read"
-    assert [line.partition(";")[0] for line in kinds] == [
-        f"2 frames (000000, 000001): {damaged}/depth/000000.png: missing",
-        f"1 frame (000003): {damaged}/depth/000003.png: the file is empty",
-        f"1 frame (000004): {damaged}/color/000004.jpg: the JPEG image is truncated",
-    ]
 
 
 def test_broken_frames_are_told_and_left_out_on_request(

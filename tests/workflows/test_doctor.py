@@ -22,7 +22,6 @@ import pytest
 from annotator import __version__
 from annotator.detection import pretrained, ultralytics_api
 from annotator.detection.backends import agreement, choose
-from annotator.detection.backends.agreement import Agreements
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.ultralytics_api import api, pick_device
@@ -172,17 +171,6 @@ def test_published_weights_and_the_base_detector_are_found(monkeypatch: pytest.M
     assert broken.state is State.FAILED and "model.json" in broken.found
 
 
-def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken() -> None:
-        raise DetectionError("no torch")
-
-    monkeypatch.setattr(choose, "find_spec", lambda _: None)
-    monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(ultralytics_api, "api", broken)
-    found = lines(doctor.choices)["image, auto"]
-    assert found.state is State.FAILED and "no torch" in found.found
-
-
 def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -279,27 +267,8 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
     assert "no such operation" in found["broken"].found
 
 
-def test_half_precision_has_a_larger_but_limited_tolerance(tmp_path: Path) -> None:
-    pretrained.write_seeded_network(tmp_path / "network.safetensors")
-    pictures = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), np.uint8)
-    agreements = Agreements(tmp_path / "network.safetensors", pictures)
-    for name, device, precision in (("openvino-bf16", "cpu", "bfloat16"), ("torch", "cuda:0", "float16")):
-        small = agreements.of(lambda path, name=name, device=device: Wrong(path, moved(0.5), name, device))
-        assert small.holds and small.reference == precision
-        assert not agreements.of(lambda path, name=name, device=device: Wrong(path, moved(100), name, device)).holds
-
-
 @pytest.mark.slow
 def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
     found = lines(doctor.backends, tmp_path)
     assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
     assert all(each.state is State.OK for each in found.values()), found
-
-
-def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def missing() -> None:
-        raise DetectionError("no ultralytics")
-
-    monkeypatch.setattr(pretrained, "api", missing)
-    (found,) = lines(doctor.backends, tmp_path).values()
-    assert (found.state, found.found) == (State.WARNING, "not tested (no ultralytics)")

@@ -19,9 +19,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.web.context import Caches
 from annotator.workflows import simulate
-from annotator.workflows.add_recordings import move_recording, register_recording
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
@@ -262,18 +261,3 @@ def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhou
     drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
     seen.append(offered(offers))
     assert seen[2] == offered(WholeBoxes(drawn)) and seen[0] != seen[1] != seen[2]
-
-
-def test_frames_of_a_moved_recording_are_read_at_their_new_place(
-    drawn: Project, own_copy: Callable[[str], Path]
-) -> None:
-    caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
-    move_recording(drawn, recording, here, "Ann")
-    first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
-    offers = caches.whole_boxes(drawn)
-    assert offers._objects(first)
-    there = here.rename(here.with_name("there"))
-    move_recording(drawn, recording, there, "Ann")
-    caches.frames.forget(drawn)  # as the server does
-    assert offers._objects(second)
-    caches.close()

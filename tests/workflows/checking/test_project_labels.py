@@ -92,29 +92,3 @@ def test_a_finalised_frame_without_boxes_needs_its_required_values(tmp_path: Pat
         project.recordings.rescan(1, ["a", "b", "c"])
         change_attribute(project, "rain", default=True)
         assert found(project) == []
-
-
-def test_values_that_no_longer_fit_are_reported_of_boxes_and_frames(tmp_path: Path) -> None:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    with create_project(tmp_path, "p", ["car", "bus"]) as project:
-        project.recordings.add(tmp_path / "r", "rgbd", "r", ["a", "b"], True)
-        put(project, Attribute(name="parked", kind=AttributeKind.BOOLEAN))
-        put(project, Attribute(name="moved", kind=AttributeKind.BOOLEAN))
-        put(project, Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME))
-        put(project, Attribute(name="light", kind=AttributeKind.INTEGER, of=AttributeOf.FRAME))
-        a, b = (frame.id for frame in project.frames.of())
-        values = {"parked": True, "moved": False}
-        project.labels.create(a, [NewLabel("car", box, attributes=values)], WriteContext(0, "ann"))
-        project.frames.set_attributes(b, {"rain": True, "light": 9}, WriteContext(0, "ann"))
-        assert found(project) == []
-        # only by hand can the schema change without its values
-        change_attribute(project, "parked", kind="text")
-        change_attribute(project, "moved", classes=["bus"])
-        change_attribute(project, "rain", name="snow")
-        change_attribute(project, "light", maximum=5)
-        assert sorted(found(project)) == [
-            ("a", "parked is true; it must be a text of at most 1000 characters"),
-            ("a", "this car has the value moved = false, but the project has no attribute moved for car"),
-            ("b", "light of this frame is 9; it must be a whole number to 5"),
-            ("b", "this frame has the value rain = true, but the project has no attribute rain for frames"),
-        ]

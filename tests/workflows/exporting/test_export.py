@@ -31,7 +31,7 @@ from annotator.types import (
     Source,
     Suggestion,
 )
-from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project, parse_shares
@@ -338,73 +338,6 @@ def test_a_part_of_a_divided_export_opens(labelled_people: Project, tmp_path: Pa
         assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(frames)) > 0
 
 
-def test_several_recordings_are_one(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
-    project = make_project(generated / "people", generated / "hands")
-    for format, reader in ((ExportFormat.RCV, "rcv"), (ExportFormat.OPENLABEL, "openlabel")):
-        report = export_project(project, tmp_path / reader, format, choose=ALL)
-        recording = open_recording(tmp_path / reader)
-        assert len(recording) == len(set(recording.keys)) == report.frames
-        sizes = {recording.frame(i).rgb.shape for i in range(len(recording))}
-        assert len(sizes) == len({FrameSource(project).read(each).rgb.shape for each in project.frames.of()})
-
-
-def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(
-    labelled_people: Project, tmp_path: Path
-) -> None:
-    export_project(labelled_people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
-    recording, source = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP"), FrameSource(labelled_people)
-    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
-    known = [np.sort(np.linalg.norm(source.read(each).cloud.xyz_m, axis=1)) for each in labelled_people.frames.of()]
-    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
-
-
-@pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.OPENLABEL])
-def test_rejected_boxes_of_an_export_are_no_labels(
-    labelled_people: Project, tmp_path: Path, format: ExportFormat
-) -> None:
-    stored = labelled_people.frames.of()[0]
-    (uid, *kept) = (label.uid for label in labelled_people.labels.of_frame(stored.id))
-    labelled_people.labels.reject(stored.id, uid, WriteContext(stored.revision, "me"))
-    export_project(labelled_people, tmp_path / "out", format, choose=ExportFilter(empty_frames=True, states=STATES))
-    recording = open_recording(tmp_path / "out")
-    assert len(load_truth(recording, 0, recording.frame(0))) == len(kept) == 2
-
-
-def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
-
-
-def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) -> None:
-    rcv, openlabel = tmp_path / "rcv", tmp_path / "openlabel"
-    export_project(labelled_people, rcv, ExportFormat.RCV, choose=ALL)
-    export_project(labelled_people, openlabel, ExportFormat.OPENLABEL, choose=ALL)
-    first = open_recording(rcv).keys[0]
-    label = rcv / "labels" / f"{first}.json"
-    for change, complaint in (
-        (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
-        (lambda record: record.update(cloud="labels/x.json"), "is none of"),
-        (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
-        (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
-        (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
-        (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
-    ):
-        sound = label.read_text()
-        changed(label, change)
-        with pytest.raises(FrameError, match=complaint):
-            open_recording(rcv).frame(0)
-        label.write_text(sound)
-        open_recording(rcv).frame(0)
-    (document,) = openlabel.glob("*.json")
-    changed(document, lambda content: content["openlabel"]["streams"]["camera"].pop("stream_properties"))
-    with pytest.raises(RecordingError, match=r"is not a document of annotator \(KeyError 'stream_properties'\)"):
-        open_recording(openlabel).frame(0)
-    (rcv / "dataset.json").write_text('{"format": "annotator-rcv", "version": 1, "frames": []}')
-    with pytest.raises(RecordingError, match="no frames"):
-        open_recording(rcv)
-
-
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]}
 
 
@@ -425,22 +358,6 @@ def with_attributes(project: Project, *attributes: dict[str, Any]) -> Project:
     for fields in attributes:
         project.change_classes(partial(edit.put_attribute, attribute=Attribute.model_validate(fields)), "ann")
     return project
-
-
-def test_values_that_the_project_cannot_hold_are_reported(
-    make_project: MakeProject, generated: Path, tmp_path: Path
-) -> None:
-    project = with_attributes(make_project(generated / "people"), HELMET, OCCLUSION)
-    box = OrientedBox.from_parts(np.array([0.0, 0.0, 4.0]), np.eye(3), np.full(3, 0.4))
-    new = NewLabel("person", box, attributes={"helmet": True, "occlusion": 3})
-    project.labels.create(project.frames.of()[0].id, [new], WriteContext(0, "ann"))
-    export_project(project, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter())
-    other = with_attributes(make_project(generated / "people"), OCCLUSION | {"maximum": 2})
-    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert done.of(Note.VALUE) == {
-        "helmet (not an attribute of the project)": 1,
-        "occlusion must be a whole number from 0 to 2, not 3": 1,
-    }
 
 
 def test_values_have_the_kinds_of_the_projects_attributes_again(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from argoverse_samples import CAMERAS as LOG_CAMERAS
 from argoverse_samples import write_log
-from nuscenes_samples import CAMERAS, real, small
+from nuscenes_samples import CAMERAS, small
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.sunrgbd import read_extracted_folder
@@ -20,7 +20,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, FormatError
+from annotator.types.errors import FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -33,7 +33,6 @@ from annotator.workflows.importing import (
     import_proposals,
     read_labels,
 )
-from annotator.workflows.importing.values import add_attributes, values_of_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.review_queue import Order, queue
 
@@ -217,43 +216,6 @@ def test_ids_that_other_sources_use_are_not_used_again_although_both_see_the_obj
     assert tracks_by_place(people) == {0.0: {8}, 5.0: {10}, 9.0: {9}}
 
 
-def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewed(
-    people: Project, tmp_path: Path
-) -> None:
-    first, second = people.frames.of()[:2]
-    boxes = {
-        first.key: [("person", 0.0, 0.9), ("person", 3.0, 0.4), ("person", 6.0, 0.6), ("person", 9.0, 0.7)],
-        second.key: [("person", 0.0, 0.55)],
-    }
-    dataset = read_labels(BoxFormat.BOXES, boxes_file(tmp_path / "det.json", boxes))
-    for source in (" ", "annotator", "x" * 201):
-        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
-            import_proposals(people, dataset, source)
-
-    def proposed(min_score: float | None) -> list[tuple[str, float]]:
-        done = import_proposals(people, dataset, min_score=min_score)
-        assert done.frames == 2
-        open_ = people.labels.select(states=[ReviewState.PROPOSED])
-        keys = {each.id: each.key for each in (first, second)}
-        return sorted((keys[each.frame_id], float(each.label.box.center_m[0])) for each in open_)
-
-    assert proposed(0.5) == [(first.key, 0.0), (first.key, 6.0), (first.key, 9.0), (second.key, 0.0)]
-    uids = {float(each.box.center_m[0]): each.uid for each in people.labels.of_frame(first.id)}
-    for review, x in ((people.labels.accept, 0.0), (people.labels.reject, 6.0)):
-        review(first.id, uids[x], WriteContext(people.frames.get(first.id).revision, "me"))
-    reviewed = {ReviewState.ACCEPTED: 0.0, ReviewState.REJECTED: 6.0}
-    for min_score, expected in (
-        (0.3, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
-        (0.95, []),
-        (None, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
-        (0.5, [(first.key, 9.0), (second.key, 0.0)]),
-    ):
-        assert proposed(min_score) == expected
-        for state, x in reviewed.items():
-            (label,) = people.labels.select(states=[state])
-            assert (label.label.box.center_m[0], label.label.uid) == (x, uids[x])
-
-
 @pytest.mark.parametrize("run", [import_labels, import_proposals])
 def test_a_track_that_a_file_has_twice_in_a_frame_is_kept_once_and_counted(
     people: Project, tmp_path: Path, run: Callable[..., ImportReport]
@@ -284,33 +246,6 @@ def added(project: Project, path: Path, **options: str) -> Recording:
     return open_recording(path, chosen)
 
 
-@pytest.mark.shared
-def test_results_of_the_real_sample_are_its_boxes_in_every_camera(
-    make_project: Callable[..., Project], shared: Path, tmp_path: Path
-) -> None:
-    names = real(shared / "data" / "nuscenes_frame", tmp_path / "set")["sample"]["images"]
-    classes = sorted(
-        {row["instance_class"] for row in json.loads((tmp_path / "set/v1.0-mini/sample_annotation.json").read_text())}
-    )
-    project = make_project(classes=classes)
-    recordings = [added(project, tmp_path / "set", camera=name) for name in names]
-    path = results(tmp_path / "results.json", tmp_path / "set" / "v1.0-mini", attribute_name="vehicle.moving")
-    assert format_of(path) is BoxFormat.NUSCENES
-    done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path), min_score=0.1)
-    assert (done.source, done.frames, tuple(done.of(Note.UNMATCHED))) == ("results", 6, ("elsewhere",))
-    assert done[Note.UNSURE] > 0 and done.boxes.total() > 50
-    proposed = {}
-    for frame, recording in zip(project.frames.of(), recordings, strict=True):
-        truths = load_truth(recording, 0, recording.frame(0))
-        labels = project.labels.of_frame(frame.id)
-        proposed[recording.name] = len(labels)
-        for label in labels:
-            near = [np.abs(box_corners(each.box) - box_corners(label.box)).max() for each in truths]
-            best = truths[int(np.argmin(near))]
-            assert min(near) < 1e-6 and best.label == label.label and label.score is not None and label.score >= 0.1
-    assert sum(proposed.values()) == done.boxes.total()
-
-
 @pytest.mark.parametrize("task", ["detection", "tracking"])
 def test_results_find_their_frames_and_trackers_their_tracks(
     make_project: Callable[..., Project], tmp_path: Path, task: str
@@ -337,20 +272,6 @@ def test_results_find_their_frames_and_trackers_their_tracks(
     # no box is outside both cameras
     added(project, data, scene="scene-0000", camera=CAMERAS[1])
     assert import_proposals(project, read_labels(BoxFormat.NUSCENES, path))[Note.UNSEEN] == 0
-
-
-def test_attributes_of_results_can_be_added_to_the_project(
-    make_project: Callable[..., Project], tmp_path: Path
-) -> None:
-    data = small(tmp_path / "set")
-    project = make_project(classes=("car",))
-    added(project, data, scene="scene-0000", camera=CAMERAS[0])
-    path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
-    dataset = read_labels(BoxFormat.NUSCENES, path)
-    assert import_proposals(project, dataset).of(Note.VALUE) == {"vehicle (not an attribute of the project)": 2}
-    assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
-    assert not import_proposals(project, dataset)[Note.VALUE]
-    assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}
 
 
 AHEAD, BEHIND = "REGULAR_VEHICLE", "PEDESTRIAN"

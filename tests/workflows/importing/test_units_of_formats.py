@@ -202,21 +202,6 @@ def test_quaternions_that_may_be_right_are_read(tmp_path: Path, rotations: list[
     assert len(list(read_labels(BoxFormat.NUSCENES, results(tmp_path, *rotations)).sizes_m)) == len(rotations)
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        ({"a": 1}, "results.a: must be a list of boxes"),
-        ({"a": [{"size": [1, 2, 3]}]}, "results.a.0.translation: Field required"),
-        ({"a": [{"size": [1, 2, 3], "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]}]}, "detection_name"),
-        ([], "must be a JSON object"),
-    ],
-)
-def test_damaged_results_are_refused_with_their_place(tmp_path: Path, content: Any, problem: str) -> None:
-    with pytest.raises(FormatError, match=r"results\.json") as raised:
-        read_labels(BoxFormat.NUSCENES, put(tmp_path / "results.json", {"results": content}))
-    assert problem in str(raised.value)
-
-
 def test_turned_2d_boxes_are_counted(make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> None:
     project = make_project(generated / "people")
     turned = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [100, 80, 40, 20], "attributes": {"rotation": 90.0}}

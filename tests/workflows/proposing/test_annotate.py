@@ -17,7 +17,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
-from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
@@ -328,25 +328,6 @@ def test_a_store_that_cannot_be_written_ends_the_batch(
     monkeypatch.setattr(type(people.jobs), "record_failure", full)
     with pytest.raises(ProjectError, match="the disk is full"):
         annotate(people, knowing("people"), FAST, limit=1)
-
-
-def test_boxes_are_upright_along_the_projects_up_direction(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
-) -> None:
-    folder = own_copy("people")
-    (folder / "gravity.json").unlink()
-    project = make_project(folder)
-    tilted = (0.0, -2.0, -2.0)
-    other = register_recording(make_project(), open_recording(folder), up=tilted)
-    assert other.up == pytest.approx((0, -np.sqrt(0.5), -np.sqrt(0.5)))
-    free = annotate(project, knowing("people"), FAST, limit=1)
-    assert free.done == 1
-    told = make_project(folder, up=tilted)
-    annotate(told, knowing("people"), FAST, limit=1)
-    labels = told.labels.of_frame(told.frames.of()[0].id)
-    assert labels
-    for label in labels:
-        assert np.abs(label.box.rotation.T @ np.array(other.up)).max() == pytest.approx(1)
 
 
 def test_results_of_an_earlier_calibration_are_not_stored(people: Project, knowing: Knowing) -> None:

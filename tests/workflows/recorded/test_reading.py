@@ -95,13 +95,6 @@ def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:
     assert len(load_truth(drive, 0, frame)) == 2
 
 
-def test_errors_of_broken_labels_name_the_frame(wall: Path) -> None:
-    recording = open_recording(wall)
-    put(wall / "boxes.json", {"a": {**BOX, "size": [1, 1, 0]}})
-    with pytest.raises(FormatError, match="frame a, wall"):
-        load_truth(recording, 0, recording.frame(0))
-
-
 @pytest.mark.parametrize("folder", ["mask", "truth/mask"])
 def test_masks_are_read_and_their_size_is_checked(wall: Path, folder: str) -> None:
     recording = open_recording(wall)

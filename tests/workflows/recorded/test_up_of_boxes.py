@@ -182,13 +182,3 @@ def test_boxes_of_another_class_that_lean_keep_the_rotation_free(project: Projec
     review(project, TURNING)
     review(project, TURNING, up=np.array([0.6, -0.6, 0.5]) / np.linalg.norm([0.6, -0.6, 0.5]), label="hand")
     assert learn_up(project) == ()
-
-
-def test_a_direction_that_the_files_give_stays(tmp_path: Path, wall: Path) -> None:
-    folder = shutil.copytree(wall, tmp_path / "wall")
-    (folder / "gravity.json").write_text('{"up": [0, -1, 0]}')
-    with create_project(tmp_path, "known", ("person",)) as project:
-        register_recording(project, open_recording(folder))
-        review(project, TURNING)
-        assert learn_up(project) == ()
-        assert up_of(project) == pytest.approx([0, -1, 0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.cli.main import main
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
@@ -194,17 +192,3 @@ def test_empty_boxes_and_unreadable_frames_are_found_in_the_recording(people: Pr
     assert [(row.kind, row.key) for row in report.warnings if row.kind is Kind.EMPTY] == [(Kind.EMPTY, frame.key)]
     assert report.labels == 17
     assert [line.partition(":")[0] for line in report.unreadable] == ["gone"]
-
-
-def test_the_check_command_prints_warnings(people: Project, capsys: pytest.CaptureFixture[str]) -> None:
-    frame = people.frames.of()[0]
-    people.labels.create(frame.id, [label(box_at(0.0)), label(box_at(0.1))], WriteContext(0, "ann"))
-    root = str(people.path.parent)
-    assert main(["check", people.path.name, "--json", "--projects", root]) == 0
-    reported = json.loads(capsys.readouterr().out)
-    assert {row["kind"] for row in reported["warnings"]} >= {"duplicate"}
-    assert reported["labels"] == 2
-    assert main(["check", people.path.name, "--projects", root]) == 0
-    out = capsys.readouterr().out
-    assert f"{frame.key}: duplicate: two boxes of person overlap by" in out
-    assert "1 warning; 2 labels checked" in out
