@@ -8,13 +8,11 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-from annotator.types.errors import ConfigError
-from benchmarks import axes, batch, loop, soak, workbench
+from benchmarks import axes, batch, loop
 from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
 
@@ -119,15 +117,3 @@ def test_unusable_input_is_an_error_without_a_traceback(
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert "Traceback" not in said
-
-
-@pytest.mark.parametrize(
-    ("module", "words", "named"),
-    [(soak, ["--jobs", "train,dream"], "dream"), (workbench, ["--only", "switch,colour"], "colour")],
-)
-def test_an_unknown_part_is_an_error(
-    module: ModuleType, words: list[str], named: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "argv", [module.__name__, *words])
-    with pytest.raises(ConfigError, match=named):
-        module.main()

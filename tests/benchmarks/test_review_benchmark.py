@@ -14,9 +14,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source, Truth
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.review_moves import (
-    Bill,
-)
+from benchmarks.review_moves import Bill
 from benchmarks.review_operator import Operator
 
 QUALITY = 0.7

@@ -87,10 +87,6 @@ REFUSED = [
     ("add cars car", "has the class 'car' already"),
     ("add cars bus --colour blue", "'#blue' is not a colour of six hexadecimal digits, such as #3366ff"),
     ("rename cars car van", "annotator classes merge cars car --into van"),
-    (
-        "remove cars car",
-        "'car' cannot be removed while boxes use it; give them another class (--into on the command line)",
-    ),
     ("remove cars car --into van --with-boxes", "give one of both"),
     ("order cars car", "must name each class once: car, van"),
     ("attribute cars pose", "a new attribute needs --kind"),

@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.yolo import (
-    GREY,
-    candidates,
-    fill_batch,
-    place,
-    suppress,
-    to_pictures,
-)
+from annotator.detection.yolo import GREY, candidates, fill_batch, place, suppress, to_pictures
 
 
 @given(height=st.integers(40, 300), width=st.integers(40, 300), side=st.sampled_from([64, 96]), seed=st.integers(0, 99))

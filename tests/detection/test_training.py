@@ -198,26 +198,6 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
         np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)
 
 
-@pytest.mark.parametrize("shape", [(8, 8), (4, 30), (30, 4), (1, 9)])
-def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -> None:
-    torch = api().torch
-    from annotator.detection.trainer import orthogonalised
-
-    rng = np.random.default_rng(0)
-    u, _, v = np.linalg.svd(rng.normal(size=(3, *shape)), full_matrices=False)
-    spread = np.geomspace(5.0, 0.2, min(shape))
-    matrix = torch.from_numpy((u * spread @ v).astype(np.float32))
-    result = orthogonalised(matrix)
-    assert result.shape == matrix.shape
-    values = torch.linalg.svdvals(result)
-    assert (values > 0.5).all()
-    assert (values < 1.3).all()
-    # Same singular vectors: matrix^T result is symmetric and positive.
-    product = matrix.transpose(1, 2) @ result
-    assert torch.allclose(product, product.transpose(1, 2), atol=1e-3)
-    assert (torch.linalg.eigvalsh(product) > -1e-3).all()
-
-
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Path) -> None:
     config = SHORT.model_copy(update={"epochs": 1})

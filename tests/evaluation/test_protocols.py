@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
-from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
+from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti
 from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
@@ -38,9 +38,6 @@ def test_average_precision_equals_the_value_computed_by_hand(
     detections = BoxTable.of([(0, "a", cube(x), score) for x, score in found])
     result = evaluate_oriented(detections, BoxTable.of([(0, "a", cube(x), 1.0) for x in truth]))
     assert result.classes["a"].curves[0.5].area == pytest.approx(expected)
-
-
-Row = tuple[int, str, OrientedBox, float]
 
 
 def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), turn: Rotation | None = None):
@@ -214,17 +211,6 @@ def test_matches_and_precision_equal_those_computed_by_hand(
     found: Frame, truth: Frame, expected: tuple[int, int, float]
 ) -> None:
     assert bbox(found, truth) == pytest.approx(expected)
-
-
-def test_thresholds_are_those_nearest_to_the_recalls() -> None:
-    assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
-    assert score_thresholds(np.zeros(0), 3).tolist() == []
-    scores = np.arange(400, 0, -1.0)
-    chosen = score_thresholds(scores, 400)
-    assert len(chosen) == 41
-    np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)
-    assert (chosen[0], chosen[-1]) == (400.0, 1.0)
-    assert len(score_thresholds(scores[:200], 400)) == 21, "up to a recall of one half"
 
 
 def test_metrics_without_values_are_missing() -> None:

@@ -12,10 +12,7 @@ from dataset_samples import assert_same_box, make_box, make_item, make_label, wr
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.dataset_writing import XYZ
-from annotator.formats.labelcloud import (
-    read_labelcloud,
-    vertices_object,
-)
+from annotator.formats.labelcloud import read_labelcloud, vertices_object
 from annotator.geometry.transforms import level_pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError

@@ -7,10 +7,7 @@ import pytest
 from scenes import box_surface, some_box
 
 from annotator.geometry.normals import normals_knn
-from annotator.rcv.axes import (
-    axes_angle_rad,
-    find_axes,
-)
+from annotator.rcv.axes import axes_angle_rad, find_axes
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.types import PointCloud
 

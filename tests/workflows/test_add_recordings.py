@@ -94,11 +94,8 @@ def test_adding_again_with_another_name_or_up_direction_is_an_error(
     assert [recording.name for recording in project.recordings.all()] == ["people", "hands"]
 
 
-def test_a_moved_recording_can_be_given_its_new_path(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_a_moved_recording_can_be_given_its_new_path(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, project = copied
     (recording,), frame = project.recordings.all(), project.frames.of()[0]
     before = FrameSource(project).read(frame)
     there = tmp_path / "archive" / "take 7"
@@ -175,11 +172,8 @@ def test_importing_labels_is_retried_after_a_concurrent_change(
     assert people.boxes.on_image(frame.id) is not None
 
 
-def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_an_unreadable_frame_is_reported_and_the_others_are_imported(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     (folder / "depth" / "000004.png").write_bytes(b"")
     told: list[tuple[int, int]] = []
     found = import_own_labels(project, project.recordings.all()[0].id, lambda done, of: told.append((done, of)))
@@ -190,9 +184,8 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     assert told[-1] == (5, 5)
 
 
-def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_broken_labels_are_an_error(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     file = folder / "truth" / "boxes.json"
     content = json.loads(file.read_text())
     content["000002"][0]["size"] = [0, 1, 1]
@@ -215,11 +208,8 @@ def test_a_broken_label_file_affects_only_its_frame(
     assert labelled == [True, False, True, True, True]
 
 
-def test_frames_are_read_by_key_not_by_index(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_frames_are_read_by_key_not_by_index(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     stored = project.frames.of()[3]
     remove_frame(folder, "000000")
     frame = FrameSource(project).read(stored)

@@ -116,8 +116,6 @@ def test_scenes_and_cameras_of_a_dataset(make_project: MakeProject, tmp_path: Pa
         assert sibling.camera.width_px == there.camera.width_px
     with pytest.raises(ConfigError, match="has no camera left, right; it has CAM_BACK, CAM_FRONT"):
         add_recordings(project, [tmp_path / "set"], cameras=("CAM_FRONT", "left", "right"))
-    with pytest.raises(ConfigError, match="2 recordings cannot all be called 'x'"):
-        add_recordings(project, [tmp_path / "set"], cameras=("all",), name="x")
 
 
 def test_labels_of_the_other_cameras_lie_at_the_same_place(around: Project):

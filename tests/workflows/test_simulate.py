@@ -14,7 +14,7 @@ import pytest
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import BoxRotation, Origin, Project, create_project
+from annotator.project import BoxRotation, Origin, Project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, Source
@@ -212,21 +212,10 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
 
 
 @pytest.fixture
-def drawn(
-    copy_project: Callable[[Path], Project],
-    made_once: Callable[[str, Callable[[Path], object]], Path],
-    generated: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Project:
+def drawn(prepared: Callable[..., Project], monkeypatch: pytest.MonkeyPatch) -> Project:
     """People drawn as they are seen, in a project without a detector."""
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            recording = register_recording(project, open_recording(generated / "people"))
-            simulate_recording(project, recording.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
-
     monkeypatch.setattr(simulate, "ready_view", lambda project: None)
-    return copy_project(made_once("drawn project", fill) / "project0")
+    return prepared("drawn_silhouettes", lambda project: simulated(project, BoxKind.SILHOUETTE, every=2))
 
 
 def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:

@@ -161,10 +161,9 @@ def test_an_empty_export_is_an_error(people: Project, tmp_path: Path, choose: Ex
 
 @pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
 def test_unreadable_frames_are_left_out_on_request(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
+    copied: tuple[Path, Project], tmp_path: Path, format: ExportFormat
 ) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+    folder, project = copied
     label_all(project, (0, 3))
     depth = folder / "depth" / "000000.png"
     depth.write_bytes(depth.read_bytes()[:500])
@@ -183,11 +182,8 @@ def test_unreadable_frames_are_left_out_on_request(
     assert not (tmp_path / "none").exists()
 
 
-def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder, place = own_copy("people"), tmp_path / "place"
-    project = make_project(folder)
+def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    (folder, project), place = copied, tmp_path / "place"
     label_all(project, (0, 3))
     (folder / "depth" / "000003.png").write_bytes(b"\x89PNG")
     place.mkdir()
@@ -196,12 +192,9 @@ def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(
     assert list(place.iterdir()) == []
 
 
-def test_missing_frames_with_labels_fail_the_export(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_missing_frames_with_labels_fail_the_export(copied: tuple[Path, Project], tmp_path: Path) -> None:
     """Missing frames without labels are not exported; with labels they are an error."""
-    folder = own_copy("people")
-    project = make_project(folder)
+    folder, project = copied
     label_all(project, (0, 1))
     for name in ("color/000004.jpg", "depth/000004.png"):
         (folder / name).unlink()

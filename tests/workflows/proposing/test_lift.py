@@ -26,13 +26,7 @@ from annotator.workflows.exporting import ExportFilter, ExportFormat, export_pro
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.proposing.lift import (
-    GivenBoxes,
-    RenamedDetector,
-    boxes_of_file,
-    drawn_boxes,
-    lift,
-)
+from annotator.workflows.proposing.lift import GivenBoxes, RenamedDetector, boxes_of_file, drawn_boxes, lift
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors

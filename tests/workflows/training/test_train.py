@@ -16,12 +16,10 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, ProjectSettings, WriteContext, create_project
+from annotator.project import Project, ProjectSettings, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import DetectionError
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, rounds
@@ -64,19 +62,9 @@ def simulate(project: Project, kind: BoxKind = BoxKind.BOX) -> None:
 
 
 @pytest.fixture
-def drawn(
-    copy_project: Callable[[Path], Project],
-    made_once: Callable[[str, Callable[[Path], object]], Path],
-    generated: Path,
-) -> Project:
+def drawn(prepared: Callable[..., Project]) -> Project:
     """People with boxes on three of five frames."""
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            register_recording(project, open_recording(generated / "people"))
-            simulate(project)
-
-    return copy_project(made_once("drawn boxes", fill) / "project0")
+    return prepared("drawn_boxes", simulate)
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
@@ -155,11 +143,8 @@ def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
-def test_left_out_samples_are_reported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], trainings: list[tuple[str, Path, Path]]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_left_out_samples_are_reported(copied: tuple[Path, Project], trainings: list[tuple[str, Path, Path]]) -> None:
+    folder, project = copied
     simulate(project)
     view = project.boxes.on_views()[0]
     stored = project.frames.of()[1]

@@ -329,10 +329,7 @@ def test_an_unusable_file_is_an_error_and_changes_nothing(
     assert people.boxes.on_images() == ()
 
 
-def test_boxes_on_an_unreadable_frame_are_imported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_boxes_on_an_unreadable_frame_are_imported(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, project = copied
     (folder / "depth" / "000001.png").write_bytes(b"")
     assert imported(project, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX)).boxes.total() == 2

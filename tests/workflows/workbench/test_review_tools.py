@@ -31,11 +31,7 @@ from annotator.types import (
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench.contact_sheet import (
-    SeenBox,
-    accept_boxes,
-    views_of_points,
-)
+from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes, views_of_points
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.refit import POINTS, RCV, refit
 from annotator.workflows.workbench.save_object import copy_boxes
