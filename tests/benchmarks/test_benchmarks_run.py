@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import axes, batch, loop
+from benchmarks import axes, azure_kinect, batch, loop, ratios, step
 from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
 
@@ -117,3 +117,49 @@ def test_unusable_input_is_an_error_without_a_traceback(
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert "Traceback" not in said
+
+
+@pytest.mark.shared
+def test_the_real_azure_kinect_recording_is_within_the_stated_differences(
+    shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shared / "data" / "azure_kinect"
+    words = [folder / "recording.mkv", folder / "sdk_golden_even.csv"]
+    result = in_process(azure_kinect, monkeypatch, capsys, *words)
+    assert list(result) == ["rows", "max_point_mm", "max_px"]
+    assert result["rows"] == 2203
+    assert 0 < result["max_point_mm"] < 0.1
+    assert 0 < result["max_px"] < 0.05
+
+
+def test_ratios_above_their_bounds_give_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The times here are simulated."""
+    monkeypatch.setattr(
+        ratios, "measured", lambda ratio, _: (ratio.work(), ratios.Outcome(ratio.name, 1e9, ratio.most))[1]
+    )
+    names = [row["name"] for row in ratios.run(ratios.Arguments())["ratios"]]  # type: ignore[attr-defined]
+    assert len(names) == 7
+    monkeypatch.setattr(sys, "argv", ["ratios", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        ratios.main()
+    assert ended.value.code == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["worse"] == names
+
+
+def test_all_stages_of_a_step_are_measured_and_each_second_counts_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = in_process(step, monkeypatch, capsys, "--points", 2000, "--repeats", 2, "--size-px", 64)
+    assert result["points"] == pytest.approx(2000, rel=0.2)
+    rows = {(row["path"], row["step"]): row for row in result["steps"]}
+    assert list(rows)[:2] == [("plain", "camera"), ("plain", "wide")]
+    assert ("warm", "warm") in rows, "the seed was dropped"
+    for row in rows.values():
+        assert sum(row["share"].values()) == pytest.approx(1)
+        assert row["ms"]["render"] > 0 and row["ms"]["cut"] > 0 and row["detector_ms"] > 0
+        assert (row["ms"]["check"] > 0) == (row["step"] == "warm")
+        assert (row["ms"]["fit"] > 0) == (row["step"] != "camera")
+    assert set(result["per_step_ms"]) == {"plain", "warm"}
+    assert all(value > 0 for value in result["per_frame_ms"].values())

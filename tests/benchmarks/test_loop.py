@@ -25,16 +25,10 @@ from benchmarks.loop import Arguments, run
 class TrainingStandIn:
     """A stand-in for the training that registers models; its detectors are perfect on the original recording."""
 
-    def __init__(self, folder: Path, label: str | None = None) -> None:
-        self.recording = open_recording(folder)
-        self.label = label
-        self.trainings = 0
-        self.killed = False
+    def __init__(self, folder: Path, label: str) -> None:
+        self.recording, self.label = open_recording(folder), label
 
     def train(self, project: Project, plan: Any, progress: Any) -> list[Any]:
-        self.trainings += 1
-        if self.killed:
-            raise KeyboardInterrupt
         weights = project.models_folder / "weights.pt"
         weights.write_bytes(b"")
         kind, classes = gather(project).kind, project.config.classes
@@ -54,30 +48,19 @@ class TrainingStandIn:
         for index in range(1, len(self.recording), 2):
             frame = self.recording.frame(index)
             truths = load_truth(self.recording, index, frame)
-            scenes.append(Scene.of(frame, [replace(t, label=self.label or t.label) for t in truths]))
+            scenes.append(Scene.of(frame, [replace(t, label=self.label) for t in truths]))
         return scenes
 
 
-@pytest.fixture
-def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., TrainingStandIn]:
-    """Replaces the trainings by a `TrainingStandIn`."""
-
-    def put(label: str | None = None) -> TrainingStandIn:
-        stand_in = TrainingStandIn(generated / "people", label)
-        monkeypatch.setattr(loop, "train", stand_in.train)
-        monkeypatch.setattr(loop, "active_detectors", stand_in.detectors)
-        return stand_in
-
-    return put
-
-
 def test_without_true_boxes_only_mask_scores_are_computed(
-    own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn]
+    generated: Path, own_copy: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Labelled by silhouettes and scored by the masks; scores that need true boxes are NaN."""
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink()
-    untrained("thing")
+    stand_in = TrainingStandIn(generated / "people", "thing")
+    monkeypatch.setattr(loop, "train", stand_in.train)
+    monkeypatch.setattr(loop, "active_detectors", stand_in.detectors)
     result = run(Arguments(folder, label="thing"))
     assert (result["frames"], result["operator"]) == (2, "silhouette")
     assert all(math.isnan(float(str(result[key]))) for key in ("mean_iou", "ap25", "ap50"))

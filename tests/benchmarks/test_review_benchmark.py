@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
@@ -18,9 +17,6 @@ from benchmarks.review_moves import Bill
 from benchmarks.review_operator import Operator
 
 QUALITY = 0.7
-BOX = OrientedBox.from_parts(
-    np.array([0.5, 0.2, 8.0]), Rotation.from_euler("y", 0.4).as_matrix(), np.array([4.0, 1.8, 1.5])
-)
 
 
 def moved(box: OrientedBox, along: tuple[float, float, float]) -> OrientedBox:

@@ -24,17 +24,12 @@ from annotator.detection.backends.export import Export, find_export
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
-from annotator.detection.yolo import YoloDetector
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
+from tests.detection.test_backends import EXPORTED, make
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPORTED: tuple[Backend, Backend] = ("openvino", "onnxruntime")
-
-
-def make(weights: Path, **settings: Any) -> YoloDetector:
-    return YoloDetector(weights, DetectorConfig(**{"image_size_px": 96, "device": "cpu", **settings}))
 
 
 def test_auto_uses_the_fastest_backend_and_logs_it(

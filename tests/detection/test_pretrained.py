@@ -17,7 +17,7 @@ from annotator.detection.pretrained import check_start, find_starting_point
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
 from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import ConfigError
 
 
 @pytest.fixture
@@ -136,9 +136,3 @@ def test_the_package_has_the_weights_that_its_manifest_describes() -> None:
     assert trained.classes == tuple(AGNOSTIC_LABELS.values())
     assert trained.image_size_px == manifest["image_size_px"]
     assert set(trained.edge_errors) == set(trained.classes)
-
-
-def test_a_package_without_the_base_detector_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
-    with pytest.raises(DetectionError, match="the base detector is missing; install annotator again"):
-        pretrained.base_weights()

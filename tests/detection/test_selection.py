@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,17 +41,6 @@ def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
     assert selected.boxes.tolist() == [[8, 17, 12, 23], [4, 4, 6, 6]]
     assert selected.numbers.tolist() == [0, 1]
     np.testing.assert_allclose(selected.scores, [0.4, 0.9])
-
-
-@pytest.mark.parametrize("end2end", [False, True])
-def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
-    raw = np.zeros((1, 10, 3), np.float32)
-    raw[0, :6, 1] = [10, 20, 14, 26, 0.4, 0.3]
-    raw[0, 6:, :] = [[7, 1, 8], [7, 2, 8], [7, 3, 8], [7, 4, 8]]
-    selected = candidates(raw, end2end, 0.35, edge_spread=True)
-    assert selected.numbers.tolist() == [0]
-    assert selected.spreads is not None and selected.spreads.tolist() == [[1, 2, 3, 4]]
-    assert candidates(raw[:, :6], end2end, 0.35).spreads is None
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:

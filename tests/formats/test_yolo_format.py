@@ -136,14 +136,7 @@ def test_datasets_of_other_tools_are_read(
         ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
         # values that do not match their tag; PyYAML raises a different exception for each
-        *(
-            ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
-            for value in (
-                "!!int x",
-                "2020-99-99",
-                '"\\UFFFFFFFF"',
-            )
-        ),
+        *(({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML") for value in ("!!int x", "2020-99-99")),
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
         ({"data.yaml": "train: 'D:\\\\set'\nnames: [a]"}, "is a path of another computer; write it rel"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),

@@ -171,19 +171,12 @@ def test_published_weights_and_the_base_detector_are_found(monkeypatch: pytest.M
     assert broken.state is State.FAILED and "model.json" in broken.found
 
 
-def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_connected_kinects_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     library = ModuleType("pyk4a")
     library.__spec__ = ModuleSpec("pyk4a", None)
     library.connected_device_count = lambda: 1
     monkeypatch.setitem(sys.modules, "pyk4a", library)
     assert lines(doctor.kinect)["Azure Kinect"].found == "1 connected"
-    monkeypatch.delitem(sys.modules, "pyk4a")
-    (tmp_path / "pyk4a.py").write_text("raise ImportError('libk4a.so.1.4 is missing')")
-    monkeypatch.syspath_prepend(tmp_path)
-    found = lines(doctor.kinect)["Azure Kinect"]
-    assert found.state is State.WARNING and "libk4a.so.1.4 is missing" in found.found
 
 
 def fine(projects: Path) -> Iterator[Line]:

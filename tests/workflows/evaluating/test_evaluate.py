@@ -80,13 +80,6 @@ def test_kitti_frames_must_match(tmp_path: Path) -> None:
         evaluate_files(found, truth, Protocol.KITTI)
 
 
-def test_kitti_evaluates_its_classes_only(tmp_path: Path) -> None:
-    found, truth = kitti_folders(tmp_path, 1)
-    (found / "000000.txt").write_text(CAR.format("person", 100, 190, 0) + " 1\n")
-    with pytest.raises(ConfigError, match="no detection, of 1 in all, is of a class"):
-        evaluate_files(found, truth, Protocol.KITTI)
-
-
 HEAD = "image,class,cx,cy,cz,l,w,h,yaw"
 
 

@@ -53,10 +53,6 @@ def kitti_tracking(folder: Path, angle: float) -> Path:
     return folder
 
 
-def one_sequence(folder: Path, angle: float) -> Path:
-    return put(folder / "label_02.txt", f"0 1 {kitti_row(angle)}1 1 {kitti_row(0.05)}")
-
-
 def axes(x: float, y: float, z: float) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
@@ -106,7 +102,6 @@ def labelcloud(folder: Path, angle: float, form: str = "centroid_rel") -> Path:
 WITH_ANGLES = [
     pytest.param(BoxFormat.KITTI, kitti, id="kitti"),
     pytest.param(BoxFormat.KITTI_TRACKING, kitti_tracking, id="kitti-tracking"),
-    pytest.param(BoxFormat.KITTI, one_sequence, id="label_02"),
     pytest.param(BoxFormat.SUSTECHPOINTS, sustechpoints, id="sustechpoints"),
     pytest.param(BoxFormat.OPENLABEL, openlabel, id="openlabel"),
     pytest.param(BoxFormat.BOX_CSV, box_csv, id="box-csv"),

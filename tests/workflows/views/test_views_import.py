@@ -20,7 +20,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Source
-from annotator.types.errors import ConfigError, FormatError, ProjectError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -236,13 +236,6 @@ def test_unusable_pictures_are_errors_and_change_nothing(
     with pytest.raises(FormatError, match=problem):
         import_view_boxes(hands, file, pictures, BoxKind.SILHOUETTE)
     assert hands.boxes.on_views() == ()
-
-
-def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Project, tmp_path: Path) -> None:
-    file, pictures = good_views(hands, tmp_path)
-    people.configure(classes=["person", "hand"])
-    with pytest.raises(ProjectError, match="no recording 'hands'"):
-        import_view_boxes(people, file, pictures, BoxKind.SILHOUETTE)
 
 
 def image(name: str, *boxes: Box2D, size: tuple[int, int] = SIZE) -> CocoImage:
