@@ -15,8 +15,9 @@ from annotator.cli.main import main
 from annotator.geometry.oriented_box import same_box
 from annotator.project import BoxRotation, Project, open_project
 from annotator.rcv.config import Orientation
-from annotator.types import Frame, Label
+from annotator.types import Correction, Frame, Label
 from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.adjusting import correct_calibration
 
 WIDTH, HEIGHT = 8, 6
 
@@ -217,3 +218,15 @@ def test_a_time_offset_shows_the_image_that_is_nearest_in_time(opened: Project, 
     run(capsys, "calibrate", "p", "room", "--time-offset", "0.04")
     assert np.array_equal(first(opened, 2)[0].rgb, frames[2].rgb)
     assert run(capsys, "calibrate", "p", "room", "--clear")["time_offset_s"] == 0
+
+
+def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, monkeypatch: pytest.MonkeyPatch):
+    theirs = Correction(shift_m=(0.0, 0.1, 0.0))
+
+    def late(project: Project, recording: int, *rest: Any) -> int:
+        project.adjustments.correct(recording, theirs, "Bob")
+        return correct_calibration(project, recording, *rest)
+
+    monkeypatch.setattr("annotator.cli.adjust.correct_calibration", late)
+    assert main(["calibrate", "p", "room", "--turn", "3", "0", "0"]) != 0
+    assert opened.recordings.all()[0].correction == theirs

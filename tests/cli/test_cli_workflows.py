@@ -158,14 +158,6 @@ def said(capsys: Capture, *words: object, code: int = 0) -> str:
     return captured.err if code else captured.out
 
 
-def test_evaluate_prints_a_table_or_one_json_object(rooms: list[str], capsys: Capture) -> None:
-    table = said(capsys, *rooms, "--protocol", "sunrgbd")
-    assert "night/stand" in table
-    assert "1.000" in table
-    lines = said(capsys, *rooms, "--protocol", "sunrgbd", "--json").splitlines()
-    assert [json.loads(line)["0.25"] for line in lines] == [{"mAP": 1.0, "AP": {"night/stand": 1.0}}]
-
-
 def test_kitti_curves_are_written_as_images(tmp_path: Path, capsys: Capture) -> None:
     for name, score in (("found", " 0.5"), ("label_2", "")):
         (tmp_path / name).mkdir()

@@ -45,16 +45,6 @@ def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), 
     return OrientedBox.from_parts(np.array([x, y, 5.0]), matrix, np.array(size, np.float64))
 
 
-def test_boxes_match_only_within_their_frame_and_class() -> None:
-    truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
-    found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
-    classes = evaluate_oriented(found, truth).classes
-    assert {label: (one.curves[0.25].area, one.detections) for label, one in classes.items()} == {
-        "a": (0.0, 2),
-        "b": (0.0, 1),
-    }
-
-
 def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
     some, none = BoxTable.of([(0, "a", box(0), 1.0)]), BoxTable.of([])
     assert evaluate_oriented(none, some).mean(0.25) == 0.0

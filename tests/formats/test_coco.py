@@ -96,14 +96,6 @@ def test_categories_are_in_the_given_order_then_by_name(tmp_path: Path) -> None:
     assert [a["id"] for a in content["annotations"]] == [1, 2, 3]
 
 
-def test_a_repeated_name_or_missing_folder_is_an_error(tmp_path: Path) -> None:
-    image = CocoImage("a.png", 10, 8, ())
-    with pytest.raises(FormatError, match=r"file_name 'a\.png' is used twice"):
-        write_coco(tmp_path / "out.json", [image, image])
-    with pytest.raises(FormatError, match="cannot be written"):
-        write_coco(tmp_path / "missing" / "out.json", [image])
-
-
 def turned(rotation: object, bbox: object = (2, 2, 4, 2), **fields: Any) -> Any:
     content = copy.deepcopy(GOOD)
     content["images"][0] |= {"width": 100, "height": 80} | fields.pop("image", {})

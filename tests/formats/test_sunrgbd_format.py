@@ -25,11 +25,12 @@ from annotator.formats.sunrgbd import (
     upright_frame,
 )
 from annotator.geometry.oriented_box import box_corners
-from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError
 
 CAMERA = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
 DOWN_30 = Rotation.from_euler("x", 30, degrees=True)
+FLAT = Box2D("bed", 0.0, 4.0, 10.0, 24.0)
 
 
 def frame(key: str, up: np.ndarray | None = None, **more: object) -> Frame:

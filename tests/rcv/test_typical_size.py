@@ -58,11 +58,6 @@ def evidence_of(
     return evidence
 
 
-def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
-    parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
-    return Candidates.of(parts)
-
-
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])
 def test_a_box_of_typical_size_is_placed_without_a_detector(up: np.ndarray | None, least: float) -> None:
     wall = np.column_stack([np.random.default_rng(0).uniform(-1.5, 1.5, (600, 2)), np.full(600, 4.5)])

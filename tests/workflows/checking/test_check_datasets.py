@@ -19,10 +19,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
 from annotator.formats.kitti_rows import KittiLabel, derived_box, label_box, observation_angle
+from annotator.recordings import open_recording
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.checking.findings import RULES, Findings, Severity
+from annotator.workflows.checking.label_files import stray_names
 from annotator.workflows.importing.report import SizeOrders
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
@@ -504,3 +506,31 @@ def test_the_check_continues_after_any_label_content(kitti: Path, changes: list[
     report = check_datasets(kitti)
     assert report.datasets[0].frames == 3
     assert {(finding.file, finding.line) for finding in report.findings} <= {(str(kitti / LABELS), 2)}
+
+
+def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path) -> None:
+    for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
+    reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
+    assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
+
+
+def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = {
+        "metadata": {"schema_version": "1.0.0"},
+        "streams": {"cam": {"type": "camera"}},
+        "frames": {"0": {}, "1": {}},
+    }
+    (tmp_path / "out/train").mkdir(parents=True)
+    (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
+    (tmp_path / "out/train/other.json").write_text("{}")
+    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels, so only its files were checked"
+    for path in ("out", "out/train"):
+        assert main(["check", str(tmp_path / path)]) == 0
+        assert whole in capsys.readouterr().out.splitlines()
+    for file in ("a.json", "other.json"):
+        cut(tmp_path / "out/train" / file, 1)
+    assert main(["check", str(tmp_path / "out")]) == 1
+    assert "2 errors" in capsys.readouterr().out

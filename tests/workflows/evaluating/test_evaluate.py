@@ -247,3 +247,16 @@ def test_rcv_datasets_are_compared_frame_by_frame(
     chosen = Options(frames=["people/000001"])
     one = evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED, chosen)
     assert content(one)["classes"]["person"]["objects"] == 3
+
+
+def test_relaxed_overlaps_match_more_boxes(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path)
+    for file in found.iterdir():
+        file.write_text(file.read_text().replace(" 1.60 20.00", " 1.60 20.35"))
+    strict, loose = (
+        content(evaluate_files(found, truth, Protocol.KITTI, Options(relaxed=relaxed)))["Car"]
+        for relaxed in (False, True)
+    )
+    assert strict["3d"]["R40"] == [0.0] * 3
+    assert loose["3d"]["R40"] == pytest.approx([12.5] * 3)
+    assert strict["bbox"] == loose["bbox"]

@@ -319,6 +319,12 @@ def test_an_export_opens_with_its_labels(
     assert "unchecked-dataset" not in {finding.rule for finding in checked.findings}
 
 
+def test_the_parts_of_an_rcv_export_are_lists_of_its_frames(labelled_people: Project, tmp_path: Path) -> None:
+    report = export_project(labelled_people, tmp_path / "out", choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
+    listed = {path.stem: len(path.read_text().split()) for path in (tmp_path / "out/splits").iterdir()}
+    assert listed == report.splits == {"train": 3, "val": 2}
+
+
 @pytest.mark.parametrize("format", [ExportFormat.OPENLABEL, ExportFormat.LABELCLOUD])
 def test_a_part_of_a_divided_export_opens(labelled_people: Project, tmp_path: Path, format: ExportFormat) -> None:
     report = export_project(

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.kitti_tracking import sequence_ids
 from annotator.project import Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox
@@ -225,11 +224,6 @@ def test_a_tracking_export_gives_every_box_a_track_id_and_opens_as_a_recording(
         np.testing.assert_allclose(theirs.label.box.center_m, mine.label.box.center_m, atol=0.01)
     with pytest.raises(ConfigError, match="a sequence cannot be divided, and people is in several parts"):
         export_project(project, tmp_path / "split", TRACKING, split=Split({"train": 0.5, "val": 0.5}))
-
-
-def test_sequences_keep_frame_numbers() -> None:
-    places = [("b", "000007", 0), ("b", "000009", 1), ("a", "x", 0), ("a", "y", 4)]
-    assert list(sequence_ids(places).values()) == [("0000", 7), ("0000", 9), ("0001", 0), ("0001", 4)]
 
 
 def some_frames(drive: Path, folder: Path, numbers: tuple[int, ...]) -> Path:

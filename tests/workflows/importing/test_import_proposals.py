@@ -20,7 +20,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.types.errors import FormatError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -33,6 +33,7 @@ from annotator.workflows.importing import (
     import_proposals,
     read_labels,
 )
+from annotator.workflows.importing.values import add_attributes, values_of_labels
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.review_queue import Order, queue
 
@@ -142,6 +143,9 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     )
     done = import_proposals(people, read_labels(BoxFormat.BOXES, one), min_score=0.1, names={"Car": "person"})
     assert (done.frames, done.boxes, done[Note.UNSURE], done.of(Note.OTHER_CLASS)) == (2, {"person": 2}, 1, {"dog": 1})
+    for source in (" ", "annotator", "x" * 201):
+        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+            import_proposals(people, read_labels(BoxFormat.BOXES, two), source)
     done = import_proposals(people, read_labels(BoxFormat.BOXES, two), "second detector")
     assert (done.source, done[Note.MERGED], tuple(done.of(Note.UNMATCHED))) == ("second detector", 1, ("gone",))
     assert list(done.of(Note.SCALED)) == ["-1 to 3.5"]
@@ -297,3 +301,17 @@ def test_annotations_are_placed_like_the_recordings_own(make_project: Callable[.
     register_recording(project, recordings[1], options=ReaderOptions(camera=list(LOG_CAMERAS)[1]))
     proposed = import_proposals(project, read_labels(BoxFormat.ARGOVERSE2, file.parent))
     assert (proposed.frames, proposed.boxes, proposed[Note.COVERED], proposed[Note.UNSEEN]) == (6, {BEHIND: 3}, 3, 0)
+
+
+def test_attributes_of_results_can_be_added_to_the_project(
+    make_project: Callable[..., Project], tmp_path: Path
+) -> None:
+    data = small(tmp_path / "set")
+    project = make_project(classes=("car",))
+    added(project, data, scene="scene-0000", camera=CAMERAS[0])
+    path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
+    dataset = read_labels(BoxFormat.NUSCENES, path)
+    assert import_proposals(project, dataset).of(Note.VALUE) == {"vehicle (not an attribute of the project)": 2}
+    assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
+    assert not import_proposals(project, dataset)[Note.VALUE]
+    assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}

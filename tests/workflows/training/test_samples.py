@@ -369,3 +369,12 @@ def test_the_script_trains_and_installs(
     script["run"](tmp_path / "work", **plan)
     assert json.loads((tmp_path / "package" / "manifest.json").read_text()) == manifest
     assert capsys.readouterr().out.count("detector.safetensors: map50=") == 2
+
+
+def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
+    accept(people, 0, count=1)
+    before = views(people, gather(people), 40)
+    propose_true(people, 0, 1)
+    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
+    after = views(people, gather(people, [DetectorKind.VIEW]), 40)
+    assert 0 < len(after) < len(before)

@@ -31,7 +31,17 @@ from annotator.types import (
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes, views_of_points
+from annotator.workflows.workbench.contact_sheet import (
+    FRONT,
+    GAP,
+    GAP_PX,
+    LINE,
+    VIEW_PX,
+    SeenBox,
+    accept_boxes,
+    picture,
+    views_of_points,
+)  # fmt: skip
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.refit import POINTS, RCV, refit
 from annotator.workflows.workbench.save_object import copy_boxes
@@ -277,3 +287,29 @@ def test_what_has_changed_since_is_refused_and_nothing_is_stored(project: Projec
     with pytest.raises(ConfigError, match="no box is chosen"):
         accept_boxes(project, [], "Ada")
     assert set(states(project)[:-1]) == {ReviewState.PROPOSED}
+
+
+def test_a_picture_shows_three_views_and_the_box_on_them(generated: Path) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    box = load_truth(recording, 0, frame)[0].box
+    strip = picture(frame, box)
+    assert strip.shape == (VIEW_PX, 3 * VIEW_PX + 2 * GAP_PX, 3)
+    assert (strip[:, VIEW_PX : VIEW_PX + GAP_PX] == GAP).all()
+    front = strip[:, VIEW_PX + GAP_PX : 2 * VIEW_PX + GAP_PX]
+    rows, columns = np.nonzero((front == LINE).all(axis=2))
+    # the view is 1.7 times as wide as its longer side, and the box is in its middle
+    scale = VIEW_PX / (1.7 * box.size_m[1:].max())
+    assert np.ptp(columns) == pytest.approx(scale * box.size_m[1], abs=1.5)
+    assert np.ptp(rows) == pytest.approx(scale * box.size_m[2], abs=1.5)
+    assert rows.min() + rows.max() == pytest.approx(VIEW_PX - 1, abs=2)
+    # the front is up in the top view, on the right in that of the right side
+    top, side = strip[:, :VIEW_PX], strip[:, 2 * (VIEW_PX + GAP_PX) :]
+    for part, axis, (marked, others) in ((top, 0, (0, 95)), (side, 1, (95, 0))):
+        edge, outline = (np.nonzero((part == color).all(axis=2))[axis] for color in (FRONT, LINE))
+        assert np.ptp(edge) == 1 and len(edge) > 20
+        assert abs(edge.mean() - marked) < abs(edge.mean() - others)
+        assert abs(outline.mean() - others) < abs(edge.mean() - others)
+    assert not (front == FRONT).all(axis=2).any()
+    moved = OrientedBox.from_parts(box.center_m + np.array([0, 0, 40.0]), box.rotation, box.size_m)
+    assert (picture(frame, moved) == LINE).all(axis=2).any(), "a box without points has a picture, too"
