@@ -7,12 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from test_warm_start import AnyClass
 
-from benchmarks import axes, azure_kinect, batch, loop, ratios, step
+from annotator.workflows.detectors import Detectors
+from benchmarks import axes, azure_kinect, batch, cold_start, follow, loop, ratios, step
 from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
 
@@ -163,3 +168,41 @@ def test_all_stages_of_a_step_are_measured_and_each_second_counts_once(
         assert (row["ms"]["fit"] > 0) == (row["step"] != "camera")
     assert set(result["per_step_ms"]) == {"plain", "warm"}
     assert all(value > 0 for value in result["per_frame_ms"].values())
+
+
+@pytest.fixture
+def agnostic(
+    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Any]:
+    """Runs a benchmark in this process with perfect boxes without classes; returns its JSON object."""
+    monkeypatch.setattr(cold_start, "load_detector", lambda *_: AnyClass(knowing("people").view))
+    monkeypatch.setattr(cold_start, "read_trained", lambda _: SimpleNamespace(image_size_px=96))
+    return lambda module, *words: in_process(module, monkeypatch, capsys, *words)
+
+
+@pytest.mark.parametrize("origin", ["projected", "label"])
+def test_cold_start_scores_each_class_beside_clusters(
+    agnostic: Callable[..., Any], generated: Path, origin: str
+) -> None:
+    result = agnostic(cold_start, generated / "people", "--image-box", origin, "--every", 2, "--base", "unused")
+    person, clusters = sorted(result["results"], key=lambda row: row["label"])
+    assert list(person) == [
+        "label", "taught", "objects", "mean_iou", "recall_25", "recall_50", "recall_70", "seconds_training"
+    ]  # fmt: skip
+    assert (person["label"], clusters["label"]) == ("person", "person (clusters)")
+    assert (person["taught"], person["objects"]) == (0, clusters["objects"])
+    assert person["mean_iou"] > 0.8
+    assert person["recall_50"] == 1
+    assert 0 < clusters["mean_iou"] < person["mean_iou"]
+
+
+def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path) -> None:
+    result = agnostic(follow, generated / "people")
+    assert list(result) == ["tracks", "mean_iou", "silent_errors", "marked"]
+    assert len(result["tracks"]) == 3
+    for row in result["tracks"]:
+        assert list(row) == ["label", "frames", "mean_iou", "share_50", "stopped_at", "stopped_because"]
+        assert (row["label"], row["frames"]) == ("person", 4)
+    assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
+    assert result["mean_iou"] > 0.6
+    assert result["silent_errors"] == 0

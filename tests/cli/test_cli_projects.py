@@ -80,7 +80,6 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
 def test_the_projects_option_overrides_the_environment_variable(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--projects takes precedence over the environment variable, and that over ./projects; read at call time."""
     assert main(["new", "a", "--classes", "x", "--projects", str(tmp_path / "given")]) == 0
     assert (tmp_path / "given/a/project.json").is_file()
     assert main(["new", "b", "--classes", "x"]) == 0

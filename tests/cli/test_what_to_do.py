@@ -98,7 +98,6 @@ def test_ratios_and_rounded_shares_are_no_wrong_split(place: Path, monkeypatch: 
 def test_a_check_of_labels_that_cannot_be_seen_fails(
     own_copy: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Repeated findings are counted, and frames that cannot be read are a failure."""
     monkeypatch.chdir(tmp_path)
     recording = own_copy("people")
     assert main(["new", "room", "--classes", "person"]) == main(["add", "room", str(recording)]) == 0

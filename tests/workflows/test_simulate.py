@@ -72,7 +72,6 @@ def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
 
 
 def test_simulating_again_replaces_the_boxes(people: Project) -> None:
-    """It replaces the 2D boxes, and does not import the same 3D boxes again."""
     first = simulated(people, BoxKind.BOX, every=2)
     before = people.statistics()
     assert simulated(people, BoxKind.BOX, every=2) == first
@@ -138,7 +137,6 @@ def masks_only(folder: Path) -> Path:
 
 
 def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
-    """The boxes equal those of a recording that also has true boxes."""
     stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
     drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
     assert drawn == simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=4)

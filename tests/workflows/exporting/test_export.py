@@ -193,7 +193,6 @@ def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(copied: tuple[P
 
 
 def test_missing_frames_with_labels_fail_the_export(copied: tuple[Path, Project], tmp_path: Path) -> None:
-    """Missing frames without labels are not exported; with labels they are an error."""
     folder, project = copied
     label_all(project, (0, 1))
     for name in ("color/000004.jpg", "depth/000004.png"):

@@ -96,7 +96,6 @@ def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: P
 def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
     people: Project, tmp_path: Path, written: tuple[float | None, ...], kept: list[float | None], lost: int
 ) -> None:
-    """Confidences are imported; raw scores are dropped and counted."""
     files = [f"{stored.key}.txt" for stored in people.frames.of()[:2]]
     rows = [f"person 0 0 0 9 9 50 80 1.8 0.4 0.5 {x} 1 3 0" for x in range(3)]
     scored = [row if score is None else f"{row} {score}" for row, score in zip(rows, written, strict=True)]
@@ -108,7 +107,6 @@ def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
 
 
 def test_finalised_frames_are_not_changed(people: Project) -> None:
-    """An operator has finalised a frame without objects."""
     first, second = people.frames.of()[:2]
     people.frames.finalise(first.id, WriteContext(0, "me"))
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})

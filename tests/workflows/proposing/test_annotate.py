@@ -196,7 +196,6 @@ def test_annotate_can_be_limited_to_recordings_and_a_number_of_frames(
 
 @pytest.mark.parametrize("limit", [0, -1])
 def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: int) -> None:
-    """-1 once meant all frames except the last."""
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
@@ -296,7 +295,6 @@ def test_a_frame_finalised_during_processing_is_not_changed(people: Project, kno
 def test_a_frame_finalised_between_two_write_attempts_is_skipped(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Regression test: the second error, raised in the handler of the first, once ended the batch."""
     stored = people.frames.of()[0]
     replace, first = type(people.proposals).replace, [True]
 

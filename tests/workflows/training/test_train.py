@@ -19,7 +19,6 @@ from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.project import Project, ProjectSettings, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import DetectionError
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, rounds
@@ -158,13 +157,6 @@ def test_left_out_samples_are_reported(copied: tuple[Path, Project], trainings: 
     assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
     assert views.left_out[1].startswith("frame 000002: ")
     assert sum(image.manifest.images.values()) == 2
-
-
-def test_pictures_without_any_box_are_an_error(people: Project) -> None:
-    people.boxes.set_on_image(people.frames.of()[0].id, [], BoxKind.BOX, WriteContext(0, "me"))
-    with pytest.raises(DetectionError, match="at least one labelled box"):
-        train(people, QUICK, roles=(DetectorKind.IMAGE,))
-    assert people.models.all() == ()
 
 
 def test_a_training_can_be_stopped_while_it_draws_views_and_measures(

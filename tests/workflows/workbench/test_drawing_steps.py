@@ -120,16 +120,6 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert done.points > 50
 
 
-def test_boxes_of_the_kind_box_are_fitted_together(people: Project, generated: Path) -> None:
-    desk = Desk(people, generated / "people", BoxKind.BOX)
-    ious = []
-    for number in range(len(desk.objects)):
-        box = desk.steps(desk.four(number), number).box
-        assert box is not None
-        ious.append(iou_3d(box, desk.objects[number].box))
-    assert np.mean(ious) > 0.9
-
-
 def test_boxes_without_points_give_a_reason(desk: Desk) -> None:
     far = Box2D("person", -900.0, -900.0, -800.0, -800.0)
     found = label_steps(desk.opened, far, [], desk.config)
