@@ -240,3 +240,13 @@ def test_dontcare_areas_affect_only_the_image_metric() -> None:
     found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
     curves = evaluated(found, truth).curves["Car"]
     assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
+
+
+def test_boxes_match_only_within_their_frame_and_class() -> None:
+    truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
+    found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
+    classes = evaluate_oriented(found, truth).classes
+    assert {label: (one.curves[0.25].area, one.detections) for label, one in classes.items()} == {
+        "a": (0.0, 2),
+        "b": (0.0, 1),
+    }
