@@ -39,17 +39,13 @@ class TrainingStandIn:
     def detectors(self, project: Project, backend: str = "auto") -> Detectors:
         model = project.models.active(DetectorKind.VIEW)
         assert model is not None
-        perfect = PerfectDetector(self.scenes, model.box_kind, min_points=50)
-        return Detectors(perfect, perfect, model.box_kind)
-
-    @property
-    def scenes(self) -> list[Scene]:
         scenes = []
         for index in range(1, len(self.recording), 2):
             frame = self.recording.frame(index)
             truths = load_truth(self.recording, index, frame)
-            scenes.append(Scene.of(frame, [replace(t, label=self.label) for t in truths]))
-        return scenes
+            scenes.append(Scene.of(frame, [replace(truth, label=self.label) for truth in truths]))
+        perfect = PerfectDetector(scenes, model.box_kind, min_points=50)
+        return Detectors(perfect, perfect, model.box_kind)
 
 
 def test_without_true_boxes_only_mask_scores_are_computed(

@@ -140,9 +140,10 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["import", "rooms", str(folder / "theirs.json"), "--as", "proposals", "--projects", str(folder)]
-    assert main([*words, "--add-attributes"]) == 0
+    assert main([*words, "--source", "mine", "--add-attributes"]) == 0
     out = capsys.readouterr().out
     for line in (
+        "proposed by mine: 4 person in 1 frame",
         "added: attribute pose of a box: one of sitting, standing",
         "added: attribute helmet of a box: true or false",
         "added: attribute mass of a box: a number",
