@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -216,16 +215,3 @@ def test_wrong_reflectances_lenses_and_directions_are_errors() -> None:
     refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
     with pytest.raises(ValueError):
         rgbd(up=(0, 0, 0))
-
-
-def test_a_recorded_frame_can_be_rebuilt_from_its_arrays(generated: Path) -> None:
-    frame = annotator.open_recording(generated / "people").frame(0)
-    assert frame.depth_m is not None
-    again = rgbd(frame.rgb, frame.depth_m, frame.camera.matrix, up=frame.up)
-    assert (again.cloud.xyz_m == frame.cloud.xyz_m).all() and (again.rgb == frame.rgb).all()
-    millimetres = np.rint(frame.depth_m * 1000).astype(np.uint16)
-    camera = frame.camera
-    other = annotator.frame_from_rgbd(frame.rgb / 255.0, millimetres, (camera.fx, camera.fy, camera.cx, camera.cy))
-    assert np.abs(other.cloud.xyz_m - frame.cloud.xyz_m).max() < 2e-3
-    points = annotator.frame_from_points(frame.rgb, frame.cloud.xyz_m, camera)
-    assert len(points.cloud) == len(frame.cloud)

@@ -69,13 +69,6 @@ def test_a_function_detector_gets_the_whole_frame_for_a_region(hands: annotator.
     assert [box.xyxy for box in found] == [(10.0, 10.0, 40.0, 40.0)]
 
 
-def test_nearest_cluster_finds_separate_objects_without_training(hands: annotator.Recording, knowing_all: Any) -> None:
-    for index in range(2):
-        found = annotator.propose(hands.frame(index), image_detector=knowing_all, view_detector=HAND, rotation="free")
-        # where a hand occludes itself, the box contains only the visible points
-        assert min(overlaps(hands, index, found)) > 0.25
-
-
 def test_nearest_cluster_boxes_the_nearer_of_two_groups() -> None:
     grid = np.stack(np.meshgrid(np.arange(10), np.arange(10), [0]), -1).reshape(-1, 3) * 0.02
     near, far = grid + np.array([0, 0, 1.0]), grid * 2 + np.array([0.5, 0, 2.0])

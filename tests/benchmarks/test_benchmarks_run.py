@@ -7,14 +7,17 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from test_warm_start import AnyClass
 
-from annotator.types.errors import ConfigError
-from benchmarks import axes, batch, loop, soak, workbench
+from annotator.workflows.detectors import Detectors
+from benchmarks import axes, azure_kinect, batch, cold_start, follow, loop, ratios, step
 from benchmarks.batch import FOLDERS
 from benchmarks.report import guarded
 
@@ -121,13 +124,85 @@ def test_unusable_input_is_an_error_without_a_traceback(
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize(
-    ("module", "words", "named"),
-    [(soak, ["--jobs", "train,dream"], "dream"), (workbench, ["--only", "switch,colour"], "colour")],
-)
-def test_an_unknown_part_is_an_error(
-    module: ModuleType, words: list[str], named: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.shared
+def test_the_real_azure_kinect_recording_is_within_the_stated_differences(
+    shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", [module.__name__, *words])
-    with pytest.raises(ConfigError, match=named):
-        module.main()
+    folder = shared / "data" / "azure_kinect"
+    words = [folder / "recording.mkv", folder / "sdk_golden_even.csv"]
+    result = in_process(azure_kinect, monkeypatch, capsys, *words)
+    assert list(result) == ["rows", "max_point_mm", "max_px"]
+    assert result["rows"] == 2203
+    assert 0 < result["max_point_mm"] < 0.1
+    assert 0 < result["max_px"] < 0.05
+
+
+def test_ratios_above_their_bounds_give_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The times here are simulated."""
+    monkeypatch.setattr(
+        ratios, "measured", lambda ratio, _: (ratio.work(), ratios.Outcome(ratio.name, 1e9, ratio.most))[1]
+    )
+    names = [row["name"] for row in ratios.run(ratios.Arguments())["ratios"]]  # type: ignore[attr-defined]
+    assert len(names) == 7
+    monkeypatch.setattr(sys, "argv", ["ratios", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        ratios.main()
+    assert ended.value.code == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["worse"] == names
+
+
+def test_all_stages_of_a_step_are_measured_and_each_second_counts_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = in_process(step, monkeypatch, capsys, "--points", 2000, "--repeats", 2, "--size-px", 64)
+    assert result["points"] == pytest.approx(2000, rel=0.2)
+    rows = {(row["path"], row["step"]): row for row in result["steps"]}
+    assert list(rows)[:2] == [("plain", "camera"), ("plain", "wide")]
+    assert ("warm", "warm") in rows, "the seed was dropped"
+    for row in rows.values():
+        assert sum(row["share"].values()) == pytest.approx(1)
+        assert row["ms"]["render"] > 0 and row["ms"]["cut"] > 0 and row["detector_ms"] > 0
+        assert (row["ms"]["check"] > 0) == (row["step"] == "warm")
+        assert (row["ms"]["fit"] > 0) == (row["step"] != "camera")
+    assert set(result["per_step_ms"]) == {"plain", "warm"}
+    assert all(value > 0 for value in result["per_frame_ms"].values())
+
+
+@pytest.fixture
+def agnostic(
+    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Any]:
+    """Runs a benchmark in this process with perfect boxes without classes; returns its JSON object."""
+    monkeypatch.setattr(cold_start, "load_detector", lambda *_: AnyClass(knowing("people").view))
+    monkeypatch.setattr(cold_start, "read_trained", lambda _: SimpleNamespace(image_size_px=96))
+    return lambda module, *words: in_process(module, monkeypatch, capsys, *words)
+
+
+@pytest.mark.parametrize("origin", ["projected", "label"])
+def test_cold_start_scores_each_class_beside_clusters(
+    agnostic: Callable[..., Any], generated: Path, origin: str
+) -> None:
+    result = agnostic(cold_start, generated / "people", "--image-box", origin, "--every", 2, "--base", "unused")
+    person, clusters = sorted(result["results"], key=lambda row: row["label"])
+    assert list(person) == [
+        "label", "taught", "objects", "mean_iou", "recall_25", "recall_50", "recall_70", "seconds_training"
+    ]  # fmt: skip
+    assert (person["label"], clusters["label"]) == ("person", "person (clusters)")
+    assert (person["taught"], person["objects"]) == (0, clusters["objects"])
+    assert person["mean_iou"] > 0.8
+    assert person["recall_50"] == 1
+    assert 0 < clusters["mean_iou"] < person["mean_iou"]
+
+
+def test_follow_scores_each_track(agnostic: Callable[..., Any], generated: Path) -> None:
+    result = agnostic(follow, generated / "people")
+    assert list(result) == ["tracks", "mean_iou", "silent_errors", "marked"]
+    assert len(result["tracks"]) == 3
+    for row in result["tracks"]:
+        assert list(row) == ["label", "frames", "mean_iou", "share_50", "stopped_at", "stopped_because"]
+        assert (row["label"], row["frames"]) == ("person", 4)
+    assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
+    assert result["mean_iou"] > 0.6
+    assert result["silent_errors"] == 0

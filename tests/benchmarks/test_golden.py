@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 import subprocess
@@ -12,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks import golden
-from benchmarks.golden import convention_differences
 
 ROOT = Path(__file__).resolve().parents[2]
 BOUNDS = {"kitti_max_ap": 1e-3, "sunrgbd_max_map": 1e-6, "iou_max_rel": 1e-6, "conventions_max_px": 1e-3}
@@ -29,37 +27,6 @@ def test_differences_from_the_official_evaluators(shared: Path) -> None:
         assert measured["compared"][part] > 0
         assert measured[part] < bound, f"{part}: {measured[part]} at {measured['worst'][part]}"
     assert measured["compared"]["kitti_max_ap"] == 270, "every number is compared"
-
-
-@pytest.mark.shared
-def test_curve_counts_equal_those_of_the_devkit(shared: Path) -> None:
-    """Compares the number of objects, first matches and samples of every curve, not only the area."""
-    from annotator.evaluation.kitti import DIFFICULTIES, evaluate_kitti
-    from annotator.formats.kitti_objects import read_kitti_folder
-    from annotator.workflows.evaluate import kitti_rows
-
-    folder = shared / "golden"
-    with (folder / golden.KITTI).open(newline="") as file:
-        rows = [r for r in csv.DictReader(file) if (r["set"], r["evaluator"]) == ("synthetic", "devkit")]
-    sides = [read_kitti_folder(folder / f"kitti_synthetic_{name}.zip", scored=name == "det") for name in ("det", "gt")]
-    detections, truth = (kitti_rows([side[key] for key in sorted(side)]) for side in sides)
-    result = evaluate_kitti(detections, truth)
-    assert len(rows) == 36
-    for row in rows:
-        curves = result.curves[row["class"].capitalize()][golden.METRICS[row["metric"]]]
-        curve = curves[DIFFICULTIES.index(row["difficulty"])]
-        ours = (curve.objects, curve.found, len(curve.recall))
-        assert ours == tuple(int(row[name]) for name in ("n_gt", "n_tp_first_pass", "n_thresholds")), row
-
-
-@pytest.mark.shared
-def test_coordinate_conventions_agree(shared: Path) -> None:
-    differences = list(convention_differences(shared / "golden" / golden.CONVENTIONS))
-    assert len(differences) == 15
-    for difference in differences:
-        assert difference.corner_m < 1e-8, difference
-        assert difference.center_lidar_m < 1e-7, difference
-        assert difference.angle_rad < 1e-8, difference
 
 
 @pytest.fixture

@@ -87,10 +87,6 @@ REFUSED = [
     ("add cars car", "has the class 'car' already"),
     ("add cars bus --colour blue", "'#blue' is not a colour of six hexadecimal digits, such as #3366ff"),
     ("rename cars car van", "annotator classes merge cars car --into van"),
-    (
-        "remove cars car",
-        "'car' cannot be removed while boxes use it; give them another class (--into on the command line)",
-    ),
     ("remove cars car --into van --with-boxes", "give one of both"),
     ("order cars car", "must name each class once: car, van"),
     ("attribute cars pose", "a new attribute needs --kind"),
@@ -144,9 +140,10 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["import", "rooms", str(folder / "theirs.json"), "--as", "proposals", "--projects", str(folder)]
-    assert main([*words, "--add-attributes"]) == 0
+    assert main([*words, "--source", "mine", "--add-attributes"]) == 0
     out = capsys.readouterr().out
     for line in (
+        "proposed by mine: 4 person in 1 frame",
         "added: attribute pose of a box: one of sitting, standing",
         "added: attribute helmet of a box: true or false",
         "added: attribute mass of a box: a number",

@@ -80,7 +80,6 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
 def test_the_projects_option_overrides_the_environment_variable(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--projects takes precedence over the environment variable, and that over ./projects; read at call time."""
     assert main(["new", "a", "--classes", "x", "--projects", str(tmp_path / "given")]) == 0
     assert (tmp_path / "given/a/project.json").is_file()
     assert main(["new", "b", "--classes", "x"]) == 0
@@ -118,18 +117,6 @@ def clouds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "clouds"
 
 
-def test_cameras_are_added_by_name_or_all(clouds: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["new", "p", "--classes", "car"]) == 0
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "around-090", "around-180"]) == 0
-    output = capsys.readouterr().out
-    assert "added clouds@around-090: 1 frame (look_around)" in output and "clouds@around-000" not in output
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "all"]) == 0
-    output = capsys.readouterr().out
-    assert output.count("added ") == output.count("already in the project") == 2
-    assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "left"]) == 2
-    assert "has no virtual camera left; it has around-000" in " ".join(capsys.readouterr().err.split())
-
-
 def test_inspect_says_how_much_of_a_scan_a_camera_sees(clouds: Path, capsys: pytest.CaptureFixture[str]):
     shares = []
     for camera in ("around-000", "around-120", "around-240"):
@@ -143,9 +130,6 @@ def test_inspect_says_how_much_of_a_scan_a_camera_sees(clouds: Path, capsys: pyt
     assert "--camera all: name one camera" in capsys.readouterr().err
     assert main(["inspect", "clouds", "--look-around", "6"]) == 0
     assert "6 cameras: around-000, around-060" in capsys.readouterr().out
-
-
-LEVEL = np.array([0.0, -1.0, 0.0])
 
 
 @pytest.fixture

@@ -83,17 +83,6 @@ def test_a_recording_that_has_only_moved_is_not_added_a_second_time(people: Path
     assert labels(capsys) == LABELS
 
 
-def test_the_way_out_of_a_recording_that_was_added_twice(people: Path, capsys: Capture) -> None:
-    people.rename("archive")
-    run(capsys, "add room archive --as-new")
-    assert labels(capsys) == 2 * LABELS
-    refused = run(capsys, "project move room people archive", code=2)
-    assert "as recording archive; to have the labels of people there, first run `annotator project remove" in refused
-    run(capsys, "project remove room archive --yes")
-    run(capsys, "project move room people archive")
-    assert labels(capsys) == LABELS
-
-
 def test_another_recording_with_the_same_names_of_frames_is_added(
     people: Path, generated: Path, capsys: Capture
 ) -> None:

@@ -37,13 +37,6 @@ def project(root: Path, made_rooms: Path) -> str:
     return "room"
 
 
-@pytest.fixture
-def trained(project: str, knowing: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> str:
-    """The same project with perfect detectors."""
-    monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: GivenDetectors(knowing("people")))
-    return project
-
-
 def run(capsys: Capture, *words: str, code: int = 0) -> str:
     """Runs a command and checks its exit code; returns its standard output, or standard error if it failed."""
     capsys.readouterr()
@@ -56,17 +49,6 @@ def run(capsys: Capture, *words: str, code: int = 0) -> str:
 def stats(capsys: Capture, name: str = "room") -> dict[str, object]:
     content: dict[str, object] = json.loads(run(capsys, "stats", name, "--json"))
     return content
-
-
-def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, capsys: Capture) -> None:
-    run(capsys, "new", "both", "--classes", "person", "robot")
-    said = run(capsys, "add", "both", generated / "people", generated / "hands")
-    assert "added people: 5 frames (rgbd_folder)" in said
-    assert "  imported as labels: 15 person in 5 frames" in said
-    assert "  skipped: 10 boxes of class hand, which is not in the project" in said
-    assert "next: annotator train both" in said
-    counts = stats(capsys, "both")
-    assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
 
 
 def test_simulate_draws_silhouettes_by_default(project: str, capsys: Capture) -> None:
@@ -109,37 +91,6 @@ def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
     assert f" person on {on_views['pictures']} pseudo-views with {on_views['boxes']} boxes; " in said
     assert said.endswith("; 1 frame in total with 2D boxes made from 3D boxes\nnext: annotator train room\n")
     assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
-
-
-def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: Capture) -> None:
-    box = {"label": "Person", "center": [0, 0, 3], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-    for name, score, x in (("mine", 7.0, 0.0), ("theirs", -2.0, 0.1)):
-        here = box | {"center": [x, 0, 3], "score": score}
-        (tmp_path / f"{name}.json").write_text(json.dumps({"000001": [here, here | {"score": 1}], "000002": []}))
-    options = ("--as", "proposals", "--classes", "Person=person")
-    said = run(capsys, "import", project, "mine.json", *options, "--min-score", "2")
-    assert said == (
-        "proposed by mine: 1 person in 2 frames\n"
-        "skipped: 1 box with a lower score\n"
-        "scaled: scores from 1 to 7 are now 0 to 1\n"
-        f"next: annotator serve, to review {project}\n"
-    )
-    said = run(capsys, "import", project, "theirs.json", *options, "--source", "other")
-    assert said.startswith("proposed by other: 2 person in 2 frames\nmerged: 1 box with proposals of other sources\n")
-    assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
-
-
-def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
-    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
-    assert said.startswith("2 frames done, 6 proposals (0 frames without), 0 skipped, 0 failed; ")
-    assert "s per frame" in said
-    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
-    assert said.startswith("2 frames done, 6 proposals (0 frames without), 2 skipped, 0 failed")
-    said = run(
-        capsys, "annotate", trained, "--recordings", "people", "--axes", "camera", "--rotation", "free", "--limit", "1"
-    )
-    assert said.startswith("1 frame done")
-    assert stats(capsys)["runs"] == 3
 
 
 def test_annotate_with_a_bad_frame_returns_1(
@@ -208,14 +159,6 @@ def said(capsys: Capture, *words: object, code: int = 0) -> str:
     assert main(["evaluate", *map(str, words)]) == code
     captured = capsys.readouterr()
     return captured.err if code else captured.out
-
-
-def test_evaluate_prints_a_table_or_one_json_object(rooms: list[str], capsys: Capture) -> None:
-    table = said(capsys, *rooms, "--protocol", "sunrgbd")
-    assert "night/stand" in table
-    assert "1.000" in table
-    lines = said(capsys, *rooms, "--protocol", "sunrgbd", "--json").splitlines()
-    assert [json.loads(line)["0.25"] for line in lines] == [{"mAP": 1.0, "AP": {"night/stand": 1.0}}]
 
 
 def test_kitti_curves_are_written_as_images(tmp_path: Path, capsys: Capture) -> None:

@@ -24,17 +24,12 @@ from annotator.detection.backends.export import Export, find_export
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
-from annotator.detection.yolo import YoloDetector
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
+from tests.detection.test_backends import EXPORTED, make
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPORTED: tuple[Backend, Backend] = ("openvino", "onnxruntime")
-
-
-def make(weights: Path, **settings: Any) -> YoloDetector:
-    return YoloDetector(weights, DetectorConfig(**{"image_size_px": 96, "device": "cpu", **settings}))
 
 
 def test_auto_uses_the_fastest_backend_and_logs_it(
@@ -103,15 +98,6 @@ def test_other_devices_need_torch(tiny_model: TrainedModel) -> None:
         make(tiny_model.weights, backend="openvino", device="cuda:1")
 
 
-@pytest.mark.parametrize("backend", ["torch", *EXPORTED])
-def test_missing_or_damaged_weights(tmp_path: Path, backend: Backend) -> None:
-    with pytest.raises(DetectionError, match=r"none\.pt: no such weights file; train"):
-        make(tmp_path / "none.pt", backend=backend)
-    (tmp_path / "bad.pt").write_bytes(b"weights")
-    with pytest.raises(DetectionError, match=r"bad\.pt: cannot be read as detector weights"):
-        make(tmp_path / "bad.pt", backend=backend)
-
-
 QUIET = """
 import json, socket, sys
 asked = []
@@ -156,9 +142,6 @@ def test_a_stored_export_runs_without_torch_and_network_access(
     runs = make(tiny_model.weights, backend=backend).backend
     assert json.loads(done.stdout) == {"asked": [], "loaded": [], "backend": runs}
     assert list(home.iterdir()) == []
-
-
-# Each trained model is exported once, and again if the stored export is damaged or stale.
 
 
 EXPORT_ONCE = lru_cache(export_module.export)

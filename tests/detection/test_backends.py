@@ -164,34 +164,6 @@ def test_boxes_have_the_present_names_of_their_classes(own_weights: Path, scene:
     assert renamed.fingerprint == make(own_weights).fingerprint
 
 
-# OpenVINO in bfloat16: accuracy, the layers in single precision, and when it is chosen.
-
-
-@pytest.fixture
-def bfloat16() -> None:
-    """Skips the test on processors without bfloat16."""
-    pytest.importorskip("openvino")
-    if not openvino_network.computes_bfloat16():
-        pytest.skip("a processor without bfloat16")
-
-
-@pytest.mark.usefixtures("bfloat16")
-@pytest.mark.parametrize("name", ["yolo11n", "yolo26n"])
-def test_output_agrees_with_torch_up_to_rounding(random_weights: dict[str, Path], name: str) -> None:
-    """The rounding error depends on weights and processor; it must be far below that of swapped colour channels.
-
-    Torch, which rounds all layers including the last, has an eighth of that error.
-    """
-    weights, pictures = random_weights[name], batches()[2]
-    torch, exact, half = (opened(weights, backend) for backend in ("torch", "openvino", "openvino-bf16"))
-    (expected,), (swapped,) = torch.predict([pictures]), torch.predict([np.ascontiguousarray(pictures[..., ::-1])])
-    (whole,), (rounded,) = exact.predict([pictures]), half.predict([pictures])
-    assert not np.array_equal(rounded, whole)  # bfloat16 was really used
-    for rows in (slice(0, 4), slice(4, None)):
-        off, far = (np.abs(each - expected)[:, rows].mean() for each in (rounded, swapped))
-        assert off < far / 2
-
-
 @pytest.mark.parametrize("supported", [True, False])
 def test_fastest_uses_bfloat16_if_the_processor_supports_it(
     tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch, supported: bool

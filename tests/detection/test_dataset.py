@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.detection.dataset import TrainingSample, read_manifest, tiled, write_dataset, yolo_line
-from annotator.types import Box2D, BoxKind
-from annotator.types.errors import ConfigError, DetectionError, FormatError
+from annotator.types import Box2D
+from annotator.types.errors import ConfigError, DetectionError
 
 BOX = Box2D("hand", 3.0, 4.0, 20.0, 15.0)
 
@@ -31,25 +28,6 @@ def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: s
 def test_yolo_coordinates_start_half_a_pixel_before_the_first_pixel_centre() -> None:
     assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
     assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
-
-
-def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
-    folder = tmp_path / "deep" / "set"
-    classes = ("yes", "a: b", 'say "hi"')
-    boxes = (Box2D("a: b", 0.0, 0.0, 9.0, 9.0), Box2D('say "hi"', 1.0, 2.0, 8.0, 9.0))
-    samples = [sample("1", boxes, 1), sample("2", boxes, 2), sample("3", (), 3)]
-    write_dataset(folder, samples, classes, "2".__eq__)
-    described = yaml.safe_load((folder / "data.yaml").read_text())
-    assert described == {"train": "images/train", "val": "images/val", "names": dict(enumerate(classes))}
-    manifest = read_manifest(folder)
-    assert len(manifest.entries) == 3
-    for entry, seed in zip(manifest.entries, (1, 2, 3), strict=True):
-        stored = cv2.imread(str(folder / entry.image))
-        assert stored is not None
-        np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
-        label = folder / entry.image.replace("images", "labels").replace(".png", ".txt")
-        assert [line.split()[0] for line in label.read_text().splitlines()] == (["1", "2"] if seed < 3 else [])
-    assert manifest.entries[2].boxes == ()
 
 
 @settings(max_examples=15, deadline=None)
@@ -73,50 +51,6 @@ def test_held_out_views_only_validate(
     assert manifest.measured_on == ("val" if set(groups) & held & labelled else "train")
 
 
-def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> None:
-    count = itertools.count()
-
-    def digest(samples: list[TrainingSample], classes: Sequence[str] = ("hand",), **options: object) -> str:
-        return write_dataset(tmp_path / str(next(count)), samples, classes, **options).sha256  # type: ignore[arg-type]
-
-    base = [sample(str(i), seed=i) for i in range(4)]
-    same = digest(base)
-    assert digest(base) == same
-    moved = Box2D("hand", 3.0, 4.0, 20.0, 15.5)
-    assert (
-        len(
-            {
-                same,
-                digest([sample("0", seed=9), *base[1:]]),
-                digest([sample("0", (moved,)), *base[1:]]),
-                digest(base, ("hand", "arm")),
-                digest(base, is_held_out="2".__eq__),
-                digest(base, kind=BoxKind.BOX),
-            }
-        )
-        == 6
-    )
-
-
-@pytest.mark.parametrize(
-    ("samples", "classes", "expected"),
-    [
-        ([], ["hand"], DetectionError),
-        ([sample("1", ())], ["hand"], DetectionError),
-        ([sample("1")], ["arm"], ConfigError),
-        ([sample("1")], [], ConfigError),
-        ([sample("1")], ["hand", "hand"], ConfigError),
-        ([TrainingSample(Path("nowhere.png"), (BOX,), "1", "drawn")], ["hand"], DetectionError),
-    ],
-)
-def test_a_failed_write_leaves_nothing(
-    samples: list[TrainingSample], classes: list[str], expected: type[Exception], tmp_path: Path
-) -> None:
-    with pytest.raises(expected):
-        write_dataset(tmp_path / "set", samples, classes)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_existing_set_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     first = write_dataset(folder, [sample("1"), sample("2")], ["hand"])
@@ -134,17 +68,6 @@ def test_a_folder_with_other_files_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(DetectionError, match="not a training set"):
         write_dataset(tmp_path, [sample("1")], ["hand"])
     assert (tmp_path / "thesis.txt").exists()
-
-
-def test_a_missing_or_damaged_manifest_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such file"):
-        read_manifest(tmp_path)
-    (tmp_path / "manifest.json").write_text("{")
-    with pytest.raises(FormatError, match="again"):
-        read_manifest(tmp_path)
-
-
-# Cutting images into tiles where detection uses a larger scale than training.
 
 
 SIZE_PX = 64

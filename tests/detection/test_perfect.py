@@ -7,12 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.outline import NEAR_M, box_on_image
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
-DISTORTED = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
 
 
 def make_box(center: tuple[float, float, float], size: tuple[float, float, float], turn: float = 0.4) -> OrientedBox:
@@ -65,15 +62,6 @@ def test_objects_with_too_few_drawn_points_are_not_detected(drawn: int, found: i
     rest = np.array([[9.0, 9.0, 9.0]], np.float32)
     view = make_view(np.concatenate([frame.cloud.xyz_m[:drawn], rest]), (900, 900), 0.05)
     assert len(PerfectDetector.for_frame(frame, [NEAR]).detect([view])[0]) == found
-
-
-@pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
-def test_the_image_box_contains_only_the_visible_part(camera: Camera) -> None:
-    wall = Truth("wall", make_box((1.0, 0.2, 1.0), (0.2, 0.4, 4.0)))
-    assert box_corners(wall.box)[:, 2].min() < NEAR_M
-    frame = make_frame([wall], [20], camera=camera)
-    (boxes,) = PerfectDetector.for_frame(frame, [wall]).detect([frame])
-    assert boxes == [box_on_image(camera, wall.box, "wall")]
 
 
 def test_boxes_on_a_region_are_those_of_the_image_shifted_and_clipped() -> None:

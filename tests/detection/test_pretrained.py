@@ -13,11 +13,11 @@ import pytest
 import annotator
 from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
-from annotator.detection.pretrained import check_model_name, check_start, find_starting_point
+from annotator.detection.pretrained import check_start, find_starting_point
 from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
 from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types.errors import ConfigError, DetectionError
+from annotator.types.errors import ConfigError
 
 
 @pytest.fixture
@@ -36,12 +36,6 @@ def downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     monkeypatch.setattr(api(), "weights_dir", tmp_path / "weights")
     monkeypatch.setattr(api(), "user_offline", False)
     return asked
-
-
-@pytest.mark.parametrize("name", ["yolo99n", "yolo11n-seg", "../yolo11n", ""])
-def test_unknown_models_are_an_error_with_suggestions(name: str) -> None:
-    with pytest.raises(ConfigError, match="try yolo11n"):
-        check_model_name(name)
 
 
 def test_without_network_weights_are_random_with_a_note(downloads: list[str]) -> None:
@@ -128,9 +122,6 @@ def test_unusable_initial_weights_are_an_error(downloads: list[str], tmp_path: P
         check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))
 
 
-# The base detector's files in the package.
-
-
 # tests replace `pretrained.FOLDER`
 FOLDER = Path(annotator.__file__).parent / "detection" / "base"
 MOST_BYTES = 8_000_000
@@ -145,9 +136,3 @@ def test_the_package_has_the_weights_that_its_manifest_describes() -> None:
     assert trained.classes == tuple(AGNOSTIC_LABELS.values())
     assert trained.image_size_px == manifest["image_size_px"]
     assert set(trained.edge_errors) == set(trained.classes)
-
-
-def test_a_package_without_the_base_detector_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
-    with pytest.raises(DetectionError, match="the base detector is missing; install annotator again"):
-        pretrained.base_weights()

@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.yolo import (
-    GREY,
-    candidates,
-    fill_batch,
-    place,
-    suppress,
-    to_pictures,
-)
-
-# Scaling images to canvases, and boxes back to images.
+from annotator.detection.yolo import GREY, candidates, fill_batch, place, suppress, to_pictures
 
 
 @given(height=st.integers(40, 300), width=st.integers(40, 300), side=st.sampled_from([64, 96]), seed=st.integers(0, 99))
@@ -42,6 +32,17 @@ def test_boxes_on_the_canvas_map_back_to_the_image(height: int, width: int, side
     np.testing.assert_allclose(got, want, atol=0.8 * max(scale, 1))
 
 
+def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
+    raw = np.zeros((2, 6, 4), np.float32)
+    raw[0, :, 3] = [10, 20, 4, 6, 0.4, 0.3]
+    raw[1, :, 0] = [5, 5, 2, 2, 0.2, 0.9]
+    selected = candidates(raw, False, 0.05)
+    assert selected.picture.tolist() == [0, 1]
+    assert selected.boxes.tolist() == [[8, 17, 12, 23], [4, 4, 6, 6]]
+    assert selected.numbers.tolist() == [0, 1]
+    np.testing.assert_allclose(selected.scores, [0.4, 0.9])
+
+
 @pytest.mark.parametrize("end2end", [False, True])
 def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
     raw = np.zeros((1, 10, 3), np.float32)
@@ -51,9 +52,6 @@ def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
     assert selected.numbers.tolist() == [0]
     assert selected.spreads is not None and selected.spreads.tolist() == [[1, 2, 3, 4]]
     assert candidates(raw[:, :6], end2end, 0.35).spreads is None
-
-
-# Greedy suppression of overlapping boxes.
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:

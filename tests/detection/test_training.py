@@ -57,21 +57,6 @@ def test_a_finished_run_is_not_repeated_and_can_be_moved(
     assert again.metrics == tiny_model.metrics
 
 
-def test_damaged_initial_weights_are_reported_before_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
-    (tmp_path / "own.pt").write_bytes(b"weights")
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "model.json").write_text("an older run")
-    with pytest.raises(ConfigError, match=r"own\.pt: cannot be read as detector weights"):
-        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"pretrained": tmp_path / "own.pt"}))
-    assert (tmp_path / "run" / "model.json").read_text() == "an older run"
-
-
-def test_an_unreadable_folder_is_reported_before_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="question mark; rename it"):
-        train_detector(tiny_dataset, tmp_path / "what?" / "run", SHORT)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_an_interrupted_run_resumes(tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     work = tmp_path / "work"
@@ -160,14 +145,28 @@ def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_datase
     assert first_epoch(SHORT.model_copy(update={"seed": 1})) == 0
 
 
-def test_unusable_arguments_are_errors(tiny_dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="training set"):
-        train_detector(tmp_path, tmp_path / "run", SHORT)
-    with pytest.raises(ConfigError, match="yolo99z"):
-        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"model": "yolo99z"}))
-    with pytest.raises(DetectionError, match="device"):
-        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"device": "cuda:77"}))
-    assert not (tmp_path / "run").exists()
+def test_what_cannot_be_trained_is_refused_before_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "own.pt").write_bytes(b"weights")
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "model.json").write_text("an older run")
+    for dataset, changes, error, problem in (
+        (tmp_path, {}, FormatError, "training set"),
+        (tiny_dataset, {"model": "yolo99z"}, ConfigError, "yolo99z"),
+        (tiny_dataset, {"device": "cuda:77"}, DetectionError, "device"),
+        (
+            tiny_dataset,
+            {"pretrained": tmp_path / "own.pt"},
+            ConfigError,
+            r"own\.pt: cannot be read as detector weights",
+        ),
+    ):
+        with pytest.raises(error, match=problem):
+            train_detector(dataset, run, SHORT.model_copy(update=changes))
+    with pytest.raises(ConfigError, match="question mark; rename it"):
+        train_detector(tiny_dataset, tmp_path / "what?" / "run", SHORT)
+    assert (run / "model.json").read_text() == "an older run"
+    assert {path.name for path in tmp_path.iterdir()} == {"own.pt", "run"}
 
 
 def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
@@ -193,29 +192,6 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
         want = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
         cx, cy, w, h = (item["bboxes"].numpy()[0] * 96).tolist()
         np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)
-
-
-# The Muon optimiser.
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (4, 30), (30, 4), (1, 9)])
-def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -> None:
-    torch = api().torch
-    from annotator.detection.trainer import orthogonalised
-
-    rng = np.random.default_rng(0)
-    u, _, v = np.linalg.svd(rng.normal(size=(3, *shape)), full_matrices=False)
-    spread = np.geomspace(5.0, 0.2, min(shape))
-    matrix = torch.from_numpy((u * spread @ v).astype(np.float32))
-    result = orthogonalised(matrix)
-    assert result.shape == matrix.shape
-    values = torch.linalg.svdvals(result)
-    assert (values > 0.5).all()
-    assert (values < 1.3).all()
-    # Same singular vectors: matrix^T result is symmetric and positive.
-    product = matrix.transpose(1, 2) @ result
-    assert torch.allclose(product, product.transpose(1, 2), atol=1e-3)
-    assert (torch.linalg.eigvalsh(product) > -1e-3).all()
 
 
 @pytest.mark.slow

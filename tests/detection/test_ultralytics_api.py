@@ -8,19 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from annotator.detection.ultralytics_api import pick_device
-from annotator.types.errors import DetectionError
-
 ROOT = Path(__file__).resolve().parents[2]
 
-LIGHT = """
-import sys
-import annotator.detection.config, annotator.detection.dataset, annotator.detection.perfect
-import annotator.detection.training, annotator.detection.yolo
-print([name for name in ("torch", "ultralytics", "torchvision") if name in sys.modules])
-"""
 
 SILENT = """
 import json, os, socket, sys
@@ -62,12 +51,6 @@ def run(code: str, tmp_path: Path) -> tuple[str, Path]:
     return done.stdout, home
 
 
-def test_importing_the_package_loads_no_torch(tmp_path: Path) -> None:
-    out, home = run(LIGHT, tmp_path)
-    assert out.strip() == "[]"
-    assert list(home.iterdir()) == []
-
-
 def test_loading_has_no_side_effects_except_the_stated_variables_and_settings(tmp_path: Path) -> None:
     out, home = run(SILENT, tmp_path)
     state = json.loads(out)
@@ -85,17 +68,6 @@ def test_loading_has_no_side_effects_except_the_stated_variables_and_settings(tm
     assert not state["torchvision"]
     files = sorted(str(path.relative_to(home)) for path in home.rglob("*") if path.is_file())
     assert files == [".cache/annotator/Ultralytics/settings.json"]
-
-
-def test_unknown_devices_are_errors() -> None:
-    assert str(pick_device("cpu")) == "cpu"
-    assert str(pick_device("auto")).startswith(("cpu", "cuda"))
-    for name in ("abacus", "cuda:99"):
-        with pytest.raises(DetectionError, match="use auto or cpu"):
-            pick_device(name)
-
-
-# Importing torch must not disturb the other threads of a server.
 
 
 # scipy gets its first array while another thread imports torch; scipy remembers what it found out earlier

@@ -51,13 +51,6 @@ def test_a_network_is_read_as_it_was_written(model: Any, file: Path) -> None:
     assert file.stat().st_size < 6_000_000
 
 
-def test_an_end_to_end_network_stays_one(tmp_path: Path) -> None:
-    for end2end in (True, False):
-        network = build(NetworkDescription(architecture="yolo26n", labels=("cat",), end2end=end2end))
-        write_network(tmp_path / "network", network)
-        assert bool(load_weights(tmp_path / "network", "cpu").model[-1].end2end) == end2end
-
-
 def changed(file: Path, **changes: Any) -> Path:
     """A copy of a file with other facts about its network."""
     tensors, facts = read_tensors(file, "")

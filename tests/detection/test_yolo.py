@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.types import PseudoView
 from annotator.types.errors import DetectionError
+from tests.detection.test_backends import PlainImage, make
 
 pytestmark = pytest.mark.slow
 
 # A confidence so low that every image has boxes, whatever the network has learned.
 ANY = 0.001
 BEST = 5
-
-
-@dataclass(frozen=True)
-class Picture:
-    rgb: np.ndarray
-
-
-def make(weights: Path, **settings: Any) -> YoloDetector:
-    return YoloDetector(weights, DetectorConfig(**{"image_size_px": 96, "device": "cpu", **settings}))
 
 
 @pytest.fixture(scope="module")
@@ -53,23 +43,15 @@ def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, sc
     assert np.median(np.abs(errors)) < 10
 
 
-def test_boxes_do_not_depend_on_the_other_images(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    sizes = [(96, 96), (60, 96), (96, 40), (200, 150), (33, 70), (96, 96), (64, 128)]
-    scenes = [scene(seed, size) for seed, size in enumerate(sizes)]
-    together = detector.detect(scenes)
-    for one, boxes in zip(scenes, together, strict=True):
-        alone = detector.detect([one])[0]
-        assert [box.label for box in alone] == [box.label for box in boxes]
-        for a, b in zip(alone, boxes, strict=True):
-            np.testing.assert_allclose(a.xyxy, b.xyxy, atol=0.01)
-            assert a.score == pytest.approx(b.score, abs=1e-4)
-
-
 def test_a_view_is_scaled_to_its_own_size(detector: YoloDetector, scene: Callable[..., Any]) -> None:
     rgb = scene(3, (192, 160)).rgb
     view = PseudoView(rgb, np.eye(3), 0.01, np.zeros(2), np.zeros((1, 3), np.float32), look_px=192)
     small, large = (make(detector.weights, confidence=0.001, image_size_px=size) for size in (96, 192))
-    (asked,), (plain,), (expected,) = small.detect([view]), small.detect([Picture(rgb)]), large.detect([Picture(rgb)])
+    (asked,), (plain,), (expected,) = (
+        small.detect([view]),
+        small.detect([PlainImage(rgb)]),
+        large.detect([PlainImage(rgb)]),
+    )
     assert asked == expected != plain
 
 
@@ -108,7 +90,7 @@ def test_detections_agree_with_ultralytics_own_predictor(
 )
 def test_an_invalid_image_is_an_error(detector: YoloDetector, rgb: np.ndarray) -> None:
     with pytest.raises(DetectionError, match="uint8"):
-        detector.detect([Picture(rgb)])
+        detector.detect([PlainImage(rgb)])
 
 
 def test_the_fingerprint_depends_on_weights_and_settings(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
-from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
+from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti
 from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
@@ -40,45 +40,9 @@ def test_average_precision_equals_the_value_computed_by_hand(
     assert result.classes["a"].curves[0.5].area == pytest.approx(expected)
 
 
-def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
-    found = BoxTable.of([(0, "a", cube(0), 0.5), (1, "a", cube(0), 0.9)])
-    # the false positive has the higher score: recall 1/2 at precision 1/2
-    result = evaluate_oriented(found, BoxTable.of([(0, "a", cube(0), 1.0), (1, "a", cube(5), 1.0)]))
-    assert result.classes["a"].curves[0.5].area == pytest.approx(0.25)
-
-
-Row = tuple[int, str, OrientedBox, float]
-
-
 def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), turn: Rotation | None = None):
     matrix = np.eye(3) if turn is None else turn.as_matrix()
     return OrientedBox.from_parts(np.array([x, y, 5.0]), matrix, np.array(size, np.float64))
-
-
-def rooms(count: int, seed: int) -> list[Row]:
-    """Rotated boxes of three classes, some of which overlap."""
-    rng = np.random.default_rng(seed)
-    return [
-        (
-            int(rng.integers(6)),
-            str(rng.choice(["bed", "chair", "desk"])),
-            OrientedBox.from_parts(
-                rng.uniform(0, 2, 3), Rotation.random(rng=rng).as_matrix(), rng.uniform(0.5, 1.5, 3)
-            ),
-            float(rng.random()),
-        )
-        for _ in range(count)
-    ]
-
-
-def test_boxes_match_only_within_their_frame_and_class() -> None:
-    truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
-    found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
-    classes = evaluate_oriented(found, truth).classes
-    assert {label: (one.curves[0.25].area, one.detections) for label, one in classes.items()} == {
-        "a": (0.0, 2),
-        "b": (0.0, 1),
-    }
 
 
 def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
@@ -235,17 +199,6 @@ def test_matches_and_precision_equal_those_computed_by_hand(
     assert bbox(found, truth) == pytest.approx(expected)
 
 
-def test_thresholds_are_those_nearest_to_the_recalls() -> None:
-    assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
-    assert score_thresholds(np.zeros(0), 3).tolist() == []
-    scores = np.arange(400, 0, -1.0)
-    chosen = score_thresholds(scores, 400)
-    assert len(chosen) == 41
-    np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)
-    assert (chosen[0], chosen[-1]) == (400.0, 1.0)
-    assert len(score_thresholds(scores[:200], 400)) == 21, "up to a recall of one half"
-
-
 def test_metrics_without_values_are_missing() -> None:
     unknown = {"size": (-1.0, -1.0, -1.0), "bottom": (-1000.0, -1000.0, -1000.0)}
     curves = evaluated([[CAR.moved(**unknown)]], [[CAR]]).curves
@@ -283,3 +236,13 @@ def test_dontcare_areas_affect_only_the_image_metric() -> None:
     found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
     curves = evaluated(found, truth).curves["Car"]
     assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
+
+
+def test_boxes_match_only_within_their_frame_and_class() -> None:
+    truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
+    found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
+    classes = evaluate_oriented(found, truth).classes
+    assert {label: (one.curves[0.25].area, one.detections) for label, one in classes.items()} == {
+        "a": (0.0, 2),
+        "b": (0.0, 1),
+    }

@@ -13,10 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import XYZ
 from annotator.formats.frame_names import of_recording
-from annotator.formats.labelcloud import (
-    read_labelcloud,
-    vertices_object,
-)
+from annotator.formats.labelcloud import read_labelcloud, vertices_object
 from annotator.geometry.transforms import level_pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
@@ -142,11 +139,3 @@ MIRRORED = {"name": "a", "vertices": [[x, y, z] for z in (0, 1) for y, x in ((0,
 def test_errors_of_invalid_labels_name_the_place(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         read_labelcloud(foreign(tmp_path, None, *entries))
-
-
-def test_a_damaged_calibration_is_an_error(tmp_path: Path) -> None:
-    foreign(tmp_path, None, entry(0, 0, 0))
-    (tmp_path / "calib").mkdir()
-    (tmp_path / "calib/000000.txt").write_text("R0_rect: 1 0 0 0 1 0 0 0 1\n")
-    with pytest.raises(FormatError, match=r"calib/000000\.txt: has no P2 and no Tr_velo_to_cam"):
-        read_labelcloud(tmp_path)

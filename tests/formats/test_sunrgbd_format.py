@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,7 +31,7 @@ from annotator.types.errors import FormatError
 
 CAMERA = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
 DOWN_30 = Rotation.from_euler("x", 30, degrees=True)
-PLACE, FLAT = Path("000001.txt"), Box2D("bed", 0.0, 4.0, 10.0, 24.0)
+FLAT = Box2D("bed", 0.0, 4.0, 10.0, 24.0)
 
 
 def read_pose(file: Path) -> RigidTransform:
@@ -151,39 +150,3 @@ def test_broken_rows_are_named_with_their_line(tmp_path: Path, text: str, proble
     (tmp_path / "label" / "000001.txt").write_text(text)
     with pytest.raises(FormatError, match=problem):
         read_extracted_folder(tmp_path, read_pose)
-
-
-def table(fields: Sequence[str], **values: object) -> bytes | dict[str, np.ndarray]:
-    rows = np.empty((1, 1), [(name, object) for name in fields])
-    rows[0, 0] = tuple(values[name] for name in fields)
-    return {"SUNRGBDMeta": rows}
-
-
-FRAME = {"sequenceName": "a/b", "Rtilt": np.eye(3), "groundtruth3DBB": np.zeros((0, 0))}
-BOX = {"basis": np.eye(3), "coeffs": np.ones(3), "centroid": np.ones(3), "classname": "bed"}
-
-
-def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
-    box = table(tuple(BOX), **{**BOX, **changed})
-    assert isinstance(box, dict)
-    return table(tuple(FRAME), **{**FRAME, "groundtruth3DBB": box["SUNRGBDMeta"]})
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (b"", "is not a MATLAB file"),
-        (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd", "is damaged"),
-        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1.sequenceName: Field required"),
-        (table(tuple(FRAME), **{**FRAME, "Rtilt": np.ones((3, 3))}), "frame 1, Rtilt is not a rotation"),
-        (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
-    ],
-)
-def test_errors_of_broken_tables_name_the_place(tmp_path: Path, content: object, problem: str) -> None:
-    path = tmp_path / META
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    else:
-        savemat(path, content)
-    with pytest.raises(FormatError, match=problem):
-        read_meta(path)

@@ -41,9 +41,7 @@ def test_a_score_is_read_and_boxes_are_clipped_to_the_image() -> None:
     [
         ("0 0.5 0.5 1", "has 4 fields"),
         ("person 0.5 0.5 1 1", "must hold numbers .*; 'person' is not the number of a class"),
-        ("0 0,5 0.5 1 1", "must hold numbers .*: '0,5' has a decimal comma; write a point"),
         ("2 0.5 0.5 1 1", "class 2 has no name; classes with a name go from 0 to 1"),
-        ("0 nan 0.5 1 1", "finite"),
         ("0 0.5 0.5 0 1", "non-empty box"),
         ("0 320 240 100 100", "fractions of the image"),
         ("0 0.5 0.5 1 1 1.5", "score must be in 0..1"),

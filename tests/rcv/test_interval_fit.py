@@ -57,17 +57,6 @@ def test_exact_intervals_give_the_exact_box(seed: int, upright: bool) -> None:
         np.testing.assert_allclose(fit.rotation[:, 2], UP, atol=1e-9)
 
 
-def test_noise_is_averaged_out() -> None:
-    ious = []
-    for seed in range(20):
-        box = random_box(np.random.default_rng(seed), upright=False)
-        noise = 0.02 * float(box.size_m.mean())
-        fit = fit_box(measure(box, spread_rotations(12).reshape(-1, 3), noise, seed), None)
-        assert fit is not None
-        ious.append(iou_3d(box, box_of(fit)))
-    assert np.mean(ious) > 0.9
-
-
 def test_too_few_intervals_determine_no_box() -> None:
     box = random_box(np.random.default_rng(5), upright=False)
     assert fit_box(measure(box, np.eye(3)), None) is None
@@ -101,9 +90,6 @@ def test_several_outlier_intervals_do_not_shift_the_box(upright: bool) -> None:
     fit = fit_box(Intervals(directions, ends.reshape(-1, 2), sigma.reshape(-1, 2)), UP if upright else None)
     assert fit is not None
     assert iou_3d(box, box_of(fit)) > 0.98
-
-
-# The expected IoU loss of a fitted box, compared with simulated errors.
 
 
 def true_box(number: int, up: np.ndarray | None) -> OrientedBox:

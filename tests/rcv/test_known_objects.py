@@ -12,20 +12,10 @@ from scenes import CAMERA, frame_with, some_box
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.known_objects import (
-    LABELLED_STEPS,
-    DrawnObject,
-    KnownFrame,
-    boxes_of_known,
-    draw_object,
-    next_views,
-)
+from annotator.rcv.known_objects import LABELLED_STEPS, DrawnObject, KnownFrame, boxes_of_known, draw_object, next_views
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, Frame, Image, OrientedBox, PseudoView, Truth
-
-# The labelling procedure: five boxes per object, which select the object's points.
-
 
 UP = np.array([0.0, -1.0, 0.0])
 BOX = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
@@ -45,10 +35,6 @@ def drawn(frame: Frame, config: RcvConfig = CONFIG) -> DrawnObject:
     found = draw_object(frame, image_box(frame), lambda view: project_box(view, BOX, "thing"), config)
     assert found is not None
     return found
-
-
-def spans(found: DrawnObject) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [(item.view.axes, item.view.interval_m(item.box)) for item in found.views]
 
 
 def test_an_object_needs_a_front_and_a_side_box_in_each_of_two_steps() -> None:
@@ -148,13 +134,3 @@ def test_an_unoccluded_object_without_points_is_on_the_image_only() -> None:
     assert [box.label for box in found.on_image] == ["a", "b"]
     assert [item.image_box.label for item in found.objects] == ["a"]
     assert (found.hidden, found.outside, found.without_views) == ((), (), ("b",))
-
-
-def test_too_few_points_give_no_views() -> None:
-    frame, (truth, other) = frame_with([NEAR, BESIDE], up=UP)
-    few = np.ones(len(frame.cloud), bool)
-    few[800 + 4 : 1600] = False
-    found = boxes_of_known(replace(frame, cloud=frame.cloud.select(few)), [truth, replace(other, label="b")], CONFIG)
-    assert [box.label for box in found.on_image] == ["thing", "b"]
-    assert [item.image_box.label for item in found.objects] == ["thing"]
-    assert found.without_views == ("b",)

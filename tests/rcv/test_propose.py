@@ -1,4 +1,4 @@
-"""The whole recursion with a perfect detector, on scenes with known boxes."""
+"""The whole recursion with a perfect detector, on scenes with known boxes; and the axes that strategies give."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scenes import Counting, frame_with, some_box
+from scenes import Counting, box_surface, frame_with, some_box
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
+from annotator.geometry.normals import normals_knn
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv import recursion
+from annotator.rcv.axes import axes_angle_rad, find_axes
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
-from annotator.types import Box2D, BoxKind, Image, StopReason
+from annotator.types import Box2D, BoxKind, Image, PointCloud, StopReason
 
+FREE = RcvConfig(orientation=Orientation.FREE)
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
 UPRIGHT_BOX = some_box([-0.3, 0.0, 2.5], [0, 0.5, 0], [0.6, 0.8, 0.3])
@@ -113,16 +115,6 @@ def test_an_empty_frustum_stops_with_too_few_points() -> None:
     assert result.lost[0].trace[0].stop is StopReason.TOO_FEW_POINTS
 
 
-def test_the_step_limit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recursion, "AXES_TOLERANCE_RAD", 1e-9)
-    monkeypatch.setattr(recursion, "BOX_TOLERANCE", 1e-9)
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths, jitter=0.05)
-    (found,) = propose([frame], perfect, perfect, RcvConfig(max_steps=2))[0].proposals
-    assert len(found.trace) == 2
-    assert found.trace[-1].stop is StopReason.STEP_LIMIT
-
-
 def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
     first, truths_a = frame_with([FREE_BOX], key="a")
     second, truths_b = frame_with([UPRIGHT_BOX], key="b")
@@ -149,3 +141,25 @@ def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=BoxKind.SILHOUETTE)
     (found,) = propose([frame], perfect, OneSmall(perfect), config)[0].proposals
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
+
+
+def test_eigenvectors_of_a_long_box_are_its_axes() -> None:
+    box = some_box([0, 0, 3], [0.3, 0.5, -0.2], [1.0, 0.5, 0.2])
+    cloud = PointCloud(box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32))
+    found = find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE)
+    assert found.strategy is Strategy.EIGENVECTORS
+    assert axes_angle_rad(found.axes, box.rotation.T) < 0.05
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.1, -0.9])
+def test_normals_give_the_axes_of_a_cube_and_eigenvectors_do_not(yaw: float) -> None:
+    box = some_box([0, 0, 3], [0.2, yaw, 0.1], [0.5, 0.5, 0.5])
+    xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
+    cloud = PointCloud(xyz, normals=normals_knn(xyz))
+    found = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
+    assert found.strategy is Strategy.NORMALS and found.fallback == ()
+    assert axes_angle_rad(found.axes, box.rotation.T) < 0.08
+    assert (
+        find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, RcvConfig(orientation=Orientation.FREE)).strategy
+        is Strategy.CAMERA
+    )

@@ -36,16 +36,6 @@ def pixel_of(view, point) -> tuple[int, int]:
     return int(np.rint(uv[1])), int(np.rint(uv[0]))
 
 
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 60))
-def test_every_point_is_drawn_at_its_pixel(seed: int, count: int) -> None:
-    rng = np.random.default_rng(seed)
-    frame = Rotation.random(rng=rng).as_matrix().T
-    cloud = PointCloud(rng.normal(size=(count, 3)).astype(np.float32), np.full((count, 3), 7, np.uint8))
-    for view in render_pairs(cloud, [frame], VIEW):
-        for point in cloud.xyz_m:
-            assert tuple(view.rgb[pixel_of(view, point)]) == (7, 7, 7)
-
-
 @given(st.floats(-0.5, 60), st.floats(-0.5, 60), st.floats(1, 30), st.floats(1, 30))
 def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: float, height: float) -> None:
     front, _ = render_pairs(cloud_of([[0, 0, 1], [1, 2, 2]]), [np.eye(3)], VIEW)
@@ -68,9 +58,6 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     shown = render_pairs(cloud, [np.eye(3)], VIEW)[0]
     assert shown.rgb[pixel_of(shown, points[0])][0] < shown.rgb[pixel_of(shown, points[1])][0]
     assert shown.rgb[0, -1, 0] == BACKGROUND
-
-
-# The compiled drawing, compared with plain numpy and OpenCV.
 
 
 VIEWS = 3
@@ -119,9 +106,6 @@ def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> Non
         # another order of summation may move a point across the border of a pixel or depth level
         differ = (picture != wanted).any(axis=2).mean()
         assert differ <= 0.002, f"{differ:.2%} of the pixels"
-
-
-# The first step's pictures of frustums that are much deeper than wide.
 
 
 CONFIG = RcvConfig(view_px=96)

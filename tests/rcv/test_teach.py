@@ -9,7 +9,7 @@ from scenes import frame_with, some_box
 from annotator.geometry.oriented_box import contains
 from annotator.rcv import teach
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.teach import TaughtObject, TaughtView, project_box, teach_views
+from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.types import BoxKind, Frame, OrientedBox, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -98,32 +98,6 @@ def test_an_object_with_few_points_is_left_out() -> None:
     few = np.zeros(len(frame.cloud), bool)
     few[: teach.MIN_POINTS - 1] = True
     assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
-
-
-def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale: float) -> PseudoView:
-    picture = np.zeros((height_px, width_px, 3), np.uint8)
-    return PseudoView(picture, np.eye(3), scale, np.array(origin_m), np.zeros((1, 3), np.float32))
-
-
-@pytest.mark.parametrize(
-    ("center", "expected"),
-    [
-        ([0.5, 0.0, 5.0], (89.5, 19.5, 99.5, 39.5)),
-        ([-0.55, -0.35, 5.0], (-0.5, -0.5, 4.5, 4.5)),
-        ([0.0, 0.4, 5.0], None),
-    ],
-    ids=["cut on the right", "cut at the corner", "touching from below"],
-)
-def test_a_projected_box_is_clipped_to_the_view(center: list[float], expected: tuple[float, ...] | None) -> None:
-    """100 x 60 pixels of 1 cm; the picture's top left corner is at (-0.5, -0.3) m."""
-    view = view_of(100, 60, (-0.495, -0.295), 0.01)
-    found = project_box(view, some_box(center, [0, 0, 0], [0.2, 0.2, 0.2]), "a")
-    if expected is None:
-        assert found is None
-    else:
-        assert found is not None
-        assert found.xyxy == pytest.approx(expected)
-        assert found.label == "a"
 
 
 def test_views_that_show_a_doubtful_object_are_left_out() -> None:

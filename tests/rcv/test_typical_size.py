@@ -1,4 +1,7 @@
-"""Objects of a class with a typical size: the evidence for a box, where it may be, and which box is best."""
+"""Objects of a class with a typical size: the evidence for a box, where it may be, and which box is best.
+
+A trained detector looks at the frustum before such a box is placed.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,17 @@ import numpy as np
 import pytest
 from test_warm_start import AnyClass
 
+from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
+from annotator.rcv import pseudo_view
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.starts import TYPICAL_SIZE
+from annotator.rcv.starts import NOT_SEEN, TYPICAL_SIZE
 from annotator.rcv.typical_size import BY_SCORE, Candidates, Evidence, place
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
+from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Image, OrientedBox, PointCloud, Truth
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 
@@ -52,11 +57,6 @@ def evidence_of(
     evidence = Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, as_drawn(image_box), typical, up)
     assert evidence is not None
     return evidence
-
-
-def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
-    parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
-    return Candidates.of(parts)
 
 
 @pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])
@@ -140,3 +140,50 @@ def test_views_correct_the_placed_box(generated, knowing: Callable[..., Detector
     (blind,) = propose_from_boxes([frame], [[image_box]], Blind(), config)
     (seen,) = propose_from_boxes([frame], [[image_box]], AnyClass(knowing("people").view), config)
     assert iou_3d(seen.proposals[0].box, truth.box) > max(0.7, iou_3d(blind.proposals[0].box, truth.box))
+
+
+def start_config(orientation: Orientation, trained: bool) -> RcvConfig:
+    config = RcvConfig(orientation=orientation, typical_sizes=(TYPICAL,), refine_steps=0)
+    return config.for_detector(BoxKind.BOX, class_agnostic=True, trained=trained)
+
+
+def seeing(frame: Frame) -> PerfectDetector:
+    return PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], BOX)])
+
+
+def boxed(frame: Frame, detector: Detector, config: RcvConfig) -> tuple[OrientedBox, tuple[str, ...]]:
+    """The box of the crate, and what its trace says about its starts."""
+    image_box = box_on_image(CAMERA, BOX, "crate")
+    assert image_box is not None
+    (result,) = propose_from_boxes([frame], [[image_box]], detector, config)
+    (proposal,) = result.proposals
+    return proposal.box, tuple(note for step in proposal.trace for note in step.fallback)
+
+
+@pytest.mark.parametrize("orientation", [Orientation.FREE, Orientation.UPRIGHT])
+@pytest.mark.parametrize(
+    ("trained", "sees", "deep"),
+    [
+        (False, True, False),  # the base detector: nothing better is known
+        (True, True, False),
+        (True, False, False),  # the look shows nothing
+        (True, True, True),  # a look would show too little
+    ],
+)
+def test_objects_of_a_typical_size_are_found_whatever_a_trained_detector_sees(
+    monkeypatch: pytest.MonkeyPatch, orientation: Orientation, trained: bool, sees: bool, deep: bool
+) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 1e-3 if deep else 100.0)
+    frame = frame_with(BOX)
+    box, notes = boxed(frame, seeing(frame) if sees else Blind(), start_config(orientation, trained))
+    assert iou_3d(box, BOX) > (0.85 if sees else 0.4)
+    assert (NOT_SEEN in notes) == (trained and not sees)
+    assert TYPICAL_SIZE in notes
+
+
+def test_a_box_that_does_not_agree_with_the_image_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pseudo_view, "DEEP", 100.0)
+    frame = frame_with(BOX)
+    half = OrientedBox(BOX.pose, BOX.size_m * 0.4)
+    wrong = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], half)])
+    assert NOT_SEEN in boxed(frame, wrong, start_config(Orientation.FREE, True))[1]

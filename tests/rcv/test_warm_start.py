@@ -101,9 +101,6 @@ def test_a_tilted_start_box_gives_an_upright_box_from_silhouettes() -> None:
     assert abs(found.box.rotation[:, 2] @ UP) > 1 - 1e-9
 
 
-# The first look of a class-agnostic detector: crops along the depth, bounds from the image box, choice of a rival.
-
-
 class AnyClass:
     """A class-agnostic detector that gives the boxes of another detector under the names of what they measure."""
 

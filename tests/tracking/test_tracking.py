@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.tracking.link import (
-    Seen,
-    frame_times,
-    link,
-    numbered,
-    overlap_at_place,
-)
+from annotator.tracking.link import Seen, frame_times, link, numbered, overlap_at_place
 from annotator.tracking.smooth import FLIP, TrackBox, between, relabelled, relabellings, smoothed
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
@@ -181,13 +175,6 @@ def test_a_size_that_changes_over_time_is_not_averaged() -> None:
     # a constant length would have a mean error of 0.19
     assert np.mean(np.abs(np.array([box.size_m[1] for box in better]) - strides)) < 0.04
     assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
-
-
-def test_without_motion_the_majority_determines_the_front() -> None:
-    still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
-    mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
-    better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)])
-    assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
 
 
 def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:

@@ -13,7 +13,6 @@ from annotator.recordings import open_recording
 from annotator.workflows.add_recordings import register_recording
 
 MakeProject = Callable[..., Project]
-CopyProject = Callable[[Path], Project]
 
 
 @pytest.fixture
@@ -39,41 +38,45 @@ def make_project(tmp_path: Path) -> Iterator[MakeProject]:
 
 
 @pytest.fixture
-def copy_project(tmp_path: Path) -> Iterator[CopyProject]:
-    """A copy of a closed project, which is made once: `copy_project(made_once(NAME, fill) / "project0")`."""
-    made: list[Project] = []
+def copied(make_project: MakeProject, own_copy: Callable[[str], Path]) -> tuple[Path, Project]:
+    """A copy of the generated people that a test may change, and its project of class person."""
+    folder = own_copy("people")
+    return folder, make_project(folder)
 
-    def copy(template: Path) -> Project:
-        made.append(open_project(Path(shutil.copytree(template, tmp_path / "projects" / template.name))))
-        return made[-1]
+
+@pytest.fixture
+def prepared(
+    tmp_path: Path, made_once: Callable[[str, Callable[[Path], object]], Path], generated: Path
+) -> Iterator[Callable[..., Project]]:
+    """`prepared("drawn", fill, recording="people")`: a copy of a project that is made and filled once for all tests."""
+    opened: list[Project] = []
+
+    def copy(
+        name: str, fill: Callable[[Project], object] | None = None, recording: str = "people", label: str = "person",
+        rotation: BoxRotation = BoxRotation.AUTO,
+    ) -> Project:  # fmt: skip
+        def make(folder: Path) -> None:
+            with create_project(folder, f"{name}0", (label,), settings=ProjectSettings(rotation=rotation)) as project:
+                register_recording(project, open_recording(generated / recording))
+                if fill is not None:
+                    fill(project)
+
+        made = made_once(f"prepared {name}", make) / f"{name}0"
+        opened.append(open_project(Path(shutil.copytree(made, tmp_path / "projects" / made.name))))
+        return opened[-1]
 
     yield copy
-    for project in made:
+    for project in opened:
         project.close()
 
 
 @pytest.fixture
-def people(
-    copy_project: CopyProject, made_once: Callable[[str, Callable[[Path], object]], Path], generated: Path
-) -> Project:
+def people(prepared: Callable[..., Project]) -> Project:
     """A project of class person with one recording of 5 unlabelled frames."""
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            register_recording(project, open_recording(generated / "people"))
-
-    return copy_project(made_once("people project", fill) / "project0")
+    return prepared("project")
 
 
 @pytest.fixture
-def hands(
-    copy_project: CopyProject, made_once: Callable[[str, Callable[[Path], object]], Path], generated: Path
-) -> Project:
+def hands(prepared: Callable[..., Project]) -> Project:
     """Like `people`, for hands, whose boxes have free rotation."""
-
-    def fill(folder: Path) -> None:
-        settings = ProjectSettings(rotation=BoxRotation.FREE)
-        with create_project(folder, "hands0", ("hand",), settings=settings) as project:
-            register_recording(project, open_recording(generated / "hands"))
-
-    return copy_project(made_once("hands project", fill) / "hands0")
+    return prepared("hands", recording="hands", label="hand", rotation=BoxRotation.FREE)

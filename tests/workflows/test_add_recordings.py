@@ -21,7 +21,6 @@ from annotator.workflows.add_recordings import add_recordings, bring_back, move_
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing import Note
-from annotator.workflows.recorded.condition import broken_frames
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 
@@ -29,9 +28,6 @@ from annotator.workflows.recorded.reading import load_truth
 def remove_frame(folder: Path, key: str) -> None:
     (folder / "color" / f"{key}.jpg").unlink()
     (folder / "depth" / f"{key}.png").unlink()
-
-
-# --- adding ----------------------------------------------------------------------------------------------------------
 
 
 def test_adding_a_recording_again_finds_new_and_missing_frames(
@@ -98,11 +94,8 @@ def test_adding_again_with_another_name_or_up_direction_is_an_error(
     assert [recording.name for recording in project.recordings.all()] == ["people", "hands"]
 
 
-def test_a_moved_recording_can_be_given_its_new_path(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_a_moved_recording_can_be_given_its_new_path(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, project = copied
     (recording,), frame = project.recordings.all(), project.frames.of()[0]
     before = FrameSource(project).read(frame)
     there = tmp_path / "archive" / "take 7"
@@ -128,9 +121,6 @@ def test_a_recording_of_another_format_is_not_accepted_as_the_moved_one(people: 
     (kitti / "image_2" / "000000.png").touch()
     with pytest.raises(RecordingError, match="of the format kitti_object, but people is of the format rgbd_folder"):
         move_recording(people, recording.id, kitti)
-
-
-# --- labels of recordings --------------------------------------------------------------------------------------------
 
 
 def test_a_recordings_labels_are_imported(people: Project) -> None:
@@ -182,11 +172,8 @@ def test_importing_labels_is_retried_after_a_concurrent_change(
     assert people.boxes.on_image(frame.id) is not None
 
 
-def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_an_unreadable_frame_is_reported_and_the_others_are_imported(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     (folder / "depth" / "000004.png").write_bytes(b"")
     told: list[tuple[int, int]] = []
     found = import_own_labels(project, project.recordings.all()[0].id, lambda done, of: told.append((done, of)))
@@ -197,9 +184,8 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     assert told[-1] == (5, 5)
 
 
-def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_broken_labels_are_an_error(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     file = folder / "truth" / "boxes.json"
     content = json.loads(file.read_text())
     content["000002"][0]["size"] = [0, 1, 1]
@@ -222,14 +208,8 @@ def test_a_broken_label_file_affects_only_its_frame(
     assert labelled == [True, False, True, True, True]
 
 
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
-def test_frames_are_read_by_key_not_by_index(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_frames_are_read_by_key_not_by_index(copied: tuple[Path, Project]) -> None:
+    folder, project = copied
     stored = project.frames.of()[3]
     remove_frame(folder, "000000")
     frame = FrameSource(project).read(stored)
@@ -293,19 +273,6 @@ def mend(folder: Path, generated: Path, *names: str) -> None:
 def present(project: Project) -> dict[str, int]:
     """The indices of the frames that queues, batches and exports see, by key."""
     return {frame.key: frame.index for frame in project.frames.of() if frame.index is not None}
-
-
-def test_each_kind_of_fault_is_counted(damaged: Path) -> None:
-    (damaged / "depth" / "000000.png").unlink()
-    broken = broken_frames(open_recording(damaged), seconds=ALWAYS)
-    assert list(broken.errors) == ["000000", *BROKEN]
-    first, *kinds = broken.sentences
-    assert first == "4 of 5 frames cannot be read"
-    assert [line.partition(";")[0] for line in kinds] == [
-        f"2 frames (000000, 000001): {damaged}/depth/000000.png: missing",
-        f"1 frame (000003): {damaged}/depth/000003.png: the file is empty",
-        f"1 frame (000004): {damaged}/color/000004.jpg: the JPEG image is truncated",
-    ]
 
 
 def test_broken_frames_are_told_and_left_out_on_request(

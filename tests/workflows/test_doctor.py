@@ -171,30 +171,12 @@ def test_published_weights_and_the_base_detector_are_found(monkeypatch: pytest.M
     assert broken.state is State.FAILED and "model.json" in broken.found
 
 
-def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken() -> None:
-        raise DetectionError("no torch")
-
-    monkeypatch.setattr(choose, "find_spec", lambda _: None)
-    monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(ultralytics_api, "api", broken)
-    found = lines(doctor.choices)["image, auto"]
-    assert found.state is State.FAILED and "no torch" in found.found
-
-
-def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_connected_kinects_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     library = ModuleType("pyk4a")
     library.__spec__ = ModuleSpec("pyk4a", None)
     library.connected_device_count = lambda: 1
     monkeypatch.setitem(sys.modules, "pyk4a", library)
     assert lines(doctor.kinect)["Azure Kinect"].found == "1 connected"
-    monkeypatch.delitem(sys.modules, "pyk4a")
-    (tmp_path / "pyk4a.py").write_text("raise ImportError('libk4a.so.1.4 is missing')")
-    monkeypatch.syspath_prepend(tmp_path)
-    found = lines(doctor.kinect)["Azure Kinect"]
-    assert found.state is State.WARNING and "libk4a.so.1.4 is missing" in found.found
 
 
 def fine(projects: Path) -> Iterator[Line]:
@@ -284,12 +266,3 @@ def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
     found = lines(doctor.backends, tmp_path)
     assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
     assert all(each.state is State.OK for each in found.values()), found
-
-
-def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def missing() -> None:
-        raise DetectionError("no ultralytics")
-
-    monkeypatch.setattr(pretrained, "api", missing)
-    (found,) = lines(doctor.backends, tmp_path).values()
-    assert (found.state, found.found) == (State.WARNING, "not tested (no ultralytics)")

@@ -30,7 +30,6 @@ BOX = OrientedBox.at(
     np.array([4, 2, 1.6]),
 )
 HELD = (ExportFormat.RCV, ExportFormat.OPENLABEL, ExportFormat.NUSCENES, ExportFormat.SUSTECHPOINTS)
-LOST = (ExportFormat.KITTI, ExportFormat.KITTI_TRACKING, ExportFormat.SUNRGBD, ExportFormat.LABELCLOUD)
 
 
 def scans(folder: Path, *shifts: float, first: int = 0) -> Path:
@@ -74,9 +73,6 @@ def assert_stands_still(boxes: list[OrientedBox], count: int, atol: float = 1e-6
 @pytest.fixture
 def cars(make_project: Callable[..., Project]) -> Callable[[], Project]:
     return lambda: make_project(classes=("car",), rotation=BoxRotation.FREE)
-
-
-# --- what a project keeps --------------------------------------------------------------------------------------------
 
 
 def test_the_origin_is_stored_so_that_frames_stay_when_the_first_file_is_gone(
@@ -125,9 +121,6 @@ def test_a_recording_with_a_camera_is_not_one_that_has_moved_and_had_none(cars: 
     assert len(project.recordings.all()) == 2
 
 
-# --- exports and imports ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("format", HELD)
 def test_a_box_that_stands_still_does_so_after_export_and_import(
     cars: Callable[[], Project], tmp_path: Path, format: ExportFormat
@@ -168,37 +161,6 @@ def test_an_export_that_is_opened_again_is_in_the_same_map(
     (added,) = add_recordings(again, [tmp_path / "out"])
     import_own_labels(again, added.recording.id)
     assert_stands_still(in_map(again), 2)
-
-
-@pytest.mark.parametrize("format", LOST)
-def test_a_format_without_a_place_for_it_says_that_the_origin_is_lost(
-    cars: Callable[[], Project], tmp_path: Path, format: ExportFormat
-):
-    project = labelled(cars(), scans(tmp_path / "drive", 0, 4))
-    report = export_project(project, tmp_path / "out", format)
-    assert [(loss.kind, loss.count) for loss in report.losses if loss.kind == "origin"] == [("origin", 2)]
-    # imported for the same recording, whose camera stands where it did, the boxes stand still
-    other = cars()
-    add_recordings(other, [tmp_path / "drive"])
-    done = import_labels(other, read_labels(BoxFormat(format), tmp_path / "out"))
-    assert done.boxes == {"car": 2}
-    assert_stands_still(in_map(other), 2, 0.01)
-
-
-def test_nuscenes_global_frame_and_openlabels_world_are_the_map(cars: Callable[[], Project], tmp_path: Path):
-    project = labelled(cars(), scans(tmp_path / "drive", 0, 7_000))
-    export_project(project, tmp_path / "nuscenes", ExportFormat.NUSCENES)
-    rows = json.loads((tmp_path / "nuscenes/v1.0-annotator/sample_annotation.json").read_text())
-    np.testing.assert_allclose([row["translation"] for row in rows], [BOX.center_m] * 2, rtol=0, atol=1e-6)
-    export_project(project, tmp_path / "openlabel", ExportFormat.OPENLABEL)
-    content = json.loads((tmp_path / "openlabel/drive.json").read_text())["openlabel"]
-    assert content["coordinate_systems"]["base"]["parent"] == "world"
-    for frame in content["frames"].values():
-        (cuboid,) = next(iter(frame["objects"].values()))["object_data"]["cuboid"]
-        pose = frame["frame_properties"]["transforms"]["base_to_world"]["transform_src_to_dst"]
-        base = np.array(cuboid["val"][:3])[[2, 0, 1]] * [1, -1, -1]
-        there = Rotation.from_quat(pose["quaternion"]).apply(base) + pose["translation"]
-        np.testing.assert_allclose(there, BOX.center_m, rtol=0, atol=1e-6)
 
 
 def labelcloud_json(folder: Path) -> None:

@@ -147,8 +147,6 @@ def test_scenes_and_cameras_of_a_dataset(make_project: MakeProject, tmp_path: Pa
         assert both[0].timestamp_ns != both[1].timestamp_ns and [each.index for each in both] == [4, 4]
     with pytest.raises(ConfigError, match="has no camera left, right; it has CAM_BACK, CAM_FRONT"):
         add_recordings(project, [tmp_path / "set"], cameras=("CAM_FRONT", "left", "right"))
-    with pytest.raises(ConfigError, match="2 recordings cannot all be called 'x'"):
-        add_recordings(project, [tmp_path / "set"], cameras=("all",), name="x")
 
 
 def test_a_label_belongs_to_the_moment_and_every_camera_sees_it_at_the_same_place(around: Project):

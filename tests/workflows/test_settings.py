@@ -105,7 +105,6 @@ def test_an_invalid_settings_file_is_refused(project: Project, tmp_path: Path, c
 def test_show_config_prints_the_resulting_settings(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Works before any training, with exit code 0."""
     keep(project, max_steps=7)
     file = written(tmp_path, {"min_view_score": 0.2})
     words = ["annotate", "p", "--projects", str(tmp_path), "--config", str(file), "--axes", "normals", "--show-config"]

@@ -14,14 +14,13 @@ import pytest
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import BoxRotation, Origin, Project, create_project
+from annotator.project import BoxRotation, Origin, Project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.web.context import Caches
 from annotator.workflows import simulate
-from annotator.workflows.add_recordings import move_recording, register_recording
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
@@ -73,7 +72,6 @@ def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
 
 
 def test_simulating_again_replaces_the_boxes(people: Project) -> None:
-    """It replaces the 2D boxes, and does not import the same 3D boxes again."""
     first = simulated(people, BoxKind.BOX, every=2)
     before = people.statistics()
     assert simulated(people, BoxKind.BOX, every=2) == first
@@ -139,7 +137,6 @@ def masks_only(folder: Path) -> Path:
 
 
 def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
-    """The boxes equal those of a recording that also has true boxes."""
     stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
     drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
     assert drawn == simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
@@ -213,21 +210,10 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
 
 
 @pytest.fixture
-def drawn(
-    copy_project: Callable[[Path], Project],
-    made_once: Callable[[str, Callable[[Path], object]], Path],
-    generated: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Project:
+def drawn(prepared: Callable[..., Project], monkeypatch: pytest.MonkeyPatch) -> Project:
     """People drawn as they are seen, in a project without a detector."""
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            recording = register_recording(project, open_recording(generated / "people"))
-            simulate_recording(project, recording.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
-
     monkeypatch.setattr(simulate, "ready_view", lambda project: None)
-    return copy_project(made_once("drawn project", fill) / "project0")
+    return prepared("drawn_silhouettes", lambda project: simulated(project, BoxKind.SILHOUETTE, every=2))
 
 
 def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:
@@ -262,18 +248,3 @@ def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhou
     drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
     seen.append(offered(offers))
     assert seen[2] == offered(WholeBoxes(drawn)) and seen[0] != seen[1] != seen[2]
-
-
-def test_frames_of_a_moved_recording_are_read_at_their_new_place(
-    drawn: Project, own_copy: Callable[[str], Path]
-) -> None:
-    caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
-    move_recording(drawn, recording, here)
-    first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
-    offers = caches.whole_boxes(drawn)
-    assert offers._objects(first)
-    there = here.rename(here.with_name("there"))
-    move_recording(drawn, recording, there)
-    caches.frames.forget(drawn)  # as the server does
-    assert offers._objects(second)
-    caches.close()

@@ -343,15 +343,6 @@ def test_errors_in_rcv_datasets_are_found(exported: Path, tmp_path: Path) -> Non
     }
 
 
-def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path) -> None:
-    for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        (tmp_path / file).touch()
-    (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
-    reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
-    assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
-
-
 def test_all_datasets_in_a_folder_are_checked(kitti: Path, exported: Path) -> None:
     shutil.copytree(exported, kitti.parent / "deep" / "rcv")
     (kitti.parent / "empty" / "color").mkdir(parents=True)
@@ -432,25 +423,6 @@ def test_labels_of_other_tools_are_read_and_all_their_errors_found(
     assert len(reported) == len(faults)
 
 
-def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    document = {
-        "metadata": {"schema_version": "1.0.0"},
-        "streams": {"cam": {"type": "camera"}},
-        "frames": {"0": {}, "1": {}},
-    }
-    (tmp_path / "out/train").mkdir(parents=True)
-    (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
-    (tmp_path / "out/train/other.json").write_text("{}")
-    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels, so only its files were checked"
-    for path in ("out", "out/train"):
-        assert main(["check", str(tmp_path / path)]) == 0
-        assert whole in capsys.readouterr().out.splitlines()
-    for file in ("a.json", "other.json"):
-        cut(tmp_path / "out/train" / file, 1)
-    assert main(["check", str(tmp_path / "out")]) == 1
-    assert "2 errors" in capsys.readouterr().out
-
-
 def test_the_check_command_prints_findings_and_sets_the_exit_code(
     kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -529,3 +501,31 @@ def test_the_check_continues_after_any_label_content(kitti: Path, changes: list[
     report = check_datasets(kitti)
     assert report.datasets[0].frames == 3
     assert {(finding.file, finding.line) for finding in report.findings} <= {(str(kitti / LABELS), 2)}
+
+
+def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path) -> None:
+    for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
+    reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
+    assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
+
+
+def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = {
+        "metadata": {"schema_version": "1.0.0"},
+        "streams": {"cam": {"type": "camera"}},
+        "frames": {"0": {}, "1": {}},
+    }
+    (tmp_path / "out/train").mkdir(parents=True)
+    (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
+    (tmp_path / "out/train/other.json").write_text("{}")
+    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels, so only its files were checked"
+    for path in ("out", "out/train"):
+        assert main(["check", str(tmp_path / path)]) == 0
+        assert whole in capsys.readouterr().out.splitlines()
+    for file in ("a.json", "other.json"):
+        cut(tmp_path / "out/train" / file, 1)
+    assert main(["check", str(tmp_path / "out")]) == 1
+    assert "2 errors" in capsys.readouterr().out

@@ -31,7 +31,7 @@ from annotator.types import (
     Source,
     Suggestion,
 )
-from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project, parse_shares
@@ -161,10 +161,9 @@ def test_an_empty_export_is_an_error(people: Project, tmp_path: Path, choose: Ex
 
 @pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
 def test_unreadable_frames_are_left_out_on_request(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
+    copied: tuple[Path, Project], tmp_path: Path, format: ExportFormat
 ) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+    folder, project = copied
     label_all(project, (0, 3))
     depth = folder / "depth" / "000000.png"
     depth.write_bytes(depth.read_bytes()[:500])
@@ -182,12 +181,8 @@ def test_unreadable_frames_are_left_out_on_request(
     assert not (tmp_path / "none").exists()
 
 
-def test_missing_frames_with_labels_fail_the_export(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    """Missing frames without labels are not exported; with labels they are an error."""
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_missing_frames_with_labels_fail_the_export(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, project = copied
     label_all(project, (0, 1))
     for name in ("color/000004.jpg", "depth/000004.png"):
         (folder / name).unlink()
@@ -312,6 +307,12 @@ def test_an_export_opens_with_its_labels(
     assert "unchecked-dataset" not in {finding.rule for finding in checked.findings}
 
 
+def test_the_parts_of_an_rcv_export_are_lists_of_its_frames(labelled_people: Project, tmp_path: Path) -> None:
+    report = export_project(labelled_people, tmp_path / "out", choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
+    listed = {path.stem: len(path.read_text().split()) for path in (tmp_path / "out/splits").iterdir()}
+    assert listed == report.splits == {"train": 3, "val": 2}
+
+
 @pytest.mark.parametrize("format", [ExportFormat.OPENLABEL, ExportFormat.LABELCLOUD])
 def test_a_part_of_a_divided_export_opens(labelled_people: Project, tmp_path: Path, format: ExportFormat) -> None:
     report = export_project(
@@ -322,73 +323,6 @@ def test_a_part_of_a_divided_export_opens(labelled_people: Project, tmp_path: Pa
         recording = open_recording(tmp_path / "out" / part)
         assert len(recording) == frames
         assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(frames)) > 0
-
-
-def test_several_recordings_are_one(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
-    project = make_project(generated / "people", generated / "hands")
-    for format, reader in ((ExportFormat.RCV, "rcv"), (ExportFormat.OPENLABEL, "openlabel")):
-        report = export_project(project, tmp_path / reader, format, choose=ALL)
-        recording = open_recording(tmp_path / reader)
-        assert len(recording) == len(set(recording.keys)) == report.frames
-        sizes = {recording.frame(i).rgb.shape for i in range(len(recording))}
-        assert len(sizes) == len({FrameSource(project).read(each).rgb.shape for each in project.frames.of()})
-
-
-def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(
-    labelled_people: Project, tmp_path: Path
-) -> None:
-    export_project(labelled_people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
-    recording, source = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP"), FrameSource(labelled_people)
-    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
-    known = [np.sort(np.linalg.norm(source.read(each).cloud.xyz_m, axis=1)) for each in labelled_people.frames.of()]
-    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
-
-
-@pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.OPENLABEL])
-def test_rejected_boxes_of_an_export_are_no_labels(
-    labelled_people: Project, tmp_path: Path, format: ExportFormat
-) -> None:
-    stored = labelled_people.frames.of()[0]
-    (uid, *kept) = (label.uid for label in labelled_people.labels.of_frame(stored.id))
-    labelled_people.labels.reject(stored.id, uid, WriteContext(stored.revision, "me"))
-    export_project(labelled_people, tmp_path / "out", format, choose=ExportFilter(empty_frames=True, states=STATES))
-    recording = open_recording(tmp_path / "out")
-    assert len(load_truth(recording, 0, recording.frame(0))) == len(kept) == 2
-
-
-def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
-
-
-def test_damaged_exports_are_errors(labelled_people: Project, tmp_path: Path) -> None:
-    rcv, openlabel = tmp_path / "rcv", tmp_path / "openlabel"
-    export_project(labelled_people, rcv, ExportFormat.RCV, choose=ALL)
-    export_project(labelled_people, openlabel, ExportFormat.OPENLABEL, choose=ALL)
-    first = open_recording(rcv).keys[0]
-    label = rcv / "labels" / f"{first}.json"
-    for change, complaint in (
-        (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
-        (lambda record: record.update(cloud="labels/x.json"), "is none of"),
-        (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
-        (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
-        (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
-        (lambda record: record["camera"].update(width_px=7), "but its camera has 7 x"),
-    ):
-        sound = label.read_text()
-        changed(label, change)
-        with pytest.raises(FrameError, match=complaint):
-            open_recording(rcv).frame(0)
-        label.write_text(sound)
-        open_recording(rcv).frame(0)
-    (document,) = openlabel.glob("*.json")
-    changed(document, lambda content: content["openlabel"]["streams"]["camera"].pop("stream_properties"))
-    with pytest.raises(RecordingError, match=r"is not a document of annotator \(KeyError 'stream_properties'\)"):
-        open_recording(openlabel).frame(0)
-    (rcv / "dataset.json").write_text('{"format": "annotator-rcv", "version": 1, "frames": []}')
-    with pytest.raises(RecordingError, match="no frames"):
-        open_recording(rcv)
 
 
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]}

@@ -19,7 +19,7 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
-from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import (
     BoxFormat,
     FlatFormat,
@@ -53,35 +53,6 @@ class Given(LabelSet):
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.boxes[name]
-
-
-def test_an_rcv_export_can_be_imported(
-    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
-) -> None:
-    frames = people.frames.of()
-    rng = np.random.default_rng(0)
-    for number, stored in enumerate(frames[:3]):
-        boxes = [OrientedBox.from_parts(rng.normal(size=3), np.eye(3), rng.uniform(0.1, 2, 3)) for _ in range(2)]
-        new = [NewLabel("person", box, 0.25 * number, 2 * number + n) for n, box in enumerate(boxes)]
-        made = people.labels.create(stored.id, new, WriteContext(0, "me", Source.MANUAL))
-        people.labels.reject(stored.id, made.uids[1], WriteContext(made.receipt.revision, "me"))
-    every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)
-    told: list[tuple[int, int]] = []
-    split = Split({"train": 0.6, "val": 0.4}, SplitBy.FRAMES, 7)
-    report = export_project(
-        people, tmp_path / "out", choose=every, split=split, progress=lambda *done: told.append(done)
-    )
-    listed = {path.stem: len(path.read_text().split()) for path in (tmp_path / "out" / "splits").iterdir()}
-    assert listed == report.splits == {"train": 3, "val": 2} and told[-1] == (5, 5)
-    other = make_project(generated / "people")
-    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert (done.frames, done.boxes, done[Note.ALREADY], tuple(done.of(Note.UNMATCHED))) == (5, {"person": 3}, 0, ())
-    assert (done[Note.NOT_REVIEWED], done[Note.SCORE]) == (3, 0)
-    for before, after in zip(frames, other.frames.of(), strict=True):
-        kept = [each for each in people.labels.of_frame(before.id) if each.state is ReviewState.ACCEPTED]
-        for a, b in zip(kept, other.labels.of_frame(after.id), strict=True):
-            assert (b.label, b.score, b.track_id, b.source) == (a.label, a.score, a.track_id, Source.IMPORTED)
-            np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["rcv", "openlabel"])
@@ -126,7 +97,6 @@ def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: P
 def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
     people: Project, tmp_path: Path, written: tuple[float | None, ...], kept: list[float | None], lost: int
 ) -> None:
-    """Confidences are imported; raw scores are dropped and counted."""
     files = [f"{stored.key}.txt" for stored in people.frames.of()[:2]]
     rows = [f"person 0 0 0 9 9 50 80 1.8 0.4 0.5 {x} 1 3 0" for x in range(3)]
     scored = [row if score is None else f"{row} {score}" for row, score in zip(rows, written, strict=True)]
@@ -138,7 +108,6 @@ def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
 
 
 def test_finalised_frames_are_not_changed(people: Project) -> None:
-    """An operator has finalised a frame without objects."""
     first, second = people.frames.of()[:2]
     people.frames.finalise(first.id, WriteContext(0, "me"))
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})

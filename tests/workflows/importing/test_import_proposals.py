@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from argoverse_samples import CAMERAS as LOG_CAMERAS
 from argoverse_samples import write_log
-from nuscenes_samples import CAMERAS, real, small
+from nuscenes_samples import CAMERAS, small
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.sunrgbd import read_extracted_folder
@@ -146,6 +146,9 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     )
     done = import_proposals(people, read_labels(BoxFormat.BOXES, one), min_score=0.1, names={"Car": "person"})
     assert (done.frames, done.boxes, done[Note.UNSURE], done.of(Note.OTHER_CLASS)) == (2, {"person": 2}, 1, {"dog": 1})
+    for source in (" ", "annotator", "x" * 201):
+        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+            import_proposals(people, read_labels(BoxFormat.BOXES, two), source)
     done = import_proposals(people, read_labels(BoxFormat.BOXES, two), "second detector")
     assert (done.source, done[Note.MERGED], tuple(done.of(Note.UNMATCHED))) == ("second detector", 1, ("gone",))
     assert list(done.of(Note.SCALED)) == ["-1 to 3.5"]
@@ -218,43 +221,6 @@ def test_ids_that_other_sources_use_are_not_used_again_although_both_see_the_obj
     assert tracks_by_place(people) == {0.0: {3}, 5.0: {10}, 9.0: {9}}
     import_proposals(people, read_labels(BoxFormat.BOXES, tracked(one, {first.key: []})))
     assert tracks_by_place(people) == {0.0: {8}, 5.0: {10}, 9.0: {9}}
-
-
-def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewed(
-    people: Project, tmp_path: Path
-) -> None:
-    first, second = people.frames.of()[:2]
-    boxes = {
-        first.key: [("person", 0.0, 0.9), ("person", 3.0, 0.4), ("person", 6.0, 0.6), ("person", 9.0, 0.7)],
-        second.key: [("person", 0.0, 0.55)],
-    }
-    dataset = read_labels(BoxFormat.BOXES, boxes_file(tmp_path / "det.json", boxes))
-    for source in (" ", "annotator", "x" * 201):
-        with pytest.raises(ConfigError, match="cannot name a source of boxes"):
-            import_proposals(people, dataset, source)
-
-    def proposed(min_score: float | None) -> list[tuple[str, float]]:
-        done = import_proposals(people, dataset, min_score=min_score)
-        assert done.frames == 2
-        open_ = people.labels.select(states=[ReviewState.PROPOSED])
-        keys = {each.id: each.key for each in (first, second)}
-        return sorted((keys[each.frame_id], float(each.label.box.center_m[0])) for each in open_)
-
-    assert proposed(0.5) == [(first.key, 0.0), (first.key, 6.0), (first.key, 9.0), (second.key, 0.0)]
-    uids = {float(each.box.center_m[0]): each.uid for each in people.labels.of_frame(first.id)}
-    for review, x in ((people.labels.accept, 0.0), (people.labels.reject, 6.0)):
-        review(first.id, uids[x], WriteContext(people.frames.get(first.id).revision, "me"))
-    reviewed = {ReviewState.ACCEPTED: 0.0, ReviewState.REJECTED: 6.0}
-    for min_score, expected in (
-        (0.3, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
-        (0.95, []),
-        (None, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
-        (0.5, [(first.key, 9.0), (second.key, 0.0)]),
-    ):
-        assert proposed(min_score) == expected
-        for state, x in reviewed.items():
-            (label,) = people.labels.select(states=[state])
-            assert (label.label.box.center_m[0], label.label.uid) == (x, uids[x])
 
 
 @pytest.mark.parametrize("run", [import_labels, import_proposals])
@@ -343,20 +309,6 @@ def test_results_find_their_frames_and_trackers_their_tracks(
     assert import_proposals(project, read_labels(BoxFormat.NUSCENES, path))[Note.UNSEEN] == 0
 
 
-def test_attributes_of_results_can_be_added_to_the_project(
-    make_project: Callable[..., Project], tmp_path: Path
-) -> None:
-    data = small(tmp_path / "set")
-    project = make_project(classes=("car",))
-    added(project, data, scene="scene-0000", camera=CAMERAS[0])
-    path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
-    dataset = read_labels(BoxFormat.NUSCENES, path)
-    assert import_proposals(project, dataset).of(Note.VALUE) == {"vehicle (not an attribute of the project)": 2}
-    assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
-    assert not import_proposals(project, dataset)[Note.VALUE]
-    assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}
-
-
 AHEAD, BEHIND = "REGULAR_VEHICLE", "PEDESTRIAN"
 
 
@@ -380,3 +332,17 @@ def test_annotations_are_placed_like_the_recordings_own(make_project: Callable[.
     register_recording(project, recordings[1], options=ReaderOptions(camera=list(LOG_CAMERAS)[1]))
     proposed = import_proposals(project, read_labels(BoxFormat.ARGOVERSE2, file.parent))
     assert (proposed.frames, proposed.boxes, proposed[Note.COVERED], proposed[Note.UNSEEN]) == (6, {BEHIND: 3}, 3, 0)
+
+
+def test_attributes_of_results_can_be_added_to_the_project(
+    make_project: Callable[..., Project], tmp_path: Path
+) -> None:
+    data = small(tmp_path / "set")
+    project = make_project(classes=("car",))
+    added(project, data, scene="scene-0000", camera=CAMERAS[0])
+    path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
+    dataset = read_labels(BoxFormat.NUSCENES, path)
+    assert import_proposals(project, dataset).of(Note.VALUE) == {"vehicle (not an attribute of the project)": 2}
+    assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
+    assert not import_proposals(project, dataset)[Note.VALUE]
+    assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}

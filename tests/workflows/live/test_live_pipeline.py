@@ -54,9 +54,6 @@ def frame(hands: Recording) -> Frame:
     return hands.frame(0)
 
 
-# --- playback of a recording ------------------------------------------------------------------------------------------
-
-
 @dataclass
 class FakeRecording:
     """A recording with given times, whose frames are all copies of one."""
@@ -176,9 +173,6 @@ def test_playback_of_an_unreadable_recording_ends_with_an_error(frame: Frame) ->
         playback.read(NEVER)
     with pytest.raises(RecordingError, match=r"none of its frames can be read \(2 tried\)"):
         playback.read(NEVER)
-
-
-# --- the stages -------------------------------------------------------------------------------------------------------
 
 
 class FakeDetection:
@@ -344,9 +338,6 @@ def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
         Pipeline(Playback(FakeRecording(frame, (None,)), rate=1.0), FakeDetection(), shown, max_frames=0)
 
 
-# --- warm starts from the previous boxes ------------------------------------------------------------------------------
-
-
 def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowing: Any) -> None:
     detection = LiveDetection(knowing("hands"), SHORT, BoxRotation.AUTO, warm_start=True)
     frames = [hands.frame(index) for index in range(3)]
@@ -376,9 +367,6 @@ def test_figures_are_computed_over_their_window_only(monkeypatch: pytest.MonkeyP
     assert figures.latency_ms == pytest.approx(50)
     assert figures.fps == pytest.approx(50)
     assert "dropped: 2 detect, 1 record" in summary_line(figures)
-
-
-# --- the regions of an image in which tracked objects are searched ----------------------------------------------------
 
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)

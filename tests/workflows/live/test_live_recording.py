@@ -58,9 +58,6 @@ def seen(frame: Frame, at_s: float = 0.0) -> Detected:
     return Detected(frame, found, at_s, {"read": 0.01, "views": 0.02})
 
 
-# --- frames in a folder -----------------------------------------------------------------------------------------------
-
-
 def test_frames_with_depth_are_read_back_unchanged(frames: list[Frame], tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path)
     assert [writer.add(frame, 10**18 + n * 10**8) for n, frame in enumerate(frames)] == ["000000", "000001", "000002"]
@@ -120,9 +117,6 @@ def test_invalid_timestamps_are_errors(frames: list[Frame], tmp_path: Path, text
         open_recording(tmp_path)
     (tmp_path / "timestamps.csv").write_text("key,timestamp_ns\nother,5\n")
     assert open_recording(tmp_path).frame(0).timestamp_ns is None
-
-
-# --- recording a session ----------------------------------------------------------------------------------------------
 
 
 def test_recorded_frames_are_in_the_project_with_proposals(

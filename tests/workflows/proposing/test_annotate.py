@@ -130,13 +130,12 @@ def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Know
 
 
 def test_a_broken_frame_is_stored_with_its_reason_and_the_others_are_processed(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+    copied: tuple[Path, Project], knowing: Knowing
 ) -> None:
-    folder = own_copy("people")
+    folder, project = copied
     depth = folder / "depth" / "000001.png"
     whole = depth.read_bytes()
     depth.write_bytes(whole[: len(whole) // 2])
-    project = make_project(folder)
     done = annotate(project, knowing("people"), FAST)
     assert (done.frames, done.done) == (5, 4)
     ((key, reason),) = done.failed
@@ -197,17 +196,13 @@ def test_annotate_can_be_limited_to_recordings_and_a_number_of_frames(
 
 @pytest.mark.parametrize("limit", [0, -1])
 def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: int) -> None:
-    """-1 once meant all frames except the last."""
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
 
 
-def test_missing_frames_are_neither_processed_nor_counted(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_missing_frames_are_neither_processed_nor_counted(copied: tuple[Path, Project], knowing: Knowing) -> None:
+    folder, project = copied
     for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
         path.unlink()
     add_recordings(project, [folder])
@@ -300,7 +295,6 @@ def test_a_frame_finalised_during_processing_is_not_changed(people: Project, kno
 def test_a_frame_finalised_between_two_write_attempts_is_skipped(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Regression test: the second error, raised in the handler of the first, once ended the batch."""
     stored = people.frames.of()[0]
     replace, first = type(people.proposals).replace, [True]
 

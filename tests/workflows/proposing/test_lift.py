@@ -3,82 +3,34 @@
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 import pytest
+from test_warm_start import AnyClass
 
 from annotator.cli.main import main
 from annotator.detection.pretrained import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import BoxRotation, NewLabel, Project, WriteContext
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.changes import FrameFinalised, ImageBoxesSet
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
-from annotator.rcv.finish import FrameProposals
-from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, ReviewState, Source
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
-from annotator.workflows.proposing import lift as module
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.proposing.lift import (
-    GivenBoxes,
-    RenamedDetector,
-    boxes_of_file,
-    drawn_boxes,
-    lift,
-    propose_image_boxes,
-)
+from annotator.workflows.proposing.lift import GivenBoxes, RenamedDetector, boxes_of_file, drawn_boxes, lift
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-
-UP = np.array([0.0, -1.0, 0.0])
-
-
-@pytest.mark.parametrize("kind", list(BoxKind))
-def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
-    kind: BoxKind, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recording = open_recording(generated / "people")
-    asked: dict[Orientation, list[str]] = {}
-
-    def note(frames: Sequence[Frame], boxes: Any, view: Any, config: RcvConfig, **_: Any) -> list[FrameProposals]:
-        assert config.box_kind is kind
-        asked[config.orientation] = [frame.key for frame in frames]
-        return [FrameProposals(frame.key, (), ()) for frame in frames]
-
-    monkeypatch.setattr(module, "propose_from_boxes", note)
-    ups = (UP, None, UP)
-    frames = [replace(recording.frame(place), up=up) for place, up in enumerate(ups)]
-    keys = [frame.key for frame in frames]
-    pair = knowing("people", kind)
-    results = propose_image_boxes(frames, [[]] * 3, pair.view, pair.settings(RcvConfig()), BoxRotation.AUTO)
-    assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
-    assert [result.key for result in results] == keys
-
-
-class AnyClass:
-    """As a base detector: the boxes of another detector without their classes."""
-
-    labels = tuple(AGNOSTIC_LABELS.values())
-    fingerprint = "any class"
-
-    def __init__(self, detector: Detector) -> None:
-        self._detector = detector
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
 
 
 @pytest.fixture
@@ -184,21 +136,6 @@ def test_a_view_detector_that_does_not_know_the_class_is_refused(
     with pytest.raises(ConfigError, match="the project's view detector was not trained on person"):
         lift(people, given, hands, quick(people))
     assert not people.jobs.all()
-
-
-def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
-    make_project: Callable[..., Project], generated: Path, base: ReadyDetector, tmp_path: Path
-) -> None:
-    folder = shutil.copytree(generated / "people", tmp_path / "people")
-    people = make_project(folder)
-    frames = people.frames.of()
-    (folder / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
-    given = GivenBoxes("test", {frames[k].id: outlines(people, 1) for k in (0, 1)}, {})
-    seen: list[tuple[int, int]] = []
-    done = lift(people, given, base, quick(people), lambda k, n: seen.append((k, n)))
-    assert (done.done, done.failures) == (1, 1)
-    assert done.failed[0][0] == frames[0].key
-    assert seen == [(1, 2), (2, 2)]
 
 
 def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyDetector, tmp_path: Path) -> None:

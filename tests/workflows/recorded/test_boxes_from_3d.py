@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.geometry.oriented_box import box_corners
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.importing import Note
@@ -22,7 +20,6 @@ from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, sh
 from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
-from annotator.workflows.views import spans_m
 
 
 def beside(project: Project) -> RecordedLabels:
@@ -78,27 +75,6 @@ def test_only_2d_boxes_are_stored_and_they_are_training_data(people: Project) ->
     assert (len(images), len(taught)) == (2, len(views))
     assert {sample.origin for sample in images + taught} == {DRAWN}
     assert [len(sample.boxes) for sample in taught] == [len(view.boxes) for view in views]
-
-
-def test_the_first_box_of_a_view_belongs_to_its_object(people: Project) -> None:
-    """In metres, it is the extent of the true box along the view's axes, unless the picture clips it."""
-    boxes_from_3d(people, beside(people), fraction=0.2)
-    (on_image,) = people.boxes.on_images()
-    stored = people.frames.get(on_image.frame_id)
-    labels, frame = beside(people), open_recording(people.recordings.all()[0].path).frame(stored.index or 0)
-    truths = labels.truths(f"people/{stored.key}", frame)
-    checked = 0
-    for view in people.boxes.on_views():
-        assert view.geometry is not None
-        assert view.geometry.image_box in on_image.boxes
-        if view.step == 0:
-            continue  # the picture ends at the outermost points, inside the box
-        number = on_image.boxes.index(view.geometry.image_box)
-        along = box_corners(truths[number].box) @ np.array(view.geometry.axes)[:2].T
-        expected = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
-        np.testing.assert_allclose(spans_m(view), expected, atol=1e-6)
-        checked += 1
-    assert checked >= 4
 
 
 def moved(labels: RecordedLabels, by_m: float) -> LabelSet:

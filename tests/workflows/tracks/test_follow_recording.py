@@ -40,16 +40,6 @@ def test_reviewed_boxes_are_followed_to_the_end(room: Room) -> None:
     assert room.counts == [3, 0, 0, 0, 0]
 
 
-def test_no_detector_is_needed(room: Room) -> None:
-    room.accept(0)
-    done = room.all(None)
-    assert sum(track.boxes for track in done.tracks) >= 0.8 * sum(map(len, room.truths[1:]))
-    for index in range(1, 5):
-        for label in room.labels(index):
-            np.testing.assert_allclose(label.box.size_m, room.truth(0, label).box.size_m)
-            assert iou_3d(label.box, room.truth(index, label).box) > 0.5
-
-
 def test_a_lost_object_is_reported_and_stores_nothing(room: Room) -> None:
     with pytest.raises(ConfigError, match="there is no reviewed box to follow"):
         room.all(room.view)

@@ -239,8 +239,6 @@ def test_what_cannot_be_copied_is_refused(room: Room) -> None:
     assert link_tracks(people).unordered == ("people",)
 
 
-# --- values along tracks ----------------------------------------------------------------------------------------------
-
 SCHEMA: list[dict[str, Any]] = [
     {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]},
     {"name": "height", "kind": "number", "default": 1.7},
@@ -312,9 +310,6 @@ def test_linked_boxes_have_the_values_of_their_track_and_keep_their_own(valued: 
     last = people.log.last()
     link_tracks(people)
     assert people.log.last() == last
-
-
-# --- corrections of later boxes ---------------------------------------------------------------------------------------
 
 
 def box(center: tuple[float, float, float], yaw_deg: float, size: tuple[float, float, float]) -> OrientedBox:

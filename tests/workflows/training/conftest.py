@@ -9,37 +9,28 @@ import pytest
 from view_detectors import HELD_OUT
 
 from annotator.detection import pretrained
-from annotator.project import Project, create_project
+from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.recordings import open_recording
 from annotator.types import BoxKind
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out
 from annotator.workflows.training.held_out import HeldOut
 
 
+def fill(project: Project) -> None:
+    (recording,) = project.recordings.all()
+    import_own_labels(project, recording.id)
+    simulate_recording(project, recording.id, BoxKind.BOX, RcvConfig(), every=1)
+
+
 @pytest.fixture
-def labelled(
-    copy_project: Callable[[Path], Project],
-    made_once: Callable[[str, Callable[[Path], object]], Path],
-    generated: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> Project:
+def labelled(prepared: Callable[..., Project], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Project:
     """The project with the true boxes of all 5 frames and drawn views; two of the frames are held out.
 
     The folder of the base detector is the test's own, and empty.
     """
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            recording = register_recording(project, open_recording(generated / "people")).id
-            import_own_labels(project, recording)
-            simulate_recording(project, recording, BoxKind.BOX, RcvConfig(), every=1)
-
-    project = copy_project(made_once("labelled project", fill) / "project0")
+    project = prepared("labelled", fill)
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
     recording = project.recordings.all()[0].id
     monkeypatch.setattr(held_out, "is_held_out", {f"{recording}/{key}" for key in HELD_OUT}.__contains__)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from view_detectors import CONFIG, HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, register, write_model
+from test_warm_start import AnyClass
+from view_detectors import CONFIG, HELD_OUT, PLAN, Fixed, held, install_base, register, write_model
 
 from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
@@ -19,7 +20,7 @@ from annotator.detection.training import TrainingStoppedError
 from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame
 from annotator.workflows.detectors import (
     AGNOSTIC,
     Detectors,
@@ -226,18 +227,6 @@ def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
     assert trained.model.fingerprint == f"part{parts - 1}"
     assert len(origins) == parts
     assert [number for number, origin in enumerate(origins) if origin is None] == anew
-
-
-class AnyClass:
-    """The boxes of another detector without their classes."""
-
-    labels, fingerprint = AGNOSTIC, "any class"
-
-    def __init__(self, detector: Detector) -> None:
-        self._detector = detector
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        return [[replace(box, label=WHOLE) for box in boxes] for boxes in self._detector.detect(images)]
 
 
 def test_the_reviewed_objects_of_held_out_frames_are_measured(

@@ -15,10 +15,8 @@ from view_detectors import SEEN, WHOLE, Fixed
 
 from annotator.detection.dataset import TrainingSample
 from annotator.detection.trained import read_trained
-from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteContext
-from annotator.rcv import pseudo_view
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import open_recording
@@ -28,7 +26,6 @@ from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
-from annotator.workflows.training.base_detector import BASE_TRAINING, views_of
 from annotator.workflows.training.samples import (
     DRAWN,
     PROJECTED,
@@ -36,12 +33,9 @@ from annotator.workflows.training.samples import (
     Material,
     SampleConfig,
     agnostic_samples,
-    drawn_objects,
     drawn_pictures,
     gather,
     image_samples,
-    known_objects,
-    taught_by_drags,
     view_samples,
     with_generated,
 )
@@ -73,9 +67,6 @@ def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
     stored = project.frames.of()[index]
     new = [NewLabel(truth.label, truth.box) for truth in truths]
     return project.labels.create(stored.id, new, WriteContext(stored.revision, "me")).uids
-
-
-# --- gather ----------------------------------------------------------------------------------------------------------
 
 
 def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
@@ -119,9 +110,6 @@ def test_a_few_accepted_boxes_do_not_change_the_majority_kind(people: Project) -
     assert gather(people).kind is BoxKind.BOX
 
 
-# --- after a correction of the calibration ---------------------------------------------------------------------------
-
-
 def stored_pictures(project: Project) -> dict[str, np.ndarray]:
     return {view.view_id: project.views.load(view.view_id) for view in project.boxes.on_views()}
 
@@ -157,9 +145,6 @@ def test_drawn_views_whose_box_a_correction_leaves_empty_do_not_train(people: Pr
     assert len(skipped) == 12 and all(
         "the corrected calibration leaves no points in its box" in line for line in skipped
     )
-
-
-# --- camera images ---------------------------------------------------------------------------------------------------
 
 
 def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> None:
@@ -224,15 +209,6 @@ def test_frames_with_drawn_boxes_are_samples_despite_open_proposals(people: Proj
     assert (sample.origin, sample.label_uids[1:], material.unreviewed_images) == (DRAWN, reviewed, 0)
 
 
-def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
-    accept(people, 0, count=1)
-    before = views(people, gather(people), 40)
-    propose_true(people, 0, 1)
-    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
-    after = views(people, gather(people, [DetectorKind.VIEW]), 40)
-    assert 0 < len(after) < len(before)
-
-
 def test_views_are_rendered_from_3d_labels_and_list_their_uids(people: Project) -> None:
     uids = {*accept(people, 0), *accept(people, 2)}
     samples = views(people, gather(people), 24)
@@ -242,9 +218,6 @@ def test_views_are_rendered_from_3d_labels_and_list_their_uids(people: Project) 
     assert {uid for sample in samples for uid in sample.label_uids} == uids
     for sample in samples:
         assert len(sample.label_uids) == len(sample.boxes)
-
-
-# --- pseudo-views ----------------------------------------------------------------------------------------------------
 
 
 def test_drawn_views_are_used_unchanged(people: Project) -> None:
@@ -262,56 +235,11 @@ def test_drawn_views_are_used_unchanged(people: Project) -> None:
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
 
 
-def test_views_of_deep_frustums_have_the_size_used_in_detection(
-    people: Project, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pseudo_view, "DEEP", 0.1)
-    (recording,) = people.recordings.all()
-    simulate_recording(people, recording.id, BoxKind.BOX, CONFIG, 2)
-    samples = views(people, gather(people), 120)
-    for origin in (DRAWN, TAUGHT):
-        looked_at = {sample.look_px: sample for sample in samples if sample.origin == origin}
-        assert set(looked_at) == {0, pseudo_view.DEEP_VIEW_PX}
-        sizes = {look_px: max(sample.load().shape) for look_px, sample in looked_at.items()}
-        assert sizes == {0: CONFIG.view_px, pseudo_view.DEEP_VIEW_PX: pseudo_view.DEEP_VIEW_PX}
-
-
 @pytest.mark.parametrize(("asked", "draws"), [(1, 1), (24, 4), (10**6, 20)])
 def test_few_objects_are_drawn_more_often_up_to_a_limit(people: Project, asked: int, draws: int) -> None:
     accept(people, 0)
     samples = views(people, gather(people), asked)
     assert 0.8 * 2 * 3 * draws <= len(samples) <= 2 * 3 * draws
-
-
-def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
-    accept(people, 0)
-    first, again, other = (views(people, gather(people), 12, seed) for seed in (1, 1, 2))
-    for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a.load(), b.load())
-        assert (a.boxes, a.group) == (b.boxes, b.group)
-    assert [sample.boxes for sample in first] != [sample.boxes for sample in other]
-
-
-def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Project) -> None:
-    material = simulate(people, BoxKind.SILHOUETTE, every=5)
-    frame = FrameSource(people).read(people.frames.of()[0])
-    recording = open_recording(people.recordings.all()[0].path)
-    truths = visible_objects(recording, 0, frame, ["person"])
-    ((_, objects),) = drawn_objects(material.views).items()
-    assert len(objects) == 3
-    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
-    empty = [replace(view, geometry=geometry) for view, geometry in zip(objects[0], far, strict=True)]
-    assert taught_by_drags(frame, empty) is None, "there are no points in these boxes"
-    for truth, drags in zip(truths, objects, strict=True):
-        taught = taught_by_drags(frame, drags)
-        assert taught is not None
-        assert taught.points is not None
-        assert truth.points is not None
-        assert (taught.points & truth.points).sum() > 0.97 * truth.points.sum()
-        assert contains(taught.box, frame.cloud.xyz_m[taught.points], 1e-6).all()
-    samples = views(people, material, 12)
-    assert Counter(sample.origin for sample in samples) == {DRAWN: 12, TAUGHT: 12}
-    assert all(sample.boxes for sample in samples)
 
 
 def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project) -> None:
@@ -377,9 +305,6 @@ def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_k
         assert next(box for box in sample.boxes if box.label == WHOLE) == given.boxes[0]
 
 
-# --- frames that cannot be read --------------------------------------------------------------------------------------
-
-
 def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:
     simulate(people, BoxKind.SILHOUETTE, every=5)
     image_boxes = [view.geometry.image_box for view in people.boxes.on_views() if view.geometry is not None]
@@ -408,20 +333,6 @@ def test_a_fifth_of_the_views_is_generated() -> None:
     assert not {sample.group for sample in samples[120:]} & {sample.group for sample in others[120:]}
 
 
-def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
-    simulate(people, BoxKind.SILHOUETTE, every=5)
-    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
-    accept(people, 1)
-    material = replace(gather(people), kind=BoxKind.BOX)
-    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
-    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
-    # 24 views of the 3 objects that are taught
-    assert {one.draws for one in known} == {4}
-
-
-# --- the base detector, from generated frames ----------------------------------------------------------------------
-
-
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -437,16 +348,6 @@ def test_a_view_has_one_object_with_two_boxes_or_none() -> None:
     assert labels.count((WHOLE, SEEN)) > 0.8 * len(labels)
     assert labels.count(()) > 0  # crops that miss their object
     assert set(labels) <= {(WHOLE, SEEN), (WHOLE,), (SEEN,), ()}
-
-
-def test_equal_seeds_give_equal_training_images() -> None:
-    one, two = (views_of(range(3), 2, BASE_TRAINING.image_size_px) for _ in range(2))
-    assert len(one) > 10
-    for a, b in zip(one, two, strict=True):
-        assert np.array_equal(a.load(), b.load())
-        assert (a.boxes, a.group) == (b.boxes, b.group)
-    assert {sample.group for sample in one} == {f"snapshot/{seed}" for seed in range(3)}
-    assert {max(sample.load().shape) for sample in one} == {BASE_TRAINING.image_size_px}
 
 
 @pytest.mark.slow
@@ -467,3 +368,12 @@ def test_the_script_trains_and_installs(
     script["run"](tmp_path / "work", **plan)
     assert json.loads((tmp_path / "package" / "manifest.json").read_text()) == manifest
     assert capsys.readouterr().out.count("detector.safetensors: map50=") == 2
+
+
+def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
+    accept(people, 0, count=1)
+    before = views(people, gather(people), 40)
+    propose_true(people, 0, 1)
+    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
+    after = views(people, gather(people, [DetectorKind.VIEW]), 40)
+    assert 0 < len(after) < len(before)

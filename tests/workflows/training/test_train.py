@@ -16,13 +16,10 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, read_manifest, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.training import TrainingProgress, TrainingStoppedError
-from annotator.project import Project, WriteContext, create_project
+from annotator.project import Project, WriteContext
 from annotator.rcv import pseudo_view
 from annotator.rcv.config import RcvConfig
-from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.errors import DetectionError
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, rounds
@@ -65,19 +62,9 @@ def simulate(project: Project, kind: BoxKind = BoxKind.BOX) -> None:
 
 
 @pytest.fixture
-def drawn(
-    copy_project: Callable[[Path], Project],
-    made_once: Callable[[str, Callable[[Path], object]], Path],
-    generated: Path,
-) -> Project:
+def drawn(prepared: Callable[..., Project]) -> Project:
     """People with boxes on three of five frames."""
-
-    def fill(folder: Path) -> None:
-        with create_project(folder, "project0", ("person",)) as project:
-            register_recording(project, open_recording(generated / "people"))
-            simulate(project)
-
-    return copy_project(made_once("drawn boxes", fill) / "project0")
+    return prepared("drawn_boxes", simulate)
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
@@ -156,11 +143,8 @@ def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, monkeypat
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
-def test_left_out_samples_are_reported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], trainings: list[tuple[str, Path, Path]]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_left_out_samples_are_reported(copied: tuple[Path, Project], trainings: list[tuple[str, Path, Path]]) -> None:
+    folder, project = copied
     simulate(project)
     view = project.boxes.on_views()[0]
     stored = project.frames.of()[1]
@@ -174,13 +158,6 @@ def test_left_out_samples_are_reported(
     assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
     assert views.left_out[1].startswith("frame 000002: ")
     assert sum(image.manifest.images.values()) == 2
-
-
-def test_pictures_without_any_box_are_an_error(people: Project) -> None:
-    people.boxes.set_on_image(people.frames.of()[0].id, [], BoxKind.BOX, WriteContext(0, "me"))
-    with pytest.raises(DetectionError, match="at least one labelled box"):
-        train(people, QUICK, roles=(DetectorKind.IMAGE,))
-    assert people.models.all() == ()
 
 
 def test_a_training_can_be_stopped_while_it_draws_views_and_measures(

@@ -21,7 +21,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Source
-from annotator.types.errors import ConfigError, FormatError, ProjectError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -146,28 +146,6 @@ def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Pa
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*places, "coco.json", "views.json"])
 
 
-def test_relabelling_a_view_does_not_swap_front_and_side(hands: Project, tmp_path: Path) -> None:
-    """The store lists the view that was labelled last at the end."""
-    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
-    write_views(hands, tmp_path / "one", 1, CONFIG)
-    import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
-    write_views(hands, tmp_path / "two", 2, CONFIG)
-    front, context = hands.boxes.on_views()[0], WriteContext(hands.frames.of()[0].revision, "me")
-    hands.boxes.set_on_view(
-        front.view_id, front.boxes, front.box_kind, context, frame_id=front.frame_id, step=0, geometry=front.geometry
-    )
-    assert hands.boxes.on_views()[-1].view_id == front.view_id
-    write_views(hands, tmp_path / "again", 2, CONFIG)
-    for path in (tmp_path / "two").glob("*.png"):
-        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes()
-
-
-def test_without_labelled_objects_no_views_are_written(hands: Project, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no object with boxes on camera images yet"):
-        write_views(hands, tmp_path / "out", 1, CONFIG)
-    assert list(tmp_path.glob("*out*")) == []
-
-
 def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path) -> None:
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "one", 1, CONFIG)
@@ -260,16 +238,6 @@ def test_unusable_pictures_are_errors_and_change_nothing(
     assert hands.boxes.on_views() == ()
 
 
-def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Project, tmp_path: Path) -> None:
-    file, pictures = good_views(hands, tmp_path)
-    people.configure(classes=["person", "hand"])
-    with pytest.raises(ProjectError, match="no recording 'hands'"):
-        import_view_boxes(people, file, pictures, BoxKind.SILHOUETTE)
-
-
-# --- camera images ---------------------------------------------------------------------------------------------------
-
-
 def image(name: str, *boxes: Box2D, size: tuple[int, int] = SIZE) -> PictureLabels:
     return PictureLabels(name, boxes, size)
 
@@ -354,10 +322,7 @@ def test_an_unusable_file_is_an_error_and_changes_nothing(
     assert people.boxes.on_images() == ()
 
 
-def test_boxes_on_an_unreadable_frame_are_imported(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
+def test_boxes_on_an_unreadable_frame_are_imported(copied: tuple[Path, Project], tmp_path: Path) -> None:
+    folder, project = copied
     (folder / "depth" / "000001.png").write_bytes(b"")
     assert imported(project, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX)).boxes.total() == 2

@@ -16,7 +16,7 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.audit.events import Effort
 from annotator.project.progress.reviewed import draft_id
-from annotator.rcv.known_objects import Span, draw_object
+from annotator.rcv.known_objects import Span
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
@@ -98,16 +98,6 @@ def desk(people: Project, generated: Path) -> Desk:
     return Desk(people, generated / "people")
 
 
-def test_the_steps_are_those_of_the_labelling_procedure(desk: Desk) -> None:
-    whole = draw_object(desk.opened.with_normals, desk.image_box(), desk.draw, desk.config)
-    assert whole is not None
-    found = desk.steps(desk.four())
-    assert len(found.views) == len(whole.views) == 4
-    for view, drawn in zip(found.views, whole.views, strict=True):
-        assert (view.rgb == drawn.view.rgb).all()
-        assert (view.axes == drawn.view.axes).all()
-
-
 def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     four = desk.four()
     begun = desk.steps([])
@@ -129,16 +119,6 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert iou_3d(done.box, truth) > iou_3d(second.box, truth) - 0.1
     assert len(done.outline) > 6
     assert done.points > 50
-
-
-def test_boxes_of_the_kind_box_are_fitted_together(people: Project, generated: Path) -> None:
-    desk = Desk(people, generated / "people", BoxKind.BOX)
-    ious = []
-    for number in range(len(desk.objects)):
-        box = desk.steps(desk.four(number), number).box
-        assert box is not None
-        ious.append(iou_3d(box, desk.objects[number].box))
-    assert np.mean(ious) > 0.9
 
 
 def test_boxes_without_points_give_a_reason(desk: Desk) -> None:
@@ -248,15 +228,6 @@ def test_each_drag_is_stored_and_the_fifth_creates_the_label(desk: Desk) -> None
         assert (desk.project.labels.select(), len(desk.project.boxes.on_views_of(desk.frame_id))) == ((), left)
     desk.project.history.undo("ann")
     assert desk.project.boxes.on_image(desk.frame_id) is None
-
-
-def test_saving_the_same_boxes_again_writes_nothing(desk: Desk) -> None:
-    image_box, four = desk.image_box(), desk.four()
-    uid = desk.save([image_box], desk.object(image_box, four))
-    before = desk.revision
-    assert desk.save([image_box], desk.object(image_box, four)) == uid
-    assert desk.save([image_box], desk.object(image_box, four, uid)) == uid
-    assert desk.revision == before
 
 
 def test_boxes_of_other_objects_on_a_view_are_kept(desk: Desk) -> None:

@@ -14,7 +14,7 @@ from live_server import wait_until
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.recordings.rgbd_folder import RgbdFolder
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox
-from annotator.types.errors import FrameError, NotFoundError
+from annotator.types.errors import FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench.frame_cache import FrameCache, Memo, OpenFrame
 from annotator.workflows.workbench.frame_state import show_frame
@@ -113,14 +113,3 @@ def test_a_result_is_computed_once_and_again_after_an_error() -> None:
     with pytest.raises(ZeroDivisionError):
         memo.get("d", lambda: 1 / 0)
     assert "d" not in memo
-
-
-def test_an_unreadable_frame_is_an_error_each_time(people: Project) -> None:
-    cache = FrameCache()
-    people.recordings.rescan(1, ["000000", "gone"])
-    for _ in range(2):
-        with pytest.raises(FrameError, match="frame gone no longer exists"):
-            cache.read(people, people.frames.find(1, "gone").id)
-    with pytest.raises(NotFoundError):
-        cache.read(people, 99)
-    cache.close()

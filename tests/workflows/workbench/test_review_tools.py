@@ -14,7 +14,6 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains, same_box
 from annotator.project import Effort, NewLabel, Project, WriteContext
 from annotator.project.changes import LabelTracked
-from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import (
@@ -42,7 +41,7 @@ from annotator.workflows.workbench.contact_sheet import (
     accept_boxes,
     picture,
     views_of_points,
-)
+)  # fmt: skip
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.refit import refit
 from annotator.workflows.workbench.save_object import copy_boxes
@@ -138,17 +137,6 @@ def test_an_unknown_class_or_missing_object_gives_a_note(
     assert found.box is empty
 
 
-def test_permuting_axes_keeps_the_box() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        rotation = Rotation.random(rng=rng).as_matrix()
-        box = OrientedBox.from_parts(rng.normal(size=3), rotation, rng.uniform(0.3, 2, 3))
-        reference = OrientedBox.from_parts(np.zeros(3), Rotation.random(rng=rng).as_matrix(), np.ones(3))
-        new = with_axes_like(box, reference)
-        assert iou_3d(new, box) == pytest.approx(1, abs=1e-6)
-        assert np.trace(new.rotation.T @ reference.rotation) >= np.trace(box.rotation.T @ reference.rotation) - 1e-9
-
-
 def label_at(x: float, track: int | None = None) -> NewLabel:
     box = OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.6, 0.5, 1.7]))
     return NewLabel("person", box, track_id=track)
@@ -226,20 +214,6 @@ def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(copying: Copyin
     assert [label.uid for label in copying.labels(1)] == [other]
 
 
-def test_copies_count_as_copied_and_not_as_proposals(copying: Copying) -> None:
-    copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
-    copying.copy(1, effort=Effort(1, 3.0))
-    same, moved, wrong = copying.labels(1)
-    copying.project.labels.accept(copying.ids[1], same.uid, copying.context(1))
-    copying.edit(1, moved, 2.3)
-    copying.reject(1, wrong.uid)
-    for _ in range(2):
-        numbers = copying.project.statistics()
-        origins = {name: part.boxes for name, part in numbers.effort.by_origin.items() if part.boxes}
-        assert (origins, numbers.accepted_untouched, numbers.iou_proposal_to_final) == ({"copied": 2}, None, None)
-        copying.project.log.rebuild()
-
-
 def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(copying: Copying) -> None:
     copying.create(0, label_at(0.0, 7), label_at(2.0), label_at(4.0))
     copying.copy(1)
@@ -286,32 +260,6 @@ def states(project: Project) -> list[ReviewState]:
     return [project.labels.get(each.uid).label.state for each in seen(project)]
 
 
-def test_a_picture_shows_three_views_and_the_box_on_them(generated: Path) -> None:
-    recording = open_recording(generated / "people")
-    frame = recording.frame(0)
-    box = load_truth(recording, 0, frame)[0].box
-    strip = picture(frame, box)
-    assert strip.shape == (VIEW_PX, 3 * VIEW_PX + 2 * GAP_PX, 3)
-    assert (strip[:, VIEW_PX : VIEW_PX + GAP_PX] == GAP).all()
-    front = strip[:, VIEW_PX + GAP_PX : 2 * VIEW_PX + GAP_PX]
-    rows, columns = np.nonzero((front == LINE).all(axis=2))
-    # the view is 1.7 times as wide as its longer side, and the box is in its middle
-    scale = VIEW_PX / (1.7 * box.size_m[1:].max())
-    assert np.ptp(columns) == pytest.approx(scale * box.size_m[1], abs=1.5)
-    assert np.ptp(rows) == pytest.approx(scale * box.size_m[2], abs=1.5)
-    assert rows.min() + rows.max() == pytest.approx(VIEW_PX - 1, abs=2)
-    # the front is up in the top view, on the right in that of the right side
-    top, side = strip[:, :VIEW_PX], strip[:, 2 * (VIEW_PX + GAP_PX) :]
-    for part, axis, (marked, others) in ((top, 0, (0, 95)), (side, 1, (95, 0))):
-        edge, outline = (np.nonzero((part == color).all(axis=2))[axis] for color in (FRONT, LINE))
-        assert np.ptp(edge) == 1 and len(edge) > 20
-        assert abs(edge.mean() - marked) < abs(edge.mean() - others)
-        assert abs(outline.mean() - others) < abs(edge.mean() - others)
-    assert not (front == FRONT).all(axis=2).any()
-    moved = OrientedBox.from_parts(box.center_m + np.array([0, 0, 40.0]), box.rotation, box.size_m)
-    assert (picture(frame, moved) == LINE).all(axis=2).any(), "a box without points has a picture, too"
-
-
 def test_boxes_of_several_frames_are_accepted_and_undone_together(project: Project) -> None:
     *right, wrong = seen(project)
     receipts = accept_boxes(project, right, "Ada", Effort(3, 12.0))
@@ -339,3 +287,29 @@ def test_what_has_changed_since_is_refused_and_nothing_is_stored(project: Projec
     with pytest.raises(ConfigError, match="no box is chosen"):
         accept_boxes(project, [], "Ada")
     assert set(states(project)[:-1]) == {ReviewState.PROPOSED}
+
+
+def test_a_picture_shows_three_views_and_the_box_on_them(generated: Path) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    box = load_truth(recording, 0, frame)[0].box
+    strip = picture(frame, box)
+    assert strip.shape == (VIEW_PX, 3 * VIEW_PX + 2 * GAP_PX, 3)
+    assert (strip[:, VIEW_PX : VIEW_PX + GAP_PX] == GAP).all()
+    front = strip[:, VIEW_PX + GAP_PX : 2 * VIEW_PX + GAP_PX]
+    rows, columns = np.nonzero((front == LINE).all(axis=2))
+    # the view is 1.7 times as wide as its longer side, and the box is in its middle
+    scale = VIEW_PX / (1.7 * box.size_m[1:].max())
+    assert np.ptp(columns) == pytest.approx(scale * box.size_m[1], abs=1.5)
+    assert np.ptp(rows) == pytest.approx(scale * box.size_m[2], abs=1.5)
+    assert rows.min() + rows.max() == pytest.approx(VIEW_PX - 1, abs=2)
+    # the front is up in the top view, on the right in that of the right side
+    top, side = strip[:, :VIEW_PX], strip[:, 2 * (VIEW_PX + GAP_PX) :]
+    for part, axis, (marked, others) in ((top, 0, (0, 95)), (side, 1, (95, 0))):
+        edge, outline = (np.nonzero((part == color).all(axis=2))[axis] for color in (FRONT, LINE))
+        assert np.ptp(edge) == 1 and len(edge) > 20
+        assert abs(edge.mean() - marked) < abs(edge.mean() - others)
+        assert abs(outline.mean() - others) < abs(edge.mean() - others)
+    assert not (front == FRONT).all(axis=2).any()
+    moved = OrientedBox.from_parts(box.center_m + np.array([0, 0, 40.0]), box.rotation, box.size_m)
+    assert (picture(frame, moved) == LINE).all(axis=2).any(), "a box without points has a picture, too"

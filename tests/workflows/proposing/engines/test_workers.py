@@ -33,14 +33,7 @@ from annotator.workflows.detectors import Detectors, TrainedDetectors, UsedModel
 from annotator.workflows.proposing import engines
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, local_engine, make_engine
-from annotator.workflows.proposing.pool import (
-    TASKS_PER_WORKER,
-    Died,
-    Fault,
-    Message,
-    Report,
-    WorkerPool,
-)
+from annotator.workflows.proposing.pool import TASKS_PER_WORKER, Died, Fault, Message, Report, WorkerPool
 from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import (
