@@ -135,12 +135,6 @@ class Labels:
         with self.writer.store.read() as connection:
             return read_stored(connection, frame_id)
 
-    def are_made_in(self, frame_id: int) -> bool:
-        """Whether a frame has labels of its own, not only those that other cameras of the moment have."""
-        query = select(labels.c.id).where(labels.c.frame_id == frame_id).limit(1)
-        with self.writer.store.read() as connection:
-            return connection.execute(query).first() is not None
-
     def get(self, uid: str) -> StoredLabel:
         """One label."""
         with self.writer.store.read() as connection:
