@@ -32,6 +32,8 @@ from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
+# Labels whose boxes behind them are looked up one by one.
+FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +234,7 @@ class Labels:
 
 # Built once, since building these frequent queries takes longer than running them.
 _BEHIND = select(ALL_LABELS).where(ALL_LABELS.c.behind.is_not(None)).order_by(ALL_LABELS.c.id)
+_BEHIND_SOME = _BEHIND.where(ALL_LABELS.c.behind.in_(bindparam("uids", expanding=True)))
 _BEHIND_IN_FRAME = _BEHIND.where(ALL_LABELS.c.frame_id == bindparam("frame"))
 _VALUES_SET = select(labels).where(labels.c.frame_id == bindparam("frame"), labels.c.values_set.is_(True))
 
@@ -247,8 +250,13 @@ def stored_labels(connection: Connection, rows: Sequence[AnyRow]) -> tuple[Store
     """The labels of rows; the same object for an equal row, as long as it is remembered."""
     terms, behind = Terms(connection), defaultdict[str, list[AnyRow]](list)
     places = {row.frame_id for row in rows}
-    query = connection.execute(_BEHIND_IN_FRAME, {"frame": min(places)}) if len(places) == 1 else None
-    for row in connection.execute(_BEHIND) if query is None else query:
+    if len(places) == 1:
+        found = connection.execute(_BEHIND_IN_FRAME, {"frame": min(places)})
+    elif len(rows) <= FEW:  # a project may have 100,000 boxes behind others
+        found = connection.execute(_BEHIND_SOME, {"uids": [row.uid for row in rows]})
+    else:
+        found = connection.execute(_BEHIND)
+    for row in found:
         behind[row.behind].append(row)
     return tuple(
         _stored_label(row, tuple(behind.get(row.uid, ())), terms.key, terms.correction(row.frame_id)) for row in rows
