@@ -16,7 +16,6 @@ The model has no errors of judgement: where an object ends is known as well wher
 from __future__ import annotations
 
 import time
-import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
@@ -29,7 +28,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.boxes import png
-from annotator.project.changes import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
+from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, NewLabel
 from annotator.project.records import BoxRecord
 from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
@@ -468,11 +467,9 @@ class Operator:
         return next((thing for thing in self.desk.things(frame) if self.desk.is_right(label, thing)), None)
 
     @staticmethod
-    def _created(thing: Thing, box: OrientedBox) -> LabelCreated:
+    def _created(thing: Thing, box: OrientedBox) -> NewLabel:
         # the page gives a drawn box no track, also where it replaces a proposal of one
-        return LabelCreated(
-            uid=uuid.uuid4().hex, label=thing.label, box=BoxRecord.of(box), track_id=None, origin=Origin.DRAWN
-        )
+        return NewLabel(thing.label, box, origin=Origin.DRAWN)
 
 
 def _meant(labels: Sequence[Label], things: Sequence[Thing]) -> dict[str, Thing]:

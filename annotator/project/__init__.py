@@ -5,11 +5,11 @@ from annotator.project.audit.events import Effort, Event
 from annotator.project.audit.history import History, Reverted
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.boxes import ImageBoxes, ViewBoxes
-from annotator.project.changes import Origin
+from annotator.project.changes import NewLabel, Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import FrameResult, Run, Status, run_key
-from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
+from annotator.project.labels import REVIEWED, StoredLabel
 from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import (

@@ -120,15 +120,7 @@ def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 @dataclass(frozen=True)
-class ImageBoxes:
-    """All boxes on the camera image of one frame; an empty tuple = the image shows no object.
-
-    Attributes:
-        boxes: in the image's pixels.
-        author, time_ns, source, event_id: of the latest change.
-    """
-
-    frame_id: int
+class _Boxes:
     boxes: tuple[Box2D, ...]
     box_kind: BoxKind
     author: str
@@ -138,7 +130,19 @@ class ImageBoxes:
 
 
 @dataclass(frozen=True)
-class ViewBoxes:
+class ImageBoxes(_Boxes):
+    """All boxes on the camera image of one frame; an empty tuple = the image shows no object.
+
+    Attributes:
+        boxes: in the image's pixels.
+        author, time_ns, source, event_id: of the latest change.
+    """
+
+    frame_id: int
+
+
+@dataclass(frozen=True)
+class ViewBoxes(_Boxes):
     """As `ImageBoxes`, on one pseudo-view.
 
     Attributes:
@@ -152,14 +156,8 @@ class ViewBoxes:
     view_id: str
     frame_id: int | None
     revision: int
-    boxes: tuple[Box2D, ...]
-    box_kind: BoxKind
     step: int | None
     geometry: ViewGeometry | None
-    author: str
-    time_ns: int
-    source: Source
-    event_id: int
 
 
 @dataclass(frozen=True, eq=False)

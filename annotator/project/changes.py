@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field
 
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
-from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Suggestion
-from annotator.types.label import MOST_TRACK
+from annotator.project.records import EXACT, BoxRecord, ProposalRecord, SaidRecord, ViewGeometry
+from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Suggestion
+from annotator.types.errors import ProjectError
+from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
@@ -32,15 +37,19 @@ class Origin(StrEnum):
     COPIED = "copied"
 
 
-class Payload(BaseModel):
+class Payload:
     """One change of a frame."""
 
+    kind: ClassVar[str]
+
+
+class _Checked(BaseModel, Payload):
     model_config = EXACT
 
     kind: ClassVar[str]
 
 
-class ImageBoxesSet(Payload):
+class ImageBoxesSet(_Checked):
     """Replaces all 2D boxes on the camera image; empty = the image shows no object."""
 
     kind = "image_boxes_set"
@@ -48,7 +57,7 @@ class ImageBoxesSet(Payload):
     box_kind: BoxKind
 
 
-class ViewBoxesSet(Payload):
+class ViewBoxesSet(_Checked):
     """Replaces all 2D boxes on one pseudo-view."""
 
     kind = "view_boxes_set"
@@ -59,7 +68,7 @@ class ViewBoxesSet(Payload):
     geometry: ViewGeometry | None = None
 
 
-class ViewBoxesRemoved(Payload):
+class ViewBoxesRemoved(_Checked):
     """The pseudo-view is unlabelled again: its object is being redrawn, or was removed."""
 
     kind = "view_boxes_removed"
@@ -83,13 +92,12 @@ class ProposedObject(BaseModel):
     track_id: TrackId | None = None
 
 
-class ProposalsReplaced(Payload):
-    """An automatic pass: its proposals replace all unreviewed labels but `kept`, and those of other software.
+class ProposalsReplaced(_Checked):
+    """An automatic pass: its proposals replace all unreviewed labels, except kept ones and those of other software.
 
     Attributes:
         objects: every proposal with its trace, also those covered by a reviewed label.
         lost: frustums without a resulting box.
-        kept: uids of open proposals that stay, because a person has set values of their attributes.
     """
 
     kind = "proposals_replaced"
@@ -97,65 +105,62 @@ class ProposalsReplaced(Payload):
     objects: tuple[ProposedObject, ...]
     lost: tuple[LostObject, ...] = ()
     box_kind: BoxKind = BoxKind.BOX
-    kept: tuple[Uid, ...] = ()
 
 
-class _NewBox(Payload):
-    """A new 3D box.
+@dataclass(frozen=True, eq=False)
+class NewLabel(Payload):
+    """A 3D box, camera frame, that no automatic pass proposed: made by an operator, or imported.
 
-    Attributes:
-        attributes: values by name; the store adds those of its track, and defaults.
-        origin: how an operator made it, if one did.
-        said: what sources say of the object.
-    """
-
-    uid: Uid
-    label: ClassName
-    box: BoxRecord
-    track_id: TrackId | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Values = Field(default_factory=dict)
-    origin: Origin | None = None
-    said: tuple[SaidRecord, ...] = ()
-
-
-class LabelCreated(_NewBox):
-    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+    In the state PROPOSED, an operator has requested it: copied or interpolated from other frames of its track, or
+    detected. Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it.
 
     Attributes:
-        image_box: box on the camera image that the label was made from, if any.
+        image_box: box on the camera image that it was drawn from, if any.
         suggestion: the detector that suggested its boxes, if the operator accepted any.
+        attributes: values by name; those of its track and defaults are added. Of a proposal, those that do not fit are
+            left out.
+        origin: how an operator made it, if one did.
+        said: what other sources say of the object.
+        file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
+        proposal: with its trace, if the recursion found the box.
+
+    Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
 
     kind = "label_created"
-    score: Finite | None = None
+    label: str
+    box: OrientedBox
+    score: float | None = None
+    track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
-    image_box: Box2D | None = None
+    origin: Origin | None = None
     suggestion: Suggestion | None = None
+    image_box: Box2D | None = None
+    box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[Said | SaidRecord, ...] = ()
+    file_track_id: int | None = None
+    proposal: Proposal | None = None
+    uid: str = field(default_factory=lambda: uuid.uuid4().hex)
 
-    @model_validator(mode="after")
-    def _reviewed(self) -> LabelCreated:
-        # the next automatic pass would remove it
-        if self.state is ReviewState.PROPOSED:
-            raise ValueError("a created label cannot be in state 'proposed'; only an automatic pass proposes")
-        return self
+    def __post_init__(self) -> None:
+        # the limit of the database and of exported files
+        if self.track_id is not None and abs(self.track_id) > MOST_TRACK:
+            raise ProjectError(f"a track id must lie in -{MOST_TRACK}..{MOST_TRACK}; renumber the tracks")
+        if self.score is not None and not math.isfinite(self.score):
+            raise ProjectError(f"a score must be a finite number, not {self.score}; correct it in its source")
 
-
-class LabelProposed(_NewBox):
-    """A proposal that an operator requested: copied or interpolated from other frames of its track, or detected.
-
-    Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it. Values of
-    attributes that do not fit are left out.
-
-    Attributes:
-        proposal: with its trace, if the recursion found the box.
-    """
-
-    kind = "label_proposed"
-    proposal: ProposalRecord | None = None
+    @property
+    def is_requested(self) -> bool:
+        """Whether it is a proposal."""
+        return self.state is ReviewState.PROPOSED
 
 
-class LabelTracked(Payload):
+REQUESTED = "label_proposed"
+"""The kind of the event of a requested proposal."""
+
+
+class LabelTracked(_Checked):
     """Changes the label's track, or removes it from its track; its box and review state stay."""
 
     kind = "label_tracked"
@@ -180,21 +185,21 @@ class LinkedLabel(BaseModel):
     attributes: Values = Field(default_factory=dict)
 
 
-class TracksLinked(Payload):
+class TracksLinked(_Checked):
     """Result of linking over the recording: track ids of labels of one frame, and smoothed boxes of open proposals."""
 
     kind = "tracks_linked"
     labels: tuple[LinkedLabel, ...]
 
 
-class LabelAccepted(Payload):
+class LabelAccepted(_Checked):
     """Accepts the label unchanged."""
 
     kind = "label_accepted"
     uid: Uid
 
 
-class LabelEdited(Payload):
+class LabelEdited(_Checked):
     """Changes the label's class, box and track.
 
     Attributes:
@@ -214,7 +219,7 @@ class LabelEdited(Payload):
     box_kind: BoxKind | None = None
 
 
-class LabelMoved(Payload):
+class LabelMoved(_Checked):
     """Gives the label another box, and keeps all else that is known of it, its review state too."""
 
     kind = "label_moved"
@@ -222,7 +227,7 @@ class LabelMoved(Payload):
     box: BoxRecord
 
 
-class LabelAttributesSet(Payload):
+class LabelAttributesSet(_Checked):
     """Sets values of the label's attributes; None removes one. Its box and review state stay."""
 
     kind = "label_attributes_set"
@@ -230,33 +235,33 @@ class LabelAttributesSet(Payload):
     attributes: ChangedValues
 
 
-class LabelRejected(Payload):
+class LabelRejected(_Checked):
     """Rejects the label: the object does not exist. The label stays, so that later passes do not propose it again."""
 
     kind = "label_rejected"
     uid: Uid
 
 
-class LabelDeleted(Payload):
+class LabelDeleted(_Checked):
     """Removes the label; a later pass may propose the object again."""
 
     kind = "label_deleted"
     uid: Uid
 
 
-class FrameFinalised(Payload):
+class FrameFinalised(_Checked):
     """Finalises the frame: automatic passes may not change it."""
 
     kind = "frame_finalised"
 
 
-class FrameReopened(Payload):
+class FrameReopened(_Checked):
     """Reopens a finalised frame."""
 
     kind = "frame_reopened"
 
 
-class FrameAttributesSet(Payload):
+class FrameAttributesSet(_Checked):
     """Replaces all values of the frame's attributes."""
 
     kind = "frame_attributes_set"

@@ -2,70 +2,39 @@
 
 from __future__ import annotations
 
-import uuid
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, Select, bindparam, func, select
 
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import (
     LabelAccepted,
     LabelAttributesSet,
-    LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelRejected,
+    NewLabel,
     Origin,
 )
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOMENT, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
 from annotator.project.recordings import of_rig
-from annotator.project.records import BoxRecord, SaidRecord, storable, suggestion_of
-from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_of, values_of
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
-from annotator.types.errors import NotFoundError, ProjectError
-from annotator.types.label import MOST_TRACK, AttributeValue, Said
+from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
+from annotator.project.rows import Names, Place, Terms, box_2d_of, box_of, said_in, values_of
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
+from annotator.types.errors import NotFoundError
+from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-
-
-@dataclass(frozen=True, eq=False)
-class NewLabel:
-    """A 3D box, camera frame, that no automatic pass proposed.
-
-    Attributes:
-        state: any but PROPOSED, which the next automatic pass would remove.
-        image_box: box on the camera image that it was drawn from, if any.
-        attributes: values by name; those of its track and defaults are added.
-        said: what sources of boxes said of the object before.
-        file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
-
-    Raises ProjectError for a track id beyond `MOST_TRACK`.
-    """
-
-    label: str
-    box: OrientedBox
-    score: float | None = None
-    track_id: int | None = None
-    state: ReviewState = ReviewState.ACCEPTED
-    origin: Origin | None = None
-    suggestion: Suggestion | None = None
-    image_box: Box2D | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    said: tuple[Said, ...] = ()
-    file_track_id: int | None = None
-
-    def __post_init__(self) -> None:
-        # the limit of the database and of exported files
-        if self.track_id is not None and abs(self.track_id) > MOST_TRACK:
-            raise ProjectError(f"a track id must lie in -{MOST_TRACK}..{MOST_TRACK}; renumber the tracks")
+# Labels whose boxes behind them are looked up one by one.
+FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +110,7 @@ class Labels:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
             if row is None:
                 raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
-            return stored_label(row, Terms(connection))
+            return stored_labels(connection, [row])[0]
 
     def select(
         self,
@@ -157,8 +126,7 @@ class Labels:
         query = _filtered(select(labels), states, recordings, classes)
         ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
         with self.writer.store.read() as connection:
-            terms = Terms(connection)
-            return tuple(stored_label(row, terms) for row in connection.execute(ordered))
+            return stored_labels(connection, connection.execute(ordered).all())
 
     def along(
         self,
@@ -175,9 +143,8 @@ class Labels:
         if tracks is not None:
             query = query.where(labels.c.track_id.in_(tracks))
         with self.writer.store.read() as connection:
-            terms = Terms(connection)
-            rows = connection.execute(query.order_by(frames.c.position.nulls_last(), frames.c.id, labels.c.id))
-            return tuple(stored_label(row, terms, row.seen_from) for row in rows)
+            rows = connection.execute(query.order_by(frames.c.position.nulls_last(), frames.c.id, labels.c.id)).all()
+            return stored_labels(connection, rows, [row.seen_from for row in rows])
 
     def next_track_id(self, recording_id: int) -> int:
         """1 + the highest track id of a recording's rig, at least 1."""
@@ -230,10 +197,8 @@ class Labels:
         Args:
             action: id of an action over several frames (`new_action`) that they are a part of.
         """
-        with storable("a label"):
-            payloads = [_created(entry) for entry in new]
-        receipt = self.writer.append(frame_id, payloads, context, action)
-        return Created(tuple(payload.uid for payload in payloads), receipt)
+        receipt = self.writer.append(frame_id, new, context, action)
+        return Created(tuple(each.uid for each in new), receipt)
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Accepts a label unchanged."""
@@ -293,11 +258,7 @@ class Labels:
             if not rows:
                 return frozenset()
             attributes, terms = read_config(self.writer.folder).attributes, Terms(connection)
-            return frozenset(
-                row.uid
-                for row in rows
-                if is_kept(dict(row._mapping), row.label, terms.said(row.said, frame_id), attributes)
-            )
+            return frozenset(row.uid for row in rows if is_kept(dict(row._mapping), terms, attributes))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
@@ -308,34 +269,50 @@ class Labels:
         return self.writer.append(frame_id, (LabelDeleted(uid=uid),), context)
 
 
-def _created(entry: NewLabel) -> LabelCreated:
-    values = {name: value for name, value in vars(entry).items() if name in LabelCreated.model_fields}
-    changed = {"box": BoxRecord.of(entry.box), "said": tuple(map(SaidRecord.of, entry.said))}
-    return LabelCreated(uid=uuid.uuid4().hex, **values | changed)
-
-
-# Built once, since building this frequent query takes longer than running it.
+# Built once, since building these frequent queries takes longer than running them.
+_BEHIND = select(ALL_LABELS).where(ALL_LABELS.c.behind.is_not(None)).order_by(ALL_LABELS.c.id)
+_BEHIND_SOME = _BEHIND.where(ALL_LABELS.c.behind.in_(bindparam("uids", expanding=True)))
+_BEHIND_IN_MOMENT = _BEHIND.where(ALL_LABELS.c.moment_id == MOMENT)
 _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 
 def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...]:
     """As `Labels.of_moment`, within the caller's transaction."""
-    terms, rows = Terms(connection), connection.execute(LABELS_OF_MOMENT, {"frame": frame_id})
-    return tuple(stored_label(row, terms, frame_id) for row in rows)
+    rows = connection.execute(LABELS_OF_MOMENT, {"frame": frame_id}).all()
+    return stored_labels(connection, rows, [frame_id] * len(rows))
 
 
-def stored_label(row: AnyRow, terms: Terms, frame_id: int | None = None) -> StoredLabel:
-    """The label of a table row; the same object for an equal row, as long as it is remembered.
+def stored_labels(
+    connection: Connection, rows: Sequence[AnyRow], frame_ids: Sequence[int] | None = None
+) -> tuple[StoredLabel, ...]:
+    """The labels of rows; the same object for an equal row, as long as it is remembered.
 
     Args:
-        frame_id: as in `StoredLabel`; None = that in which it was made.
+        frame_ids: as in `StoredLabel`; None = those in which they were made.
     """
-    frame_id = row.frame_id if frame_id is None else frame_id
-    return _stored_label(row, frame_id, terms.key, terms.place(frame_id))
+    terms, behind = Terms(connection), defaultdict[str, list[AnyRow]](list)
+    frame_ids = [row.frame_id for row in rows] if frame_ids is None else frame_ids
+    if len(set(frame_ids)) == 1:
+        found = connection.execute(_BEHIND_IN_MOMENT, {"frame": frame_ids[0]})
+    elif len(rows) <= FEW:  # a project may have 100,000 boxes behind others
+        found = connection.execute(_BEHIND_SOME, {"uids": [row.uid for row in rows]})
+    else:
+        found = connection.execute(_BEHIND)
+    for row in found:
+        behind[row.behind].append(row)
+    return tuple(
+        _stored_label(row, tuple(behind.get(row.uid, ())), frame_id, terms.key, terms.place(frame_id))
+        for row, frame_id in zip(rows, frame_ids, strict=True)
+    )
+
+
+def certainty(said: SaidRecord) -> tuple[float, bool]:
+    """The order of what sources say of an object, the surest first; a box without a score counts as sure."""
+    return -1.0 if said.score is None else -said.score, said.source == OWN
 
 
 @lru_cache(maxsize=2048)
-def _stored_label(row: AnyRow, frame_id: int, names: Names, place: Place) -> StoredLabel:
+def _stored_label(row: AnyRow, behind: tuple[AnyRow, ...], frame_id: int, names: Names, place: Place) -> StoredLabel:
     label = Label(
         row.uid,
         row.label,
@@ -360,8 +337,13 @@ def _stored_label(row: AnyRow, frame_id: int, names: Names, place: Place) -> Sto
         None if row.origin is None else Origin(row.origin),
         box_2d_of(row.image_box, names),
         row.track_linked,
-        () if row.said is None else said_of(row.said, names, place),
+        _said(row, behind, names, place),
     )
+
+
+def _said(row: AnyRow, behind: Sequence[AnyRow], names: Names, place: Place) -> tuple[SaidRecord, ...]:
+    own = [row] if row.of_source is not None else []
+    return tuple(sorted((said_in(each._mapping, names, place) for each in (*own, *behind)), key=certainty))
 
 
 def _quality(row: AnyRow) -> Quality | None:

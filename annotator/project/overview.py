@@ -15,9 +15,9 @@ from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.database.schema import frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.labels import StoredLabel, read_stored, stored_label
+from annotator.project.labels import StoredLabel, read_stored, stored_labels
 from annotator.project.project import Project
-from annotator.project.rows import Terms, values_of
+from annotator.project.rows import values_of
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
@@ -130,8 +130,7 @@ def list_frames(
         on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
         boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
         rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id))
-        terms = Terms(connection)
-        stored = [stored_label(row, terms) for row in rows]
+        stored = stored_labels(connection, rows.all())
     counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
     proposed: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in stored:

@@ -12,22 +12,15 @@ from sqlalchemy import select
 from annotator.project.adjusting import moved_box
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.changes import ProposalsReplaced, ProposedObject
+from annotator.project.changes import NewLabel, ProposalsReplaced, ProposedObject
 from annotator.project.database.schema import frames, labels, passes
 from annotator.project.jobs import read_run, record_result
-from annotator.project.labels import NewLabel, read_stored
+from annotator.project.labels import read_stored
 from annotator.project.log import Writer, require_writable
-from annotator.project.records import OWN, ProposalRecord, parsed, storable
+from annotator.project.records import ProposalRecord, parsed, storable
 from annotator.project.rows import Terms
-from annotator.project.sources import (
-    KIND,
-    Brought,
-    OpenProposals,
-    bring,
-    covered_by,
-    replace_open,
-)
-from annotator.types import BoxKind, LostObject, OrientedBox, Proposal, ReviewState
+from annotator.project.sources import KIND, Brought, bring, covered_by, regroup
+from annotator.types import BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Source
 
 
 @dataclass(frozen=True)
@@ -90,13 +83,8 @@ class Proposals:
             if run is not None:
                 read_run(connection, run.run_id)
             write = Write(self.writer.store, self.writer.folder, connection, frame_id, where, context)
-            before = OpenProposals.of(write)
-            kept = before.kept
-            staying = [
-                stored.label
-                for stored in read_stored(connection, frame_id)
-                if stored.label.state is not ReviewState.PROPOSED or stored.label.uid in kept or not stored.is_own
-            ]
+            before = {row["uid"]: row for row in write.open_proposals()}
+            staying = [stored.label for stored in read_stored(connection, frame_id) if stored.label.uid not in before]
             covering = covered_by(proposals, staying)
             # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal
             taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
@@ -117,20 +105,17 @@ class Proposals:
                     objects=objects,
                     lost=tuple(lost),
                     box_kind=box_kind,
-                    kept=tuple(sorted(kept)),
                 )
                 make(write, payload)
-                if before.others:
-                    # one object stays one proposal; those of ours that were hidden are replaced, too
-                    theirs = [each for each in before.others if each.source != OWN]
-                    replace_open(write, OpenProposals.of(write), theirs)
+                if any(row["source"] == Source.IMPORTED.value for row in before.values()):
+                    regroup(write, write.open_proposals())
                     write.event(KIND)
             receipt = write.finish()
             if run is not None:
                 record_result(
                     connection, run.run_id, frame_id, run.seconds, time_ns=write.time_ns, proposals=len(proposals)
                 )
-            shown = {row["uid"] for row in write.labels()}
+            shown = {row["uid"] for row in write.labels() if row["behind"] is None}
         uids = tuple(entry.uid if entry.uid in shown else None for entry in objects)
         return Replaced(uids, uids.count(None), receipt)
 
@@ -141,7 +126,7 @@ class Proposals:
         author: str | None = None,
         action: str | None = None,
     ) -> dict[int, Brought]:
-        """Makes boxes of other software the proposals of some frames, as `sources.bring.bring`."""
+        """Makes boxes of other software the proposals of some frames, as `sources.bring`."""
         return bring(self.writer, source, boxes, author, action)
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:

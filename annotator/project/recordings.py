@@ -279,6 +279,7 @@ class Recordings:
     def label_counts(self) -> dict[int, int]:
         """Numbers of labels by recording id, also of removed recordings."""
         stored = select(frames.c.recording_id, func.count()).join(ALL_LABELS, ALL_LABELS.c.frame_id == frames.c.id)
+        stored = stored.where(ALL_LABELS.c.behind.is_(None))
         with self.store.read() as connection:
             return {row[0]: row[1] for row in connection.execute(stored.group_by(frames.c.recording_id))}
 

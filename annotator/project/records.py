@@ -6,9 +6,7 @@ stored as centre, rotation matrix and size, bit for bit.
 
 from __future__ import annotations
 
-import json
-import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, TypeVar
 
@@ -107,37 +105,17 @@ class ProposalRecord(BaseModel):
 OWN = "annotator"
 
 
-class OwnColumns(BaseModel):
-    """Columns of a proposal of ours that other software hides, for when it is shown again."""
-
-    model_config = EXACT
-
-    author: str
-    view_disagreement: float | None = None
-    kept_share: float | None = None
-    last_change: float | None = None
-    image_agreement: float | None = None
-    expected_iou_loss: float | None = None
-    proposed_box: str | None = None
-    run_id: int | None = None
-    track_linked: int = 0
-    origin: str | None = None
-
-
 class SaidRecord(BaseModel):
-    """What one source says of an object.
+    """What one source says of an object, in its own words.
 
     Attributes:
-        uid: of the label, if this is the box that is shown.
         source: name of the detector, person or file; `OWN` for annotator's own proposals.
         file_track_id: its id in the source's file, if other labels of the recording use that one.
-        own: further columns of a hidden proposal of ours.
-        lent: names of the attributes whose values a hidden box lends to the shown one.
+        given: all values that the row has been given, with those that other sources of the object lend it.
     """
 
     model_config = EXACT
 
-    uid: Annotated[str, Field(min_length=1, max_length=64)]
     source: Annotated[str, Field(min_length=1, max_length=200)]
     label: Annotated[str, Field(min_length=1)]
     score: Annotated[float, Field(ge=0, le=1)] | None
@@ -145,23 +123,17 @@ class SaidRecord(BaseModel):
     track_id: int | None
     box_kind: BoxKind
     attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
-    own: OwnColumns | None = None
     file_track_id: int | None = None
-    lent: tuple[str, ...] = ()
+    given: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
 
     @classmethod
     def of(cls, said: Said) -> SaidRecord:
-        """The record of what a source said, with a new uid."""
-        return cls(uid=uuid.uuid4().hex, **vars(said) | {"box": BoxRecord.of(said.box)})
+        """The record of what a source said."""
+        return cls(**vars(said) | {"box": BoxRecord.of(said.box)})
 
     def said(self) -> Said:
         """What the source said."""
         return Said(self.source, self.label, self.box.box(), self.score, self.track_id, self.box_kind)
-
-
-def track_of(group: Sequence[SaidRecord]) -> int | None:
-    """The track id of an object: that of the first source that knows it."""
-    return next((each.track_id for each in group if each.track_id is not None), None)
 
 
 class ViewGeometry(BaseModel):
@@ -196,7 +168,6 @@ class ViewGeometry(BaseModel):
 
 
 _SUGGESTION: TypeAdapter[Suggestion] = TypeAdapter(Suggestion)
-SAID: TypeAdapter[tuple[SaidRecord, ...]] = TypeAdapter(tuple[SaidRecord, ...])
 BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
 BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
 
@@ -209,11 +180,6 @@ def suggestion_json(suggestion: Suggestion | None) -> str | None:
 def suggestion_of(content: str | None) -> Suggestion | None:
     """The suggestion of a database column, or None."""
     return None if content is None else parsed(_SUGGESTION.validate_json, content)
-
-
-def sources_of(content: str | None) -> tuple[str, ...]:
-    """The names of the sources in the column `said`; their boxes are not parsed."""
-    return () if content is None else parsed(lambda text: tuple(each["source"] for each in json.loads(text)), content)
 
 
 @contextmanager

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Float, Integer, Select, Text, and_, case, cast, func, literal, null, select, true
+from sqlalchemy import ColumnElement, Float, Select, Text, and_, case, cast, func, literal, null, select
 
 from annotator.project.classes.attributes import Value, value_text
-from annotator.project.database.schema import AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, labels
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.records import OWN, sources_of
-from annotator.types import ReviewState, Source
+from annotator.project.records import OWN
+from annotator.types import ReviewState
+
+_BEHIND = ALL_LABELS.alias()
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,9 @@ def waiting(
     order = _order(by, doubt)
     # the long columns are read of the first ones only
     first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
-    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.source, labels.c.said, doubt.label("doubt"))
+    further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
+    further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
+    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.of_source, further_of, doubt.label("doubt"))
     query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
         found = tuple(
@@ -141,16 +146,20 @@ def waiting(
 
 def waiting_sources(store: Store) -> dict[str, int]:
     """The number of objects that each source sees among the open proposals of `waiting`, by its name."""
-    said = func.json_each(labels.c.said).table_valued("value")
-    name = func.json_extract(said.c.value, "$.source")
-    is_open = labels.c.state == ReviewState.PROPOSED.value
+    shown = select(func.coalesce(labels.c.of_source, OWN), func.count()).select_from(labels)
+    hidden = select(func.coalesce(_BEHIND.c.of_source, OWN), func.count()).select_from(labels)
+    counts = Counter[str]()
     with store.read() as connection:
-        named = connection.execute(select(name).select_from(labels).join(said, true()).where(is_open).distinct())
-        names = [OWN, *sorted(set(named.scalars()) - {OWN})]
-        # one pass for all of them: several times as fast as grouping what json_each finds
-        numbers: Select[Any] = select().add_columns(*(func.sum(cast(_is_said_by(each), Integer)) for each in names))
-        counts = connection.execute(_of_frames(numbers).where(_is_open(None, None))).one()
-    return {each: count for each, count in zip(names, counts, strict=True) if count}
+        for query in (shown, hidden.join(_BEHIND, _BEHIND.c.behind == labels.c.uid)):
+            found = query.join(frames, frames.c.id == labels.c.frame_id).where(_is_open(None, None))
+            counts.update(dict(connection.execute(found.group_by(query.selected_columns[0])).all()))
+    return {name: counts[name] for name in sorted(counts, key=lambda name: (name != OWN, name))}
+
+
+def _sources(row: AnyRow) -> tuple[str, ...]:
+    further: list[tuple[float | None, str]] = json.loads(row.further)
+    further.sort(key=lambda each: -1.0 if each[0] is None else -each[0])
+    return row.of_source or OWN, *(name for _, name in further)
 
 
 def worst_of_frames(store: Store, recordings: Collection[int] | None) -> dict[int, float]:
@@ -173,14 +182,11 @@ def _is_open(recordings: Collection[int] | None, classes: Collection[str] | None
 
 
 def _is_said_by(source: str) -> ColumnElement[bool]:
-    # much faster than json_each; quotes within texts are escaped in JSON, so it is found only as the source
-    is_named = func.instr(func.coalesce(labels.c.said, ""), f'"source":{json.dumps(source, ensure_ascii=False)}') > 0
-    return is_named | (labels.c.source != Source.IMPORTED.value) if source == OWN else is_named
-
-
-def _sources(row: AnyRow) -> tuple[str, ...]:
-    others = sources_of(row.said)
-    return others if row.source == Source.IMPORTED.value else (OWN, *others)
+    name = None if source == OWN else source
+    behind = select(_BEHIND.c.behind).where(
+        _BEHIND.c.behind.is_not(None), _BEHIND.c.of_source.is_not_distinct_from(name)
+    )
+    return labels.c.of_source.is_not_distinct_from(name) | labels.c.uid.in_(behind)
 
 
 def _doubt() -> ColumnElement[float]:

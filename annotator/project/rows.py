@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection
 
 from annotator.project.adjusting import moved_box, moved_geometry, moving
-from annotator.project.records import BOX_2D, BOXES_2D, SAID, BoxRecord, SaidRecord, ViewGeometry, parsed
+from annotator.project.records import BOX_2D, BOXES_2D, OWN, BoxRecord, SaidRecord, ViewGeometry, parsed
 from annotator.types import Box2D, OrientedBox
 from annotator.types.label import AttributeValue
 
@@ -113,12 +113,11 @@ class Terms:
 
     def record(self, content: str, frame_id: int | None) -> BoxRecord:
         """A 3D box, camera frame, bit for bit if the boxes are stored in it."""
-        record, T = parsed(BoxRecord.model_validate_json, content), self.T_camera_cloud(frame_id)
-        return record if T is None else moved_box(record, T)
+        return record_of(content, self.place(frame_id))
 
-    def said(self, content: str | None, frame_id: int | None) -> tuple[SaidRecord, ...]:
-        """What sources say of an object."""
-        return () if content is None else said_of(content, self._key, self.place(frame_id))
+    def said(self, content: str, frame_id: int | None) -> SaidRecord:
+        """What the source of a box says."""
+        return said_of(content, self._key, self.place(frame_id))
 
     def boxes_2d(self, content: str) -> tuple[Box2D, ...]:
         """2D boxes."""
@@ -158,21 +157,11 @@ class Terms:
             geometry = geometry.model_copy(update={"image_box": self._coded(geometry.image_box)})
         return geometry.model_dump_json()
 
-    def said_json(self, said: Sequence[SaidRecord], frame_id: int | None) -> str | None:
-        """What the sources say of an object as it is stored; None if they say nothing."""
-        if not said:
-            return None
-        T = self._T_cloud_camera(frame_id)
-        coded = [
-            each.model_copy(
-                update={
-                    "label": str(self._ids[each.label]),
-                    "box": each.box if T is None else moved_box(each.box, T),
-                }
-            )
-            for each in said
-        ]
-        return SAID.dump_json(tuple(coded), warnings="error").decode()
+    def said_json(self, said: SaidRecord, frame_id: int | None) -> str:
+        """What a source says as it is stored."""
+        T, coded = self._T_cloud_camera(frame_id), {"label": str(self._ids[said.label])}
+        moved = {} if T is None else {"box": moved_box(said.box, T)}
+        return said.model_copy(update=coded | moved).model_dump_json()
 
 
 @lru_cache(maxsize=4096)
@@ -183,19 +172,44 @@ def box_of(content: str, place: Place) -> OrientedBox:
     return box if T is None else box.transformed(T)
 
 
-def said_of(content: str, names: Names, place: Place) -> tuple[SaidRecord, ...]:
-    """What sources say of an object."""
-    by_id, T = _by_text(names), T_camera_cloud(place)
+def record_of(content: str, place: Place) -> BoxRecord:
+    """A stored box, bit for bit if it is stored in the frame of the camera."""
+    record, T = parsed(BoxRecord.model_validate_json, content), T_camera_cloud(place)
+    return record if T is None else moved_box(record, T)
 
-    def read(text: str) -> tuple[SaidRecord, ...]:
-        return tuple(
-            each.model_copy(
-                update={"label": by_id[each.label]} | ({} if T is None else {"box": moved_box(each.box, T)})
-            )
-            for each in SAID.validate_json(text)
-        )
+
+def said_of(content: str, names: Names, place: Place) -> SaidRecord:
+    """What a source says of an object."""
+    T = T_camera_cloud(place)
+
+    def read(text: str) -> SaidRecord:
+        said = SaidRecord.model_validate_json(text)
+        moved = {} if T is None else {"box": moved_box(said.box, T)}
+        return said.model_copy(update={"label": _by_text(names)[said.label]} | moved)
 
     return parsed(read, content)
+
+
+def said_with(content: str, attributes: Mapping[str, AttributeValue], given: Mapping[str, AttributeValue]) -> str:
+    """What a source says, with other values; the same text for equal ones, since undo compares texts."""
+    stored = parsed(json.loads, content)
+    new = stored | {"attributes": dict(attributes), "given": dict(given)}
+    return content if new == stored else json.dumps(new, ensure_ascii=False, separators=(",", ":"))
+
+
+def said_in(row: Mapping[str, Any], names: Names, place: Place) -> SaidRecord:
+    """What the source of a box says, in its own words; ours says what its row has."""
+    if row["of_source"] is not None:
+        return said_of(row["said"], names, place)
+    return SaidRecord(
+        source=OWN,
+        label=dict(names)[row["class_id"]],
+        score=row["score"],
+        box=record_of(row["box"], place),
+        track_id=row["track_id"],
+        box_kind=row["box_kind"],
+        attributes=values_of(row["attributes"]),
+    )
 
 
 def box_2d_of(content: str | None, names: Names) -> Box2D | None:

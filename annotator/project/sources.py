@@ -1,40 +1,27 @@
-"""Proposals from other software, beside our own: one proposal for each object, which holds what every source says."""
+"""Proposals from other software, beside our own: each is a row; of those that see one object, the surest is shown."""
 
 from __future__ import annotations
 
-import uuid
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from sqlalchemy import func, select, true
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
-from annotator.project.audit.making import new_label, said_json
+from annotator.project.audit.making import said_row
 from annotator.project.audit.writing import Write, WriteContext
-from annotator.project.classes.values import (
-    Values,
-    borrowed,
-    conflicts,
-    given_back,
-    is_kept,
-    lend,
-    lent_names,
-    new_values,
-    of_tracks,
-    without,
-)
+from annotator.project.changes import NewLabel
+from annotator.project.classes.attributes import fitting
+from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
 from annotator.project.config import read_config
-from annotator.project.database.schema import columns_of, frames, labels
 from annotator.project.database.store import Store
-from annotator.project.labels import NewLabel
+from annotator.project.labels import certainty
 from annotator.project.log import Writer
-from annotator.project.recordings import of_rig
-from annotator.project.records import OWN, BoxRecord, OwnColumns, SaidRecord, storable, track_of
-from annotator.project.rows import Row, Terms, driver_of, values_json, values_of
-from annotator.types import BoxKind, OrientedBox, ReviewState, Source
+from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
+from annotator.project.rows import Row, Terms, driver_of, said_in, said_with, values_json
+from annotator.types import OrientedBox, ReviewState, Source
+from annotator.types.label import AttributeValue
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
@@ -78,34 +65,30 @@ def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Known]) -> list[st
     return covering
 
 
-Group = tuple[SaidRecord, ...]
-"""What the sources say of one object; the first box is the one to show."""
-
-
-def merged(said: Sequence[SaidRecord]) -> list[Group]:
-    """Returns one group for each object, with at most one box of each source; two boxes of a source stay apart.
+def merged(said: Sequence[SaidRecord]) -> list[list[int]]:
+    """Returns the places of the boxes of each object, that of the box to show first; two of a source stay apart.
 
     Boxes of two sources are one object if their exact 3D IoU is 0.5 or more, whatever their classes. The surest box is
     shown. A box without a score counts as sure. If two are equally sure, it is that of the other software, since
     somebody wants to see it; otherwise the earlier one.
     """
     if len({each.source for each in said}) <= 1:
-        return [(each,) for each in said]
-    ranked = sorted(said, key=lambda each: (-1.0 if each.score is None else -each.score, each.source == OWN))
-    overlaps = _overlaps(ranked)
+        return [[place] for place in range(len(said))]
+    order = sorted(range(len(said)), key=lambda place: certainty(said[place]))
+    overlaps = _overlaps(said)
     groups: list[list[int]] = []
-    for index, each in enumerate(ranked):
-        free = [group for group in groups if each.source not in {ranked[other].source for other in group}]
-        best = max(free, key=lambda group: overlaps.get((group[0], index), 0.0), default=None)
-        if best is not None and overlaps.get((best[0], index), 0.0) >= SAME_OBJECT_IOU:
-            best.append(index)
+    for place in order:
+        free = [group for group in groups if said[place].source not in {said[other].source for other in group}]
+        best = max(free, key=lambda group: overlaps.get((group[0], place), 0.0), default=None)
+        if best is not None and overlaps.get((best[0], place), 0.0) >= SAME_OBJECT_IOU:
+            best.append(place)
         else:
-            groups.append([index])
-    return [tuple(ranked[index] for index in group) for group in groups]
+            groups.append([place])
+    return groups
 
 
 def _overlaps(said: Sequence[SaidRecord]) -> dict[tuple[int, int], float]:
-    """The IoU of the boxes of different sources that may touch, by the indices of both, the smaller one first."""
+    """The IoU of the boxes of different sources that may touch, by the places of both, in either order."""
     centers, sizes = np.array([each.box.center_m for each in said]), np.array([each.box.size_m for each in said])
     rotations = np.array([each.box.rotation for each in said])
     reach = np.linalg.norm(sizes, axis=1) / 2
@@ -118,7 +101,8 @@ def _overlaps(said: Sequence[SaidRecord]) -> dict[tuple[int, int], float]:
     parts = (values[chosen] for chosen in (first, second) for values in (centers, rotations, sizes))
     shared, volumes = intersection_volume_pairs(*parts), sizes.prod(axis=1)
     iou = shared / (volumes[first] + volumes[second] - shared)
-    return dict(zip(zip(first.tolist(), second.tolist(), strict=True), iou.tolist(), strict=True))
+    pairs = dict(zip(zip(first.tolist(), second.tolist(), strict=True), iou.tolist(), strict=True))
+    return pairs | {(b, a): value for (a, b), value in pairs.items()}
 
 
 # --- storing what a source says ---------------------------------------------------------------------------------------
@@ -151,8 +135,8 @@ def bring(
     """Makes boxes of one source the proposals of some frames; they replace what the same source has said there before.
 
     A box is not proposed if a label of its class covers it (exact 3D IoU 0.5 or more) that is reviewed, a proposal of
-    which a person has set values, or one that another camera of the moment has. Boxes of several sources that overlap
-    as much become one proposal, together with our own (`merged`).
+    which a person has set values, or one that another camera of the moment has. Of boxes of several sources, and of
+    ours, that overlap as much, one is shown (`merged`).
 
     Args:
         frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
@@ -163,35 +147,21 @@ def bring(
     Returns:
         The results by frame id; finalised frames are left out, and stay as they are.
     """
-    columns, author = columns_of("labels"), author or source
+    author, done = author or source, dict[int, Brought]()
     with writer.store.write() as connection:
-        config, terms, places = (
-            read_config(writer.folder),
-            Terms(connection),
-            ", ".join(map(str, map(int, frames_boxes))),
-        )
-        driver, present = driver_of(connection), defaultdict[int, list[Row]](list)
-        for values in driver.execute(
-            f"SELECT {', '.join(columns)} FROM labels WHERE moment_id IN "
-            f"(SELECT moment_id FROM frames WHERE id IN ({places})) AND hidden = 0 ORDER BY id"
-        ):
-            row = dict(zip(columns, values, strict=True))
-            present[row["moment_id"]].append(row)
-        found = driver.execute(
-            f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
-        ).fetchall()
-        done, newest = dict[int, Brought](), dict[int, int]()
-        for frame_id, moment_id, revision, finalised in found:
+        config, terms = read_config(writer.folder), Terms(connection)
+        places, newest = ", ".join(map(str, map(int, frames_boxes))), dict[int, int]()
+        query = f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
+        for frame_id, moment_id, revision, finalised in driver_of(connection).execute(query).fetchall():
             if not finalised:
                 revision = newest.get(moment_id, revision)
                 context = WriteContext(revision, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
                 write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
-                if moment_id not in newest:  # else another camera of the moment has changed them
-                    write.know_all(present[moment_id])
                 newest[moment_id] = revision + 1
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
+                write.finish()
         return done
 
 
@@ -202,208 +172,119 @@ class _Staying(NamedTuple):
 
 
 def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
-    proposed, terms = OpenProposals.of(write), write.terms
+    terms, waiting = write.terms, write.open_proposals()
+    uids = {row["uid"] for row in waiting}
     staying = [
         _Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in write.labels()
-        if not _is_open(write, row, proposed.kept)
+        if row["uid"] not in uids and row["behind"] is None
     ]
-    new, covering = [_said(source, box) for box in boxes], covered_by(boxes, staying)
-    free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
-    groups = replace_open(write, proposed, [*(each for each in proposed.others if each.source != source), *free])
+    for row in waiting:
+        if row["of_source"] == source:
+            write.put("labels", row["uid"], None)
+    covering = covered_by(boxes, staying)
+    new = [_said(source, box) for box, uid in zip(boxes, covering, strict=True) if uid is None]
+    left = [row for row in waiting if row["of_source"] != source]
+    groups = regroup(write, left, [(said_row(write, each), each) for each in new])
     write.event(KIND)
-    attributes = write.config.attributes
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
-    differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
-    write.finish()
+    differing = 0
+    for group in groups if write.config.attributes else ():
+        its = [each.attributes for each in group if each.source == source]
+        others = [each.attributes for each in group if each.source != source]
+        differing += conflicts(write.config.attributes_of(group[0].label), its, others)
     return Brought(tuple(uid is None for uid in covering), together, differing)
 
 
-def show_others(write: Write, removed: Collection[str], uids: Collection[str]) -> None:
-    """Shows other sources' boxes in the place of the proposals `uids`, whose classes are about to be removed."""
-    proposed = OpenProposals.of(write, uids)
-    gone = {each.uid for each in proposed.ours if each.label in removed}
-    others = [each for each in proposed.others if each.label not in removed]
-    replace_open(write, proposed, others, leaving_out=gone)
-    write.event(KIND)
-
-
-def _is_open(write: Write, row: Row, kept: Collection[str]) -> bool:
-    """Whether an import may replace a label: an open proposal that was made here and is not `kept`."""
-    return row["state"] == ReviewState.PROPOSED.value and write.is_here(row) and row["uid"] not in kept
-
-
-def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
-    """All track ids of a recording's rig, also of hidden boxes; and those of `source`, by the ids in its files."""
-    said = func.json_each(labels.c.said).table_valued("value")
-    values = [func.json_extract(said.c.value, f"$.{name}") for name in ("track_id", "source", "file_track_id")]
-    of_recording = labels.join(frames, frames.c.id == labels.c.frame_id)
-    here = of_rig(recording_id)
-    of_labels = select(labels.c.track_id).select_from(of_recording).where(here, labels.c.track_id.is_not(None))
-    is_known = values[0].is_not(None)
-    of_sources = select(*values).select_from(of_recording.join(said, true())).where(here, is_known).distinct()
-    with store.read() as connection:
-        used, given = set(connection.execute(of_labels.distinct()).scalars()), dict[int, int]()
-        for track_id, name, file_track_id in connection.execute(of_sources):
-            used.add(track_id)
-            if name == source:
-                given[track_id if file_track_id is None else file_track_id] = track_id
-    return used, given
-
-
-def _said(source: str, box: NewLabel) -> SaidRecord:
-    values = {name: value for name, value in vars(box).items() if name in SaidRecord.model_fields}
-    return SaidRecord(uid=uuid.uuid4().hex, source=source, **values | {"box": BoxRecord.of(box.box)})
-
-
-def _with_free_tracks(groups: Sequence[Group], taken: Collection[int | None]) -> tuple[Group, ...]:
-    """The groups without track ids that other labels of the frame have: a track has one box in a frame."""
-    taken, free, none = set(taken) - {None}, list[Group](), {"track_id": None, "file_track_id": None}
-    for group in groups:
-        group = tuple(each.model_copy(update=none) if each.track_id in taken else each for each in group)
-        taken.add(track_of(group))
-        taken.discard(None)
-        free.append(group)
-    return tuple(free)
-
-
-@dataclass(frozen=True)
-class OpenProposals:
-    """What the open proposals of a frame say.
-
-    Attributes:
-        others: boxes of other software, in their own words; boxes of ours that one of them hides, as well.
-        kept: uids of proposals that stay as they are; neither list has them.
-        taken: track ids of the labels that stay, except rejected ones.
-        borrows: uids of the proposals to which hidden boxes have lent values.
-    """
-
-    others: list[SaidRecord]
-    ours: list[SaidRecord]
-    kept: frozenset[str]
-    taken: frozenset[int]
-    borrows: frozenset[str] = frozenset()
-
-    @classmethod
-    def of(cls, write: Write, never_kept: Collection[str] = ()) -> OpenProposals:
-        """Reads them from a frame's rows, without boxes of classes that the project no longer has.
-
-        Proposals of `never_kept` may be replaced, though a person has set values.
-        """
-        others, ours, borrows, kept = list[SaidRecord](), list[SaidRecord](), set[str](), set[str]()
-        taken = write.hidden_tracks()
-        for row in write.labels():
-            uid, label = row["uid"], write.terms.names[row["class_id"]]
-            said = write.terms.said(row["said"], write.frame_id)
-            if row["values_set"] and uid not in never_kept and is_kept(row, label, said, write.config.attributes):
-                kept.add(uid)
-            if not _is_open(write, row, kept):
-                if row["state"] != ReviewState.REJECTED.value and row["track_id"] is not None:
-                    taken.add(row["track_id"])
-                continue
-            present = values_of(row["attributes"])
-            values = without(present, borrowed(present, said))
-            others += [
-                each.model_copy(update={"attributes": values}) if each.uid == uid else each
-                for each in given_back(uid, said)
-            ]
-            borrows |= {uid} if lent_names(said) else set()
-            if row["source"] != Source.IMPORTED.value:
-                ours.append(
-                    SaidRecord(
-                        uid=uid,
-                        source=OWN,
-                        label=label,
-                        score=row["score"],
-                        box=write.terms.record(row["box"], write.frame_id),
-                        track_id=row["track_id"],
-                        box_kind=BoxKind(row["box_kind"]),
-                        attributes=values,
-                    )
-                )
-        shown = [each for each in others if each.label in write.config.classes]
-        return cls(shown, ours, frozenset(kept), frozenset(taken), frozenset(borrows))
-
-
-def replace_open(
-    write: Write, proposed: OpenProposals, others: Sequence[SaidRecord], *, leaving_out: Collection[str] = ()
-) -> list[Group]:
-    """Replaces the open proposals of a frame by one for each object that our own proposals and the others see.
-
-    A proposal that stays the same keeps its row.
+def regroup(write: Write, waiting: Sequence[Row], new: Iterable[tuple[Row, SaidRecord]] = ()) -> list[list[SaidRecord]]:
+    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it.
 
     Args:
-        proposed: the present ones.
-        leaving_out: uids of our own proposals that are removed.
+        waiting: all open ones (`Write.open_proposals`).
+        new: further rows, with what their sources say.
 
     Returns:
         The objects, each source in its own words.
     """
-    rows = {row["uid"]: row for row in write.labels() if _is_open(write, row, proposed.kept)}
-    ours = [each for each in proposed.ours if each.uid not in leaving_out]
-    uids = {each.uid for each in ours}
-    groups = merged([*others, *ours])
-    of_ours = [group for group in groups if group[0].uid in uids]
-    of_others = [group for group in groups if group[0].uid not in uids]
-    of_others = list(
-        _with_free_tracks(of_others, proposed.taken.union(rows[group[0].uid]["track_id"] for group in of_ours))
-    )
+    found = [*((row, _words(write, row)) for row in waiting), *new]
+    groups = [[found[place] for place in group] for group in merged([said for _, said in found])]
+    uids = {row["uid"] for row, _ in found}
+    stay = [row for row in write.labels() if row["uid"] not in uids and row["state"] != ReviewState.REJECTED.value]
+    # a track has one box in a frame
+    taken = {None, *(row["track_id"] for row in stay if row["behind"] is None), *write.hidden_tracks()}
+    taken |= {row["track_id"] for (row, said), *_ in groups if said.source == OWN}
+    tracks = list[int | None]()
+    for group in groups:
+        row, said = group[0]
+        free = (each.track_id for _, each in group if each.track_id not in taken)
+        tracks.append(row["track_id"] if said.source == OWN else next(free, None))
+        taken.add(tracks[-1])
     attributes = write.config.attributes
-    known = [*(track_of(group) for group in of_others), *(rows[group[0].uid]["track_id"] for group in of_ours)]
-    tracks: Mapping[int | None, Values] = {}
-    if attributes:
-        tracks = of_tracks(write.connection, write.terms, attributes, write.frame_id, known)
-
-    def with_values(group: Group, track_id: int | None) -> Group:
-        """The group with the values of its object: of its sources, else of its track, else the defaults."""
-        if not attributes:
-            return group
-        of_label = [each for each in attributes if each.is_of(group[0].label)]
-        lent, others = lend(of_label, group[0].attributes, group[1:])
-        values = new_values(of_label, tracks.get(track_id, {}), lent)
-        return group[0].model_copy(update={"attributes": values, "lent": ()}), *others
-
-    after = dict[str, Row]()
-    for group in of_ours:
-        row = rows[group[0].uid]
-        if group[0].uid in proposed.borrows or any(each.attributes for each in group[1:]):
-            group = with_values(group, row["track_id"])
-            row = row | {"attributes": values_json(group[0].attributes)}
-        after[row["uid"]] = row | {"said": said_json(write, group[1:])}
-    for group in of_others:
-        whole = with_values(tuple(_with_columns(each, rows.get(each.uid)) for each in group), track_of(group))
-        after[group[0].uid] = _row(write, whole, rows.get(group[0].uid))
-    for uid in rows:
-        if uid not in after:
-            write.put("labels", uid, None)
-    for uid, row in after.items():
-        write.put("labels", uid, row)
-    return groups
+    of_track = of_tracks(write.connection, write.terms, attributes, write.frame_id, tracks) if attributes else {}
+    for group, track_id in zip(groups, tracks, strict=True):
+        (shown, words), *others = group
+        columns: Row = {"behind": None, "track_id": track_id}
+        if attributes:
+            lenders = [said.attributes for _, said in others]
+            columns |= _with_values(write, shown, words, lenders, of_track.get(track_id, {}))
+        write.put("labels", shown["uid"], shown | columns)
+        for row, said in others:
+            columns = {"behind": shown["uid"], "track_id": said.track_id}
+            if attributes:
+                columns |= _values_columns(write, row, said, said.attributes)
+            write.put("labels", row["uid"], row | columns)
+    return [[said for _, said in group] for group in groups]
 
 
-def _with_columns(said: SaidRecord, row: Row | None) -> SaidRecord:
-    """What we say, with what only the row of our proposal knows, for when it is shown again."""
-    if said.source != OWN or row is None or said.own is not None:
-        return said
-    return said.model_copy(update={"own": OwnColumns(**{name: row[name] for name in OwnColumns.model_fields})})
+def _words(write: Write, row: Row) -> SaidRecord:
+    """What the source of an open proposal says, in its own words."""
+    said = said_in(row, write.terms.key, write.terms.place(write.frame_id))
+    return said if row["said"] is None else said.model_copy(update={"attributes": own_values(row, write.terms)})
 
 
-def _row(write: Write, group: Group, present: Row | None) -> Row:
-    """The row of an object whose shown box is none of our open proposals."""
-    shown = group[0]
-    is_ours = shown.source == OWN
-    own = shown.own or OwnColumns(author=shown.source)
-    columns = own.model_dump() | {
-        "class_id": write.class_id(shown.label),
-        "box": write.terms.box_json(shown.box, write.frame_id),
-        "score": shown.score,
-        "state": ReviewState.PROPOSED.value,
-        "track_id": track_of(group),
-        "box_kind": shown.box_kind.value,
-        "said": said_json(write, group[1:] if is_ours else group),
-        "attributes": values_json(shown.attributes),
-        "source": (Source.AUTO if is_ours else Source.IMPORTED).value,
-    }
-    if present is None:
-        return new_label(write, shown.uid, shown.label, **columns)
-    return present | columns
+def _with_values(
+    write: Write, row: Row, said: SaidRecord, lenders: Sequence[Values], of_track: Mapping[str, AttributeValue]
+) -> Row:
+    """The columns of a shown box with the values of its object: of its sources, else of its track, else the defaults.
+
+    A proposal of ours has them already, unless other sources lend it some.
+    """
+    of_label = write.config.attributes_of(said.label)
+    borrowed = lent(of_label, said.attributes, lenders)
+    if said.source == OWN and not borrowed and row["said"] is None:
+        return {}
+    values = new_values(of_label, of_track, fitting(of_label, said.attributes) | borrowed)
+    return _values_columns(write, row, said, values, keep=bool(borrowed))
+
+
+def _values_columns(write: Write, row: Row, said: SaidRecord, given: Values, *, keep: bool = False) -> Row:
+    """The columns of a box with values that it is given; of ours, its own words are kept only if it borrows some."""
+    text: str | None = row["said"]
+    if said.source != OWN:
+        assert text is not None  # as of all other software
+        text = said_with(text, said.attributes, given)
+    else:
+        kept = said.model_copy(update={"given": given})
+        text = write.terms.said_json(kept, write.frame_id) if keep else None
+    return {"attributes": values_json(given), "said": text}
+
+
+def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int], dict[int, int]]:
+    """All track ids of a recording's rig, also of hidden boxes; and those of `source`, by the ids in its files."""
+    query = (
+        "SELECT track_id, of_source, said ->> '$.track_id', said ->> '$.file_track_id' FROM labels WHERE "
+        "frame_id IN (SELECT frames.id FROM frames JOIN recordings ON recordings.id = recording_id WHERE rig_id = "
+        "(SELECT rig_id FROM recordings WHERE id = ?)) AND coalesce(track_id, said) IS NOT NULL"
+    )
+    used, given = set[int](), dict[int, int]()
+    with store.read() as connection:
+        for track_id, name, said, file_track_id in driver_of(connection).execute(query, (recording_id,)):
+            used |= {track_id, said}
+            if name == source and said is not None:
+                given[said if file_track_id is None else file_track_id] = said
+    return used - {None}, given
+
+
+def _said(source: str, box: NewLabel) -> SaidRecord:
+    values = {name: value for name, value in vars(box).items() if name in SaidRecord.model_fields}
+    return SaidRecord(source=source, **values | {"box": BoxRecord.of(box.box)})

@@ -17,9 +17,9 @@ from sqlalchemy import Connection
 from annotator.project import Effort, Origin, Project, WriteContext, create_project
 from annotator.project.changes import (
     LabelAccepted,
-    LabelCreated,
     LabelEdited,
     LabelRejected,
+    NewLabel,
     Payload,
     ProposalsReplaced,
     ProposedObject,
@@ -179,12 +179,10 @@ def _review(
 
 def _decision(item: _Object) -> tuple[Payload, int, float]:
     """What is done with an object, in how many actions and seconds."""
-    box = BoxRecord.of(item.truth)
     if item.uid is None:
-        created = LabelCreated(uid=uuid.uuid4().hex, label=item.label, box=box, origin=Origin.DRAWN)
-        return created, 6, 20.0
+        return NewLabel(item.label, item.truth, origin=Origin.DRAWN), 6, 20.0
     if item.is_wrong:
         return LabelRejected(uid=item.uid), 1, 2.0
     if item.is_good:
         return LabelAccepted(uid=item.uid), 1, 2.0
-    return LabelEdited(uid=item.uid, label=item.label, box=box), 3, 9.0
+    return LabelEdited(uid=item.uid, label=item.label, box=BoxRecord.of(item.truth)), 3, 9.0

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.project import FramePart, Project, WriteContext
-from annotator.project.changes import LabelCreated
-from annotator.project.records import BoxRecord
+from annotator.project.changes import NewLabel
 from annotator.types import BoxKind, OrientedBox, Source
 
 
@@ -29,6 +28,6 @@ def fill(project: Project, frames: int, labels: int, views: int) -> None:
         project.boxes.set_on_view(project.views.store(picture), [], BoxKind.BOX, WriteContext(0, "Ada", Source.MANUAL))
 
 
-def _label(frame: int, number: int) -> LabelCreated:
+def _label(frame: int, number: int) -> NewLabel:
     box = OrientedBox.from_parts(np.array([2.0 * number, 0.1, 3.0]), np.eye(3), np.array([1.0, 0.7, 0.4]))
-    return LabelCreated(uid=f"{frame}-{number}", label="person", box=BoxRecord.of(box))
+    return NewLabel("person", box, uid=f"{frame}-{number}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-import uuid
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -15,13 +14,12 @@ from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, open_project
-from annotator.project.changes import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.changes import LabelAccepted, LabelDeleted, LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
 from annotator.project.log import new_action
-from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -31,6 +29,7 @@ from annotator.types import (
     OrientedBox,
     Proposal,
     Quality,
+    ReviewState,
     Source,
     StepTrace,
     StopReason,
@@ -207,9 +206,8 @@ def actions(
 
 def _carried_over(frame: StoredFrame, track_id: int, who: str, behind: int) -> FramePart:
     """One frame's part of an action that spans several frames."""
-    proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
-    uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
-    carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)
+    proposal, state = None if track_id % 2 else proposal_at(9.0), ReviewState.PROPOSED
+    carried = NewLabel("hand", box_at(9.0), track_id=track_id, state=state, proposal=proposal)
     return FramePart(frame.id, [carried], by_hand(frame.revision - behind, who))
 
 

@@ -9,10 +9,9 @@ from pydantic import ValidationError
 from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.changes import LabelProposed, LabelTracked
+from annotator.project.changes import LabelTracked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
-from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
 
@@ -123,7 +122,7 @@ def test_values_that_the_schema_lacks_are_refused(
         with pytest.raises(ProjectError, match=problem.replace("(", r"\(").replace(")", r"\)")):
             change()
     # what is carried along is no mistake of the operator
-    carried = LabelProposed(uid="carried", label="hand", box=BoxRecord.of(box_at(4.0)), attributes=values)
+    carried = NewLabel("hand", box_at(4.0), state=ReviewState.PROPOSED, attributes=values, uid="carried")
     project.log.append(frame, [carried], revised(project, frame))
     assert of(project, "carried") == {"severity": 0}
 

@@ -163,7 +163,7 @@ def test_opening_a_damaged_project_raises_a_clear_error(
 
 
 def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: int) -> None:
-    project.labels.create(frame, [NewLabel("hand", box_at())] * 20, by_hand())
+    project.labels.create(frame, [NewLabel("hand", box_at()) for _ in range(20)], by_hand())
     project.close()
     path = project.path / "project.db"
     content = bytearray(path.read_bytes())

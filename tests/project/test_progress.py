@@ -14,9 +14,7 @@ from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, RunShare, WriteContext, create_project
-from annotator.project.changes import LabelProposed
-from annotator.project.records import BoxRecord
-from annotator.types import BoxKind
+from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ProjectError
 
 MONDAY, TUESDAY = datetime(2026, 1, 5, 12), datetime(2026, 1, 6, 12)
@@ -79,7 +77,7 @@ def test_commands_are_no_people(shift: Shift) -> None:
         project.boxes.set_on_image(frame, [], BoxKind.BOX, context)
 
     drawn("simulated operator", None)
-    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    proposed = NewLabel("hand", box_at(), state=ReviewState.PROPOSED, uid="u")
     project.log.append(frame, [proposed], WriteContext(project.frames.get(frame).revision, "annotator follow"))
     assert shift.progress()["days"] == []
     project.labels.reject(frame, "u", WriteContext(project.frames.get(frame).revision, "by script"))
@@ -141,7 +139,7 @@ def test_proposals_are_compared_by_class_and_distance(shift: Shift) -> None:
 
 def test_a_box_that_following_proposed_is_a_proposal(shift: Shift) -> None:
     frame = shift.frames[0]
-    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    proposed = NewLabel("hand", box_at(), state=ReviewState.PROPOSED, uid="u")
     shift.project.log.append(frame, [proposed], shift.by(frame))
     shift.project.labels.accept(frame, "u", shift.by(frame))
     assert shift.project.statistics().effort.by_origin["proposal accepted untouched"].boxes == 1
@@ -159,16 +157,6 @@ def label(shift: Shift, count: int, seconds: float = 18.0) -> None:
             shift.project.labels.create(
                 frame, [NewLabel("hand", box_at(4.0 * box))], shift.by(frame, seconds=0.5 * seconds)
             )
-
-
-def test_a_steady_pace_is_continued(shift: Shift) -> None:
-    label(shift, 20)
-    forecast = shift.progress()["forecast"]
-    assert (forecast["frames_done"], forecast["frames_left"], forecast["boxes_left"]) == (20, 20, 40.0)
-    # the first box has no time before it
-    expected = 20 * 2 * 18 / 3600
-    assert forecast["hours_left"]["expected"] == pytest.approx(expected, rel=0.05)
-    assert forecast["boxes_an_hour"]["expected"] == pytest.approx(3600 / 18, rel=0.05)
 
 
 def test_open_proposals_empty_frames_and_passes_that_found_nothing(shift: Shift) -> None:

@@ -10,11 +10,10 @@ from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Origin, Project, RunShare, StoredRecording, WriteContext
-from annotator.project.changes import LabelAccepted, LabelCreated
+from annotator.project.changes import LabelAccepted
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.progress.reviewed import ORIGINS, draft_id
-from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Source
 
 # --- the effort per box by origin, and the results of reviewing proposals ---------------------------------------------
@@ -23,14 +22,6 @@ from annotator.types import Box2D, BoxKind, Source
 def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target: str | None = None) -> WriteContext:
     effort = None if actions is None else Effort(actions, seconds)
     return WriteContext(revision, "ann", effort=effort, effort_target=target)
-
-
-def test_without_boxes_effort_is_undefined(project: Project, frame: int) -> None:
-    numbers = project.statistics()
-    assert (numbers.effort.boxes, numbers.effort.seconds_a_box, numbers.effort.actions_a_box) == (0, None, None)
-    assert numbers.accepted_untouched is None
-    assert numbers.iou_proposal_to_final is None
-    assert all(part.boxes == 0 for part in numbers.effort.by_origin.values())
 
 
 def test_effort_of_accepted_edited_and_rejected_proposals_is_counted(project: Project, frame: int) -> None:
@@ -81,7 +72,7 @@ def test_effort_for_a_draft_counts_for_its_label(project: Project, frame: int) -
     project.boxes.set_on_image(frame, [other], BoxKind.BOX, ann(0, 7, 7.0, draft_id(frame, other)))
     project.boxes.set_on_image(frame, [other, first], BoxKind.BOX, ann(1, 1, 2.0, draft_id(frame, first)))
     project.boxes.set_on_image(frame, [other, moved], BoxKind.BOX, ann(2, 1, 2.0, draft_id(frame, moved)))
-    made = LabelCreated(uid="u", label="hand", box=BoxRecord.of(box_at()), origin=Origin.DRAWN, image_box=moved)
+    made = NewLabel("hand", box_at(), origin=Origin.DRAWN, image_box=moved, uid="u")
     project.log.append(frame, [made], ann(3, 1, 3.0, draft_id(frame, moved)))
     project.labels.edit(frame, "u", ann(4, 2, 1.0, "u"), label="hand", box=box_at(0.1))
     numbers = project.statistics().effort
@@ -90,14 +81,13 @@ def test_effort_for_a_draft_counts_for_its_label(project: Project, frame: int) -
 
 
 def test_effort_is_counted_by_origin(project: Project, frame: int) -> None:
-    box = BoxRecord.of(box_at())
     made = [
-        LabelCreated(uid=str(n), label="hand", box=box, origin=origin)
+        NewLabel("hand", box_at(), origin=origin, uid=str(n))
         for n, origin in enumerate((Origin.DRAWN, Origin.PLACED, Origin.COPIED))
     ]
     project.log.append(frame, made, ann(0, 6, 6.0))
     imported = project.labels.create(
-        frame, [NewLabel("hand", box_at())] * 2, WriteContext(3, "import", Source.IMPORTED)
+        frame, [NewLabel("hand", box_at()) for _ in range(2)], WriteContext(3, "import", Source.IMPORTED)
     ).uids
     project.labels.edit(frame, imported[0], ann(5, 1, 1.0), label="hand", box=box_at(1.0))
     parts = project.statistics().effort.by_origin

@@ -10,8 +10,6 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, lost_object, proposal_at, same_box
 
 from annotator.project import NewLabel, Project, RunShare
-from annotator.project.changes import LabelProposed
-from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ProjectError
 
@@ -71,7 +69,7 @@ def test_only_labels_of_the_same_class_cover_a_proposal(project: Project, frame:
 @pytest.mark.parametrize("kind", BoxKind)
 def test_proposals_are_of_the_kind_that_their_detector_measures(project: Project, frame: int, kind: BoxKind) -> None:
     project.proposals.replace(frame, [proposal_at(0.0)], by_machine(), box_kind=kind)
-    requested = LabelProposed(uid="ab", label="hand", box=BoxRecord.of(box_at(5.0)), box_kind=kind)
+    requested = NewLabel("hand", box_at(5.0), state=ReviewState.PROPOSED, box_kind=kind, uid="ab")
     project.log.append(frame, [requested], by_hand(1))
     project.log.rebuild()
     assert [label.box_kind for label in project.labels.of_frame(frame)] == [kind, kind]

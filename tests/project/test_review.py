@@ -68,8 +68,6 @@ def test_created_labels_keep_their_state_and_source(project: Project, frame: int
         (Source.IMPORTED, ReviewState.ACCEPTED, None, 3),
         (Source.IMPORTED, ReviewState.EDITED, 0.5, None),
     ]
-    with pytest.raises(ProjectError, match="only an automatic pass proposes"):
-        project.labels.create(frame, [NewLabel("hand", box_at(), state=ReviewState.PROPOSED)], by_hand(2))
 
 
 def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame: int) -> None:

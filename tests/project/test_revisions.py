@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import Engine, event
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import NewLabel, Project, StoredRecording, WriteContext, create_project
+from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 
@@ -113,13 +113,3 @@ def test_a_longer_recording_needs_no_more_statements(tmp_path: Path) -> None:
             _ = project.statistics(), project.frames.of(), project.labels.select()
             counts.append(len(executed))
     assert counts[0] == counts[1] < 100
-
-
-def test_storing_the_proposals_of_a_frame_needs_few_statements(project: Project, recording: StoredRecording) -> None:
-    proposals, counts = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)], []
-    for frame in project.frames.of():
-        with counted() as executed:
-            project.proposals.replace(frame.id, proposals, by_machine())
-        counts.append(len(executed))
-    assert max(counts) < 60, "statements per frame"
-    assert len(set(counts[2:])) == 1, "the number is constant once other frames have proposals"

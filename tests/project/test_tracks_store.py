@@ -11,7 +11,6 @@ from annotator.project import NewLabel, Project
 from annotator.project.changes import (
     LabelAccepted,
     LabelDeleted,
-    LabelProposed,
     LabelRejected,
     LabelTracked,
     LinkedLabel,
@@ -82,7 +81,7 @@ BOX = BoxRecord.of(box_at(9.0))
     "change",
     [
         lambda uids: LabelTracked(uid=uids[1], track_id=1),
-        lambda uids: LabelProposed(uid="new", label="person", box=BOX, track_id=1),
+        lambda uids: NewLabel("person", box_at(), track_id=1, state=ReviewState.PROPOSED),
         lambda uids: LabelAccepted(uid=uids[2]),
         lambda uids: TracksLinked(labels=(LinkedLabel(uid=uids[1], track_id=1),)),
     ],

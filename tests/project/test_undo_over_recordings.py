@@ -9,9 +9,7 @@ from store_samples import box_at, by_hand
 
 from annotator.project import FramePart, NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
-from annotator.project.changes import LabelCreated
 from annotator.project.log import new_action
-from annotator.project.records import BoxRecord
 from annotator.types.errors import HistoryError
 
 KEYS = ["0", "1"]
@@ -30,7 +28,7 @@ def draw(project: Project, what: str, recordings: Sequence[StoredRecording], act
     parts = []
     for each in recordings:
         frame = project.frames.of([each.id])[0]
-        drawn = LabelCreated(uid=f"{each.name}-{what}", label="hand", box=BoxRecord.of(box_at(frame.revision)))
+        drawn = NewLabel("hand", box_at(frame.revision), uid=f"{each.name}-{what}")
         parts.append(FramePart(frame.id, [drawn], by_hand(frame.revision)))
     project.log.append_to_frames(parts, action)
 

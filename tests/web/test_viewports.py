@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from annotator.project.audit.writing import WriteContext
-from annotator.project.labels import NewLabel
+from annotator.project.changes import NewLabel
 from annotator.types import OrientedBox, ReviewState
 from annotator.web.viewport.viewports import MOST_PER_OPERATOR, MOST_SILENT, Viewports, start_viser
 

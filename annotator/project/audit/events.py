@@ -46,6 +46,11 @@ class RowChange:
         """Whether the row is there before and after."""
         return self.before is not None and self.after is not None
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether it is a box behind the shown one of its object, which goes or comes with that."""
+        return any(state is not None and state.get("behind") is not None for state in (self.before, self.after))
+
     def then(self, later: RowChange) -> RowChange:
         """Both changes of a row as one."""
         before = self.before if self.before is None or later.before is None else later.before | self.before
@@ -244,7 +249,7 @@ def _apply(
         moved = [(each.key,) for each in changes if each.is_update and "track_id" in (each.after or {})]
         if len(changes) > 1 and moved:
             driver.executemany("UPDATE labels SET track_id = NULL WHERE uid = ?", moved)
-    # the rejected ones first: others may get their tracks
+    # the rejected and the hidden ones first: others may get their tracks
     statements: dict[tuple[bool, tuple[str, ...]], list[tuple[Any, ...]]] = defaultdict(list)
     inserted: dict[tuple[str, ...], list[tuple[Any, ...]]] = defaultdict(list)
     for each in changes:
@@ -258,7 +263,7 @@ def _apply(
         if each.before is None:
             inserted[tuple(values)].append(tuple(values.values()))
         else:
-            is_left = values.get("state") != "rejected"
+            is_left = values.get("state") != "rejected" and values.get("behind") is None
             statements[is_left, tuple(values)].append((*values.values(), each.key))
     for (_, columns), rows in sorted(statements.items()):
         driver.executemany(_update(table, columns), rows)

@@ -45,7 +45,7 @@ from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
-from annotator.project.rows import Row, Terms, values_json, values_of
+from annotator.project.rows import Row, Terms, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Source
 from annotator.types.errors import HistoryError, TrackTakenError
@@ -430,13 +430,10 @@ class _Restoring:
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
         if row.table == "labels" and state.get("said") is not None:
             said = self._terms.said(state["said"], None)
-            kept = [
-                each.model_copy(
-                    update={"attributes": self._fitting(self.config.attributes_of(each.label), each.attributes, note)}
-                )
-                for each in said
-            ]
-            allowed["said"] = self._terms.said_json(kept, None)
+            of_label = self.config.attributes_of(said.label)
+            allowed["said"] = said_with(
+                state["said"], *(self._fitting(of_label, values, note) for values in (said.attributes, said.given))
+            )
         return allowed
 
     def _fitting(
@@ -512,7 +509,7 @@ def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
         row.key: row
         for change in changes
         for row in change.event.rows
-        if row.table == "labels" and kind in ("", change.event.kind)
+        if row.table == "labels" and kind in ("", change.event.kind) and not row.is_behind
     }
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"

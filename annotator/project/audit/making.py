@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting import moved_box
 from annotator.project.audit.writing import Write
 from annotator.project.changes import (
+    REQUESTED,
     FrameAttributesSet,
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,
     LabelAccepted,
     LabelAttributesSet,
-    LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelMoved,
-    LabelProposed,
     LabelRejected,
     LabelTracked,
     LinkedLabel,
+    NewLabel,
     Payload,
     ProposalsReplaced,
     TracksLinked,
@@ -33,7 +33,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import ProposalRecord, SaidRecord, suggestion_json
+from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
@@ -42,7 +42,7 @@ from annotator.types.label import AttributeValue
 
 def make(write: Write, payload: Payload) -> None:
     """Makes one change."""
-    view = None
+    kind, view = payload.kind, None
     match payload:
         case ImageBoxesSet():
             _set_boxes(write, payload, "image_labels", {"frame_id": write.frame_id})
@@ -57,8 +57,9 @@ def make(write: Write, payload: Payload) -> None:
         case ViewBoxesRemoved():
             view = payload.view
             write.put("view_labels", view_key(view, write.frame_id), None)
-        case LabelCreated() | LabelProposed():
+        case NewLabel():
             _create(write, payload)
+            kind = REQUESTED if payload.is_requested else kind
         case ProposalsReplaced():
             _replace_proposals(write, payload)
         case TracksLinked():
@@ -80,14 +81,15 @@ def make(write: Write, payload: Payload) -> None:
             _set_values(write, payload)
         case LabelDeleted():
             write.label(payload.uid)
-            write.put("labels", payload.uid, None)
+            for uid in [row["uid"] for row in write.labels() if payload.uid in (row["uid"], row["behind"])]:
+                write.put("labels", uid, None)
         case FrameAttributesSet():
             _set_frame_values(write, payload.attributes)
         case FrameFinalised() | FrameReopened():
             _set_finalised(write, isinstance(payload, FrameFinalised))
         case _:
             raise TypeError(f"{payload.kind} is no change that the store knows")
-    write.event(payload.kind, view)
+    write.event(kind, view)
 
 
 def view_key(view_id: str, frame_id: int | None) -> str:
@@ -120,26 +122,32 @@ def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     return row | write.author | values
 
 
-def said_json(write: Write, said: Sequence[SaidRecord]) -> str | None:
-    """What sources say of an object as it is stored; their classes are those of the project."""
-    for each in said:
-        if write.terms.known_id(each.label) is None:
-            write.class_id(each.label)
-    return write.terms.said_json(said, write.frame_id)
+def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
+    """The row of an open proposal that a source has made."""
+    is_ours = said.source == OWN
+    write.class_id(said.label)  # its words name it by id, too
+    row = new_label(
+        write,
+        write.new_uid(),
+        said.label,
+        box=write.terms.box_json(said.box, write.frame_id),
+        score=said.score,
+        state=ReviewState.PROPOSED.value,
+        source=(Source.AUTO if is_ours else Source.IMPORTED).value,
+        author=said.source,
+        track_id=said.track_id,
+        box_kind=said.box_kind.value,
+        attributes=values_json(said.attributes),
+        said=None if is_ours else write.terms.said_json(said, write.frame_id),
+        of_source=None if is_ours else said.source,
+    )
+    return row | columns
 
 
 def found_columns(write: Write, proposal: ProposalRecord) -> Row:
     """The columns of a label that come from the recursion."""
-    quality = proposal.quality
-    return {
-        "score": proposal.score,
-        "proposed_box": write.terms.box_json(proposal.box, write.frame_id),
-        "view_disagreement": number_or_none(quality.view_disagreement),
-        "kept_share": number_or_none(quality.kept_share),
-        "last_change": number_or_none(quality.last_change),
-        "image_agreement": number_or_none(quality.image_agreement),
-        "expected_iou_loss": number_or_none(quality.expected_iou_loss),
-    }
+    signals = {name: number_or_none(value) for name, value in vars(proposal.quality).items()}
+    return {"score": proposal.score, "proposed_box": write.terms.box_json(proposal.box, write.frame_id)} | signals
 
 
 def _attributes_of(write: Write, label: str) -> list[Attribute]:
@@ -150,43 +158,44 @@ def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[i
     return of_tracks(write.connection, write.terms, write.config.attributes, write.frame_id, tracks)
 
 
-def _create(write: Write, payload: LabelCreated | LabelProposed) -> None:
+def _create(write: Write, payload: NewLabel) -> None:
     if write.row("labels", payload.uid) is not None:
         raise ProjectError(f"{write.where}: label {payload.uid} exists already")
     of_label = _attributes_of(write, payload.label)
+    if payload.image_box is not None:
+        write.class_id(payload.image_box.label)
     row = new_label(
         write,
         payload.uid,
         payload.label,
-        box=write.terms.box_json(payload.box, write.frame_id),
+        box=write.terms.box_json(BoxRecord.of(payload.box), write.frame_id),
+        score=payload.score,
+        state=payload.state.value,
         track_id=payload.track_id,
         origin=None if payload.origin is None else payload.origin.value,
         box_kind=payload.box_kind.value,
-        said=said_json(write, payload.said),
+        image_box=write.terms.box_2d_json(payload.image_box),
+        suggestion=suggestion_json(payload.suggestion),
     )
-    given: Values
-    if isinstance(payload, LabelCreated):
-        given = checked(of_label, payload.attributes, payload.label)
-        row |= {"score": payload.score, "state": payload.state.value}
-        if payload.image_box is not None:
-            write.class_id(payload.image_box.label)
-            row["image_box"] = write.terms.box_2d_json(payload.image_box)
-        row |= {"suggestion": suggestion_json(payload.suggestion)}
-    else:
+    if payload.is_requested:
         given = fitting(of_label, payload.attributes)
-        row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
-        row |= {"track_linked": int(payload.track_id is not None)}
-        row |= {} if payload.proposal is None else found_columns(write, payload.proposal)
+        row |= {"source": Source.AUTO.value, "track_linked": int(payload.track_id is not None)}
+        row |= {} if payload.proposal is None else found_columns(write, ProposalRecord.of(payload.proposal))
+    else:
+        given = checked(of_label, payload.attributes, payload.label)
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
     row["attributes"] = values_json(new_values(of_label, of_track, given))
     write.put("labels", payload.uid, row)
+    for each in payload.said:
+        said = each if isinstance(each, SaidRecord) else SaidRecord.of(each)
+        behind = said_row(write, said, behind=payload.uid)
+        write.put("labels", behind["uid"], behind)
 
 
 def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     """Applies an automatic pass: its proposals replace the unreviewed labels made here, except imported ones."""
-    for row in write.labels():
-        is_ours = row["state"] == ReviewState.PROPOSED.value and row["source"] != Source.IMPORTED.value
-        if write.is_here(row) and is_ours and row["uid"] not in payload.kept:
+    for row in write.open_proposals():
+        if row["source"] != Source.IMPORTED.value:
             write.put("labels", row["uid"], None)
     new = [entry for entry in payload.objects if entry.covered_by is None]
     tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.config.attributes else {}

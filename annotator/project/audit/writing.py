@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +22,7 @@ from annotator.project.audit.events import (
     insert_event,
     read_row,
 )
+from annotator.project.classes.values import is_kept
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store
@@ -174,7 +176,7 @@ class Write:
         """Tracks that have a box in the moment, made in another camera whose recording is removed."""
         query = (
             "SELECT track_id FROM labels WHERE moment_id = ? AND hidden = 1 AND frame_id <> ? "
-            "AND track_id IS NOT NULL AND state <> 'rejected'"
+            "AND track_id IS NOT NULL AND state <> 'rejected' AND behind IS NULL"
         )
         found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id))
         return {int(track_id) for (track_id,) in found}
@@ -182,6 +184,22 @@ class Write:
     def is_here(self, row: Row) -> bool:
         """Whether a label was made in this frame, not in that of another camera of the moment."""
         return bool(row["frame_id"] == self.frame_id)
+
+    def open_proposals(self) -> list[Row]:
+        """The rows of proposals made here that passes and imports may replace, with those behind them."""
+        rows = {row["uid"]: row for row in self.labels()}
+
+        def is_open(row: Row) -> bool:
+            is_proposed = row["state"] == ReviewState.PROPOSED.value
+            return is_proposed and self.is_here(row) and not is_kept(row, self.terms, self.config.attributes)
+
+        return [row for row in rows.values() if is_open(rows.get(row["behind"], row))]
+
+    def new_uid(self) -> str:
+        """The uid of a label that is not there yet."""
+        uid = uuid.uuid4().hex
+        self._now["labels", uid] = None
+        return uid
 
     def next_label_id(self) -> int:
         """An id that no label has ever had."""
@@ -274,7 +292,8 @@ class Write:
         """The track with two boxes in the frame, after an attempt to store both."""
         seen = self.hidden_tracks()
         for row in self.labels():
-            if row["track_id"] is not None and row["state"] != ReviewState.REJECTED.value:
+            is_its_box = row["behind"] is None and row["state"] != ReviewState.REJECTED.value
+            if row["track_id"] is not None and is_its_box:
                 if row["track_id"] in seen:
                     return int(row["track_id"])
                 seen.add(row["track_id"])

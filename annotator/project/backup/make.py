@@ -144,7 +144,7 @@ def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
         return (
             cursor.execute("PRAGMA user_version").fetchone()[0],
             *cursor.execute("SELECT count(*), coalesce(max(id), 0) FROM events").fetchone(),
-            cursor.execute("SELECT count(*) FROM labels").fetchone()[0],
+            cursor.execute("SELECT count(*) FROM labels WHERE behind IS NULL").fetchone()[0],
         )
 
 

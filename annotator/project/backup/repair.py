@@ -227,9 +227,9 @@ def _require_applicable(connection: Connection, event: Event) -> None:
 def _free_tracks(connection: Connection, store: Store) -> None:
     """Takes second boxes off their tracks, where the events that did so are lost."""
     query = (
-        "SELECT uid, frame_id, track_id FROM labels AS own WHERE track_id IS NOT NULL AND state <> 'rejected' "
-        "AND EXISTS (SELECT 1 FROM labels AS other WHERE other.moment_id = own.moment_id "
-        "AND other.track_id = own.track_id AND other.state <> 'rejected' AND other.id < own.id)"
+        "WITH of_tracks AS (SELECT * FROM labels WHERE state <> 'rejected' AND behind IS NULL) "
+        "SELECT uid, frame_id, track_id FROM of_tracks AS own WHERE EXISTS (SELECT 1 FROM of_tracks AS other "
+        "WHERE other.moment_id = own.moment_id AND other.track_id = own.track_id AND other.id < own.id)"
     )
     for uid, frame_id, track_id in connection.exec_driver_sql(query).all():
         change = RowChange("labels", uid, {"track_id": track_id}, {"track_id": None})

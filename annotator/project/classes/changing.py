@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
@@ -14,10 +13,11 @@ from annotator.project.classes.attributes import Relabelling
 from annotator.project.config import ProjectConfig, config_hash
 from annotator.project.database.schema import AUDITED, class_changes, columns_of, events
 from annotator.project.log import Writer
-from annotator.project.records import SaidRecord, parsed
-from annotator.project.rows import Row, Terms, box_2d_of, driver_of, values_json, values_of
-from annotator.project.sources import show_others
-from annotator.types import ReviewState, Source
+from annotator.project.records import parsed
+from annotator.project.rows import Row, Terms, box_2d_of, driver_of, said_with, values_json, values_of
+from annotator.project.sources import KIND as IMPORTED
+from annotator.project.sources import regroup
+from annotator.types import Source
 
 KIND = "classes_changed"
 # Rows that are read, and changed by one event, at once: a project may have 100,000.
@@ -33,8 +33,6 @@ def change_classes(
     refused.
     """
     newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-    if change.removed:
-        _show_others(writer, connection, old, change.removed, author)
     stale = set[int]()
     of_classes = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
     query = select(func.max(events.c.revision)).where(of_classes)
@@ -59,6 +57,8 @@ def change_classes(
     driver = driver_of(connection)
     moments = {driver.execute("SELECT moment_id FROM frames WHERE id = ?", (id,)).fetchone() for id in stale}
     driver.executemany("UPDATE frames SET revision = revision + 1 WHERE moment_id = ?", sorted(moments))
+    if change.removed:
+        _show_others(writer, connection, old, author)
     row = {"event_id": newest, "author": author, "time_ns": writer.store.clock()}
     row |= {"content": change.model_dump_json(), "config": config_hash(new)}
     key = connection.execute(insert(class_changes), row).inserted_primary_key
@@ -66,10 +66,17 @@ def change_classes(
     return int(key[0])
 
 
-def _write(writer: Writer, connection: Connection, revision: int, author: str, config: ProjectConfig) -> Write:
-    return Write(
-        writer.store, writer.folder, connection, None, "the classes", WriteContext(revision, author), None, config
-    )
+def _write(
+    writer: Writer,
+    connection: Connection,
+    revision: int,
+    author: str,
+    config: ProjectConfig,
+    frame_id: int | None = None,
+) -> Write:
+    where = "the classes" if frame_id is None else f"frame with id {frame_id}"
+    context = WriteContext(revision, author, Source.MANUAL if frame_id is None else Source.IMPORTED)
+    return Write(writer.store, writer.folder, connection, frame_id, where, context, None, config)
 
 
 def _frames_of(connection: Connection, class_id: int) -> set[int]:
@@ -84,23 +91,17 @@ def _frames_of(connection: Connection, class_id: int) -> set[int]:
     return {frame_id for (frame_id,) in found}
 
 
-def _show_others(
-    writer: Writer, connection: Connection, config: ProjectConfig, removed: Collection[str], author: str
-) -> None:
-    """Shows other sources' boxes where one of a class that is about to be removed is shown."""
-    staying, shown, terms = set(config.classes) - set(removed), defaultdict[int, set[str]](set), Terms(connection)
-    query = "SELECT frame_id, uid, class_id, said FROM labels WHERE state = ? AND said IS NOT NULL ORDER BY frame_id"
-    for frame_id, uid, class_id, said in driver_of(connection).execute(query, (ReviewState.PROPOSED.value,)).fetchall():
-        if terms.names[class_id] in removed and any(each.label in staying for each in terms.said(said, frame_id)):
-            shown[frame_id].add(uid)
-    for frame_id, uids in shown.items():
+def _show_others(writer: Writer, connection: Connection, config: ProjectConfig, author: str) -> None:
+    """Shows other sources' boxes where the one before them was of a removed class."""
+    query = (
+        "SELECT DISTINCT frames.id, frames.revision FROM labels JOIN frames ON frames.id = frame_id "
+        "WHERE behind IS NOT NULL AND behind NOT IN (SELECT uid FROM labels) ORDER BY frames.id"
+    )
+    for frame_id, revision in driver_of(connection).execute(query).fetchall():
         # the frame may be finalised, or of a removed recording
-        (revision,) = driver_of(connection).execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
-        context = WriteContext(revision, author, Source.IMPORTED)
-        write = Write(
-            writer.store, writer.folder, connection, frame_id, f"frame with id {frame_id}", context, None, config
-        )
-        show_others(write, removed, uids)
+        write = _write(writer, connection, revision, author, config, frame_id)
+        regroup(write, write.open_proposals())
+        write.event(IMPORTED)
         write.finish()
 
 
@@ -186,20 +187,9 @@ def values_after(terms: Terms, changes: Sequence[Relabelling], label: str, row: 
         after["attributes"] = values_json(values)
     if row.get("said") is not None:
         said = terms.said(row["said"], None)
+        own, given = dict(said.attributes), dict(said.given)
         for change in changes:
-            said = _said(change, said)
-        after["said"] = terms.said_json(said, None)
+            own, given = change.values_of(said.label, own), change.values_of(said.label, given)
+        is_gone = any(said.label in change.removed for change in changes)
+        after |= {"said": None, "of_source": None} if is_gone else {"said": said_with(row["said"], own, given)}
     return after
-
-
-def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
-    """What sources say of an object; nothing of removed classes."""
-    new = list[SaidRecord]()
-    for each in said:
-        if each.label in change.removed:
-            continue
-        values = change.values_of(each.label, each.attributes)
-        # values that are filled in are not lent
-        lent = change.values({of: each.attributes[of] for of in each.lent}).keys() & values.keys()
-        new.append(each.model_copy(update={"attributes": values, "lent": tuple(sorted(lent))}))
-    return tuple(new)

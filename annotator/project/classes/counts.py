@@ -37,18 +37,16 @@ def class_counts(connection: Connection, *, removed: bool = False) -> dict[str, 
     """Numbers of boxes by class name; with `removed`, also of recordings that were removed."""
     driver, names, shown = driver_of(connection), Terms(connection).names, "" if removed else "shown_"
     in_3d, in_2d, said = Counter[str](), Counter[str](), Counter[str]()
-    for number, count in driver.execute(f"SELECT class_id, count(*) FROM {shown}labels GROUP BY class_id"):
+    is_shown = "behind IS NULL" + ("" if removed else " AND hidden = 0")
+    for number, count in driver.execute(f"SELECT class_id, count(*) FROM labels WHERE {is_shown} GROUP BY class_id"):
         in_3d[names[number]] += count
     for table in ("image_labels", "view_labels"):
         of_boxes = f"{shown}{table} AS of, json_each(of.boxes) AS box"
         for number, count in driver.execute(f"SELECT box.value ->> '$.label', count(*) FROM {of_boxes} GROUP BY 1"):
             in_2d[names[int(number)]] += count
-    columns = "said.value ->> '$.label', said.value ->> '$.uid' = of.uid, of.class_id"
-    query = f"SELECT {columns}, count(*) FROM {shown}labels AS of, json_each(of.said) AS said GROUP BY 1, 2, 3"
-    for number, is_itself, class_id, count in driver.execute(query):
-        # the shown box is a source's, too
-        if not is_itself or names[int(number)] != names[class_id]:
-            said[names[int(number)]] += count
+    is_counted = "behind IS NOT NULL" + ("" if removed else " AND hidden = 0")
+    for number, count in driver.execute(f"SELECT class_id, count(*) FROM labels WHERE {is_counted} GROUP BY class_id"):
+        said[names[number]] += count
     return {name: ClassCounts(in_3d[name], in_2d[name], said[name]) for name in sorted({*in_3d, *in_2d, *said})}
 
 
@@ -125,7 +123,7 @@ def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int
 
 
 def _stored(connection: Connection, everywhere: bool = False) -> Iterator[_Stored]:
-    """With `everywhere`, also of rejected labels and of removed recordings."""
+    """With `everywhere`, also of rejected labels, of removed recordings, and of boxes behind others."""
     table, names = ALL_LABELS if everywhere else labels, Terms(connection).names
     columns = (table.c.class_id, table.c.attributes)
     query = select(*columns, func.count()).where(table.c.attributes != "{}").group_by(*columns)

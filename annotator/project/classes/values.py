@@ -11,9 +11,8 @@ from sqlalchemy import Connection, Select, select
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.database.schema import frames, labels
 from annotator.project.recordings import of_rig
-from annotator.project.records import SaidRecord
 from annotator.project.rows import Terms, values_of
-from annotator.types import ReviewState, Source
+from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
@@ -88,11 +87,9 @@ def of_tracks(
     if not names or not known:
         return found
     for row in connection.execute(labels_of_tracks(frame_id, known)):
-        values = values_of(row.attributes)
         # what a source has lent goes with it
-        own = names - borrowed(values, terms.said(row.said, row.frame_id))
-        for name, value in values.items():
-            if name in own:
+        for name, value in own_values(dict(row._mapping), terms).items():
+            if name in names:
                 found[row.track_id].setdefault(name, value)
     return found
 
@@ -109,7 +106,7 @@ def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[An
     ).order_by(labels.c.id)
 
 
-def is_kept(row: Mapping[str, Any], label: str, said: Sequence[SaidRecord], attributes: Sequence[Attribute]) -> bool:
+def is_kept(row: Mapping[str, Any], terms: Terms, attributes: Sequence[Attribute]) -> bool:
     """Whether no pass and no import replaces a proposal, because a person has set values that a new one would not have.
 
     Values that follow from those of another label of the track do not count: whoever sets the colour of a car does not
@@ -117,12 +114,12 @@ def is_kept(row: Mapping[str, Any], label: str, said: Sequence[SaidRecord], attr
     """
     if not row["values_set"] or row["state"] != ReviewState.PROPOSED.value:
         return False
-    usual = {each.name: each.default for each in attributes if each.is_of(label) and each.default is not None}
-    if row["source"] == Source.IMPORTED.value:
-        usual |= said[0].attributes
-    else:
-        usual |= {name: each.attributes[name] for each in said for name in each.lent}
-    return values_of(row["attributes"]) != usual
+    if row["said"] is not None:
+        return values_of(row["attributes"]) != terms.said(row["said"], None).given
+    label = terms.names[row["class_id"]]
+    return values_of(row["attributes"]) != {
+        each.name: each.default for each in attributes if each.is_of(label) and each.default is not None
+    }
 
 
 class ValueReader:
@@ -158,39 +155,36 @@ class ValueReader:
         return read
 
 
-# --- values that a proposal gets from the hidden boxes of its object --------------------------------------------------
+# --- values that a proposal gets from the boxes behind it -------------------------------------------------------------
 # The shown box of an object keeps its own values. It lacks those that only another source gave, so these are lent to
 # it, until that source says otherwise. A value that is the default says nothing, whoever has it.
 
 
-def lend(
-    of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]
-) -> tuple[Values, tuple[SaidRecord, ...]]:
-    """The values of an object, and the hidden boxes, each with what it lends; what surer boxes say comes first.
+def own_values(row: Mapping[str, Any], terms: Terms) -> Values:
+    """The values of a label without those that other sources have lent it, and that nobody has changed since."""
+    present = values_of(row["attributes"])
+    if row["said"] is None or not present:
+        return present
+    said = terms.said(row["said"], None)
+    changed = {name: value for name, value in present.items() if said.given.get(name) != value}
+    return {name: value for name, value in said.attributes.items() if name in present} | changed
 
-    Args:
-        others: the hidden boxes, the surest first.
-    """
-    values = fitting(of_label, own)
-    said = set(_told(of_label, own))
-    lenders = list[SaidRecord]()
+
+def lent(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[Values]) -> Values:
+    """The values that the other sources of an object lend its shown box; `others`: the surest first."""
+    told, found = _told(of_label, own), Values()
     for each in others:
-        new = {name: value for name, value in _told(of_label, each.attributes).items() if name not in said}
-        values |= new
-        said |= new.keys()
-        lenders.append(each.model_copy(update={"lent": tuple(sorted(new))}))
-    return values, tuple(lenders)
+        found |= {name: value for name, value in _told(of_label, each).items() if name not in told | found}
+    return found
 
 
-def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
-    """Number of values that `source` says of an object, and another source says otherwise."""
-    told = [(each.source, _told(of_label, each.attributes)) for each in said]
-    others = [values for of, values in told if of != source]
+def conflicts(of_label: Sequence[Attribute], own: Sequence[Values], others: Sequence[Values]) -> int:
+    """Number of values that a source says of an object, and another source says otherwise."""
+    told = [_told(of_label, values) for values in others]
     return sum(
-        any(theirs.get(name, value) != value for theirs in others)
-        for of, values in told
-        if of == source
-        for name, value in values.items()
+        any(theirs.get(name, value) != value for theirs in told)
+        for values in own
+        for name, value in _told(of_label, values).items()
     )
 
 
@@ -198,33 +192,3 @@ def _told(of_label: Sequence[Attribute], values: Mapping[str, AttributeValue]) -
     """The values that are not the defaults, and that attributes can hold."""
     defaults = {each.name: each.default for each in of_label}
     return {name: value for name, value in fitting(of_label, values).items() if value != defaults[name]}
-
-
-def given_back(uid: str, said: Sequence[SaidRecord]) -> tuple[SaidRecord, ...]:
-    """What sources say of an object, each in its own words.
-
-    Args:
-        uid: of the shown box; without it in `said` if it is ours.
-    """
-    lent = lent_names(said)
-    return tuple(
-        each.model_copy(
-            update={"lent": (), "attributes": without(each.attributes, lent) if each.uid == uid else each.attributes}
-        )
-        for each in said
-    )
-
-
-def lent_names(said: Sequence[SaidRecord]) -> frozenset[str]:
-    """Names of the values that hidden boxes have lent."""
-    return frozenset(name for each in said for name in each.lent)
-
-
-def borrowed(values: Mapping[str, AttributeValue], said: Sequence[SaidRecord]) -> frozenset[str]:
-    """Names of the values of a shown box that hidden boxes have lent, and that nobody has changed since."""
-    return frozenset(name for each in said for name in each.lent if values.get(name) == each.attributes.get(name))
-
-
-def without(values: Mapping[str, AttributeValue], names: frozenset[str]) -> Values:
-    """The values but those of some names."""
-    return {name: value for name, value in values.items() if name not in names}

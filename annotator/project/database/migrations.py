@@ -232,10 +232,12 @@ CREATE TABLE events (
 )
 """
 # A label belongs to a moment. frame_id: the frame in which it was made, and whose image `image_box` lies on.
-# track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. said: what
-# each source of boxes says of the object. values_set: whether a person has set values of its attributes. proposed_box:
-# as the recursion found it. run_id: of the batch run that proposed it. Boxes and texts with several values are JSON.
-# Short columns come first: a query of many rows reads no further.
+# track_linked: whether linking assigned the track id. suggestion: the detector that suggested its boxes. values_set:
+# whether a person has set values of its attributes. proposed_box: as the recursion found it. run_id: of the batch run
+# that proposed it. behind: uid of the label that is shown in its place, since both see one object. of_source: name of
+# the other software that made it. said: what that says of the object (`SaidRecord`); of ours, only while others lend it
+# values. Boxes and texts with several values are JSON. Short columns come first: a query of many rows reads no
+# further.
 _LABELS = """
 CREATE TABLE labels (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -258,6 +260,8 @@ CREATE TABLE labels (
     values_set BOOLEAN NOT NULL CHECK (values_set IN (0, 1)),
     run_id INTEGER REFERENCES runs (id),
     origin TEXT,
+    of_source TEXT,
+    behind TEXT,
     author TEXT NOT NULL,
     time_ns INTEGER NOT NULL,
     box TEXT NOT NULL,
@@ -318,16 +322,16 @@ CREATE TABLE passes (
     content PACKED_TEXT NOT NULL
 )
 """
-# What people see: without the labels and boxes of removed recordings. A join with the classes would be made for every
-# query, and keep SQLite from choosing the order of others.
+# What people see: without the labels and boxes of removed recordings, and without boxes behind others. A join with the
+# classes would be made for every query, and keep SQLite from choosing the order of others.
 _SHOWN_LABELS = """
 CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.moment_id, labels.class_id,
     (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label, labels.state, labels.source,
     labels.score, labels.track_id, labels.track_linked, labels.view_disagreement, labels.kept_share,
     labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind, labels.values_set,
     labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box, labels.attributes,
-    labels.image_box, labels.suggestion, labels.said
-FROM labels WHERE labels.hidden = 0
+    labels.image_box, labels.suggestion, labels.said, labels.of_source
+FROM labels WHERE labels.hidden = 0 AND labels.behind IS NULL
 """
 _SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"
 _SHOWN_VIEW_LABELS = "CREATE VIEW shown_view_labels AS SELECT * FROM view_labels WHERE hidden = 0"
@@ -389,13 +393,14 @@ _INDEXES = (
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
-    "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden)",
+    "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden, behind)",
     "CREATE INDEX labels_of_moment ON labels (moment_id)",
-    "CREATE INDEX labels_by_class ON labels (class_id, state, hidden)",
+    "CREATE INDEX labels_by_class ON labels (class_id, state, hidden, behind)",
     "CREATE INDEX labels_of_track ON labels (track_id) WHERE track_id IS NOT NULL",
     # an object has one box in a moment
     "CREATE UNIQUE INDEX one_box_a_track ON labels (moment_id, track_id) "
-    "WHERE track_id IS NOT NULL AND state <> 'rejected'",
+    "WHERE track_id IS NOT NULL AND state <> 'rejected' AND behind IS NULL",
+    "CREATE INDEX labels_behind ON labels (behind) WHERE behind IS NOT NULL",
     "CREATE INDEX view_labels_of_frame ON view_labels (frame_id)",
     "CREATE INDEX frame_results_of_run ON frame_results (run_id)",
     "CREATE UNIQUE INDEX one_active_model_a_role ON models (role) WHERE active = 1",

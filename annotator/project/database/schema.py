@@ -6,7 +6,8 @@ audit: who, when, in which action, from which source, at which revision of the f
 
 - `labels` (key: `uid`): 3D boxes. A label belongs to a *moment*, that is to a cloud at a time, which several cameras
   may share: frames with the same `moment_id`. It names its class by id. Its box lies in the frame of its cloud, as it
-  was recorded, so a correction of the calibration moves none. A track has one box in a moment: an index says so.
+  was recorded, so a correction of the calibration moves none. A track has one box in a moment: an index says so. What
+  each source says of an object is a row; those `behind` the one that is shown belong to it.
 - `image_labels` (`frame_id`), `view_labels` (`key`): 2D boxes on camera images and on pseudo-views. In their JSON,
   too, a class is its id (as a text), and the geometry of a view lies in the frame of the cloud.
 - `frames` (`id`): only `finalised` and `attributes` are audited; `revision` counts the changes, and the scans of a
@@ -15,14 +16,15 @@ audit: who, when, in which action, from which source, at which revision of the f
 - `adjustments` (`recording_id`): up direction and calibration of a recording.
 
 So undo is generic: where the present columns equal `after`, put `before`. And the audit, replayed from its beginning,
-gives these tables. Labels and boxes of a removed recording have `hidden` set; queries read the views `shown_...`, which
-leave them out and give classes by name. The other tables (recordings, runs, results, models, the traces of the latest
-pass over a frame, changes of the classes) have no undo.
+gives these tables. Labels and boxes of a removed recording have `hidden` set. Queries read the views `shown_...`, which
+leave them and the boxes behind others out, and give classes by name. The other tables (recordings, runs, results,
+models, the traces of the latest pass over a frame, changes of the classes) have no undo.
 """
 
 from __future__ import annotations
 
 import zlib
+from functools import cache
 from typing import Any
 
 from sqlalchemy import Boolean, Column, Dialect, Float, ForeignKey, Integer, MetaData, Table, Text, bindparam, select
@@ -55,7 +57,11 @@ class PackedText(TypeDecorator[str]):
 
 def packed(text: str) -> str | bytes:
     """A text as it is stored."""
-    return text if len(text) < PACKED_FROM else zlib.compress(text.encode())
+    if len(text) < PACKED_FROM:
+        return text
+    # for most texts, zlib takes longer to clear its usual window than to compress them
+    packing = zlib.compressobj(1, wbits=13 if len(text) < 8000 else zlib.MAX_WBITS, memLevel=6)
+    return packing.compress(text.encode()) + packing.flush()
 
 
 def unpacked(stored: str | bytes) -> str:
@@ -131,6 +137,7 @@ NOT_AUDITED = {
 }
 
 
+@cache
 def columns_of(table: str) -> tuple[str, ...]:
     """The audited columns of a table."""
     left_out = NOT_AUDITED.get(table, ())
@@ -138,5 +145,5 @@ def columns_of(table: str) -> tuple[str, ...]:
 
 
 # Queries of many modules, built once, since building a statement takes longer than running it.
-_MOMENT = select(frames.c.moment_id).where(frames.c.id == bindparam("frame")).scalar_subquery()
-LABELS_OF_MOMENT = select(labels).where(labels.c.moment_id == _MOMENT).order_by(labels.c.id)
+MOMENT = select(frames.c.moment_id).where(frames.c.id == bindparam("frame")).scalar_subquery()
+LABELS_OF_MOMENT = select(labels).where(labels.c.moment_id == MOMENT).order_by(labels.c.id)

@@ -87,7 +87,7 @@ class ActionLog:
         for row in event.rows:
             if row.table == "image_labels":
                 self._add_image_boxes(event.frame_id, row)
-            elif row.table == "labels":
+            elif row.table == "labels" and not row.is_behind:
                 uid = str(row.key)
                 action.labels[uid] = None
                 if event.kind == "label_created" and subject is not None and subject.startswith(DRAFT):

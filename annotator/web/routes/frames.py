@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
@@ -16,11 +15,11 @@ from annotator.project.changes import (
     FrameReopened,
     ImageBoxesSet,
     LabelAccepted,
-    LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelRejected,
     LabelTracked,
+    NewLabel,
     Payload,
 )
 from annotator.project.overview import list_frames
@@ -107,10 +106,9 @@ class Create(Schema):
     suggestion: SuggestionJson | None = None
 
     def payload(self) -> Payload:
-        return LabelCreated(
-            uid=uuid.uuid4().hex,
-            label=self.label,
-            box=BoxRecord.of(self.box.box()),
+        return NewLabel(
+            self.label,
+            self.box.box(),
             track_id=self.track_id,
             origin=Origin.PLACED if self.image_box is None else Origin.DRAWN,
             image_box=None if self.image_box is None else self.image_box.box(),

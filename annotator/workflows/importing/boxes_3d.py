@@ -22,7 +22,7 @@ from annotator.workflows.importing.values import give_values, of_covered
 # Longest name of a source, characters.
 MOST_NAME = 200
 # Frames and boxes that are stored in one transaction: other writers wait for it.
-MOST_FRAMES, MOST_BOXES = 50, 500
+MOST_FRAMES, MOST_BOXES = 100, 1000
 
 
 def import_labels(
@@ -121,13 +121,18 @@ class Reader:
             self.report.add(Note.DOUBT, of=doubt)
         self.report.add(Note.UNSEEN, self.dataset.unseen())
 
-    def labels(self, truths: Sequence[Truth], label: Callable[[Truth], NewLabel] | None = None) -> list[NewLabel]:
-        """Returns the boxes of the project's classes.
-
-        Args:
-            label: makes a label of an object, whose class is the project's; None: with all that the object has.
-        """
-        return list(map(label or self._label, self.known(truths)))
+    def label(self, truth: Truth, score: float | None, track_id: int | None) -> NewLabel:
+        """Returns an object, whose class is the project's, as a label."""
+        return NewLabel(
+            truth.label,
+            truth.box,
+            score,
+            track_id,
+            box_kind=truth.box_kind,
+            attributes=self.values.of_label(truth.label, truth.attributes),
+            said=self._known(truth.said),
+            file_track_id=None if truth.track_id == track_id else truth.track_id,
+        )
 
     def known(self, truths: Sequence[Truth]) -> list[Truth]:
         """Returns the objects of the project's classes, with its names of these."""
@@ -141,17 +146,6 @@ class Reader:
             self._sizes.add(label, each.box.size_m)
             if label not in self._classes:
                 self.report.add(Note.OTHER_CLASS, of=each.label)
-
-    def _label(self, truth: Truth) -> NewLabel:
-        return NewLabel(
-            truth.label,
-            truth.box,
-            truth.score,
-            truth.track_id,
-            box_kind=truth.box_kind,
-            attributes=self.values.of_label(truth.label, truth.attributes),
-            said=self._known(truth.said),
-        )
 
     def _known(self, said: Sequence[Said]) -> tuple[Said, ...]:
         """Returns what sources said, in the project's classes; nothing of other classes."""
@@ -176,7 +170,7 @@ class _Labels:
                 return
         truths = truths_of(self._dataset, name, self._reader.frames.read(stored))
         if is_labelled:
-            boxes = self._reader.labels(truths)
+            boxes = self._labels(truths)
             self._report.add(Note.FILLED, self._give(name, stored, boxes))
         else:
             self._create(name, stored, truths)
@@ -184,7 +178,7 @@ class _Labels:
     def _create(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
         report = self._report
         self._reader.count(truths)
-        every, repeated = with_tracks_once(self._reader.labels(truths))
+        every, repeated = with_tracks_once(self._labels(truths))
         new = create_if_unlabelled(self._project, stored.id, every, self._importer.author, self._importer.action)
         if new is None:
             report.add(Note.ALREADY)
@@ -198,6 +192,9 @@ class _Labels:
         report.add(Note.SCORE, left_out.scores)
         report.add(Note.FLAT, left_out.flat)
         report.add(Note.TRACK, repeated)
+
+    def _labels(self, truths: Sequence[Truth]) -> list[NewLabel]:
+        return [self._reader.label(each, each.score, each.track_id) for each in self._reader.known(truths)]
 
     def _has_values(self, name: str) -> bool:
         """Whether a frame of the dataset has values of the project's attributes; no frame is read."""
@@ -299,21 +296,18 @@ class _Proposals:
         sure = [each for each in truths if not self._is_unsure(each)]
         self._report.add(Note.UNSURE, len(truths) - len(sure))
         self._reader.count(sure)
-        labels = self._reader.labels(sure, lambda truth: self._label(truth, self._track(recording_id, truth.track_id)))
-        labels, repeated = with_tracks_once(labels)
+        labels, repeated = with_tracks_once(
+            [
+                self._reader.label(
+                    each,
+                    None if self._scores is None else self._scores.confidence(each.score),
+                    self._track(recording_id, each.track_id),
+                )
+                for each in self._reader.known(sure)
+            ]
+        )
         self._report.add(Note.TRACK, repeated)
         return labels
-
-    def _label(self, truth: Truth, track_id: int | None) -> NewLabel:
-        return NewLabel(
-            truth.label,
-            truth.box,
-            None if self._scores is None else self._scores.confidence(truth.score),
-            track_id,
-            box_kind=truth.box_kind,
-            attributes=self._reader.values.of_label(truth.label, truth.attributes),
-            file_track_id=None if truth.track_id == track_id else truth.track_id,
-        )
 
     def _is_unsure(self, truth: Truth) -> bool:
         return self._min_score is not None and truth.score is not None and truth.score < self._min_score

@@ -9,9 +9,9 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, StoredLabel
-from annotator.project.changes import LabelMoved, LabelProposed, LabelTracked, Payload
+from annotator.project.changes import LabelMoved, LabelTracked, NewLabel, Payload
 from annotator.project.overview import read_page
-from annotator.project.records import BoxRecord
+from annotator.project.records import OWN, BoxRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.follow_object import Look, follow_object
@@ -20,10 +20,10 @@ from annotator.types import Frame, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.propose_boxes import (
     Changed,
-    NewProposal,
     label_of,
     page_at,
     proposal_events,
+    proposal_like,
     why_left_out,
     write,
 )
@@ -77,7 +77,7 @@ def copy_next(
         box = _registered(project, label, read(frame), read(next_frame), box)
     is_new = label.track_id is None
     track_id = project.labels.next_track_id(frame.recording_id) if label.track_id is None else label.track_id
-    proposal = NewProposal.like(label, box, track_id, origin=Origin.COPIED)
+    proposal = proposal_like(label, box, track_id, origin=Origin.COPIED)
     events = proposal_events(project, next_frame, [proposal])
     if not events:
         why = why_left_out(proposal, read_page(project, next_frame.id).labels)
@@ -86,7 +86,7 @@ def copy_next(
     if is_new:
         changes.append((frame, [LabelTracked(uid=uid, track_id=track_id)]))
     changed = write(project, changes, author, effort, new_tracks=[track_id] if is_new else [])
-    copy = next(event.uid for event in events if isinstance(event, LabelProposed))
+    copy = next(event.uid for event in events if isinstance(event, NewLabel))
     return Copied(next_frame.id, copy, changed)
 
 
@@ -165,7 +165,8 @@ def _corrected(project: Project, frame: StoredFrame, stored: StoredLabel, box: O
         # It stays the same proposal, so its score, its doubt and the effort for it stay with it.
         return [LabelMoved(uid=label.uid, box=BoxRecord.of(box))]
     # Of other software's proposals, what it said stays as it is, so the corrected box becomes a proposal of ours.
-    return proposal_events(project, frame, [NewProposal.like(label, box, label.track_id, said=stored.said)])
+    said = tuple(each for each in stored.said if each.source != OWN)
+    return proposal_events(project, frame, [proposal_like(label, box, label.track_id, said=said)])
 
 
 def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> OrientedBox:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, Project, StoredFrame, StoredLabel, new_action
-from annotator.project.changes import LabelDeleted, LabelProposed, LabelTracked, Payload
+from annotator.project.changes import REQUESTED, LabelDeleted, LabelTracked, NewLabel, Payload
 from annotator.project.overview import read_page
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, OrientedBox, Proposal, ReviewState
@@ -28,11 +28,11 @@ from annotator.workflows.tracks.follow_objects import (
 )
 from annotator.workflows.tracks.propose_boxes import (
     Changed,
-    NewProposal,
     blocking,
     label_of,
     page_at,
     proposal_events,
+    proposal_like,
     write,
 )
 from annotator.workflows.tracks.timeline import KeyFrame, Timeline
@@ -200,7 +200,7 @@ class FollowRun:
     def _standing_at(self, item: FollowedObject, index: int, box: OrientedBox) -> Label | None:
         """Returns the label at a place beside which no box of an object is proposed, or None."""
         labels = read_page(self._timeline.project, self._timeline.frames[index].id).labels
-        label = blocking(NewProposal(item.label.label, box, item.track_id), labels)
+        label = blocking(NewLabel(item.label.label, box, track_id=item.track_id), labels)
         # a reviewed box of the track may be elsewhere in the frame
         return label if label is not None and overlap_at_place([box], [label.box]).any() else None
 
@@ -257,7 +257,7 @@ class FollowRun:
         needed = {index for item, boxes in found for index in (*boxes, *(key.index for key in item.keys))}
         needed.update(*(item.passed for item, _ in found if ended))
         read = {index: project.frames.get(frames[index].id) for index in needed}
-        new: dict[int, list[NewProposal]] = defaultdict(list)
+        new: dict[int, list[NewLabel]] = defaultdict(list)
         owners: dict[int, FollowedObject] = {}
         untracked: set[int] = set()
         for item, boxes in found:
@@ -270,7 +270,7 @@ class FollowRun:
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
-                new[index].append(NewProposal.like(label, proposal.box, track_id, proposal=proposal))
+                new[index].append(proposal_like(label, proposal.box, track_id, proposal=proposal))
         payloads: dict[int, list[Payload]] = defaultdict(list)
         for index, proposals in new.items():
             if not read[index].finalised:
@@ -279,7 +279,7 @@ class FollowRun:
             (index, payload)
             for index, events in payloads.items()
             for payload in events
-            if isinstance(payload, LabelProposed)
+            if isinstance(payload, NewLabel)
         ]
         given = untracked & {
             *(payload.track_id for _, payload in proposed),
@@ -342,7 +342,7 @@ class FollowRun:
         """Whether an earlier run has proposed a box; automatic passes and operators propose others."""
         events = self._timeline.project.log.of_frame(stored.frame_id)
         return any(
-            event.kind == LabelProposed.kind
+            event.kind == REQUESTED
             and row.key == stored.label.uid
             and row.after is not None
             and row.after["proposed_box"] is not None

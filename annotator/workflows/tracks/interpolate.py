@@ -16,7 +16,7 @@ from annotator.tracking.smooth import between
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.label import MOST_TRACK
-from annotator.workflows.tracks.propose_boxes import Changed, NewProposal, label_of, page_at, proposal_events, write
+from annotator.workflows.tracks.propose_boxes import Changed, label_of, page_at, proposal_events, proposal_like, write
 from annotator.workflows.tracks.timeline import KeyFrame, Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.frame_cache import OpenFrame
@@ -123,7 +123,7 @@ def _filled(
             # the values of the key frame that is nearer in time
             is_later = times[index] - ends[0] > ends[1] - times[index] and after.label.label == label.label
             values = after.label.attributes if is_later else label.attributes
-            events = proposal_events(project, frame, [NewProposal.like(label, fitted, track_id, attributes=values)])
+            events = proposal_events(project, frame, [proposal_like(label, fitted, track_id, attributes=values)])
             covered += not events
             if events:
                 changes.append((frame, events))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,57 +11,32 @@ from annotator.project import (
     REVIEWED,
     Effort,
     FramePart,
-    Origin,
     Project,
     Receipt,
     StoredFrame,
     StoredLabel,
     WriteContext,
 )
-from annotator.project.changes import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
+from annotator.project.changes import LabelAttributesSet, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
-from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources import covered_by
 from annotator.rcv.starts import WarmStart
 from annotator.tracking.link import Seen, link, overlap_at_place
-from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import NotFoundError, StaleRevisionError
-from annotator.types.label import AttributeValue
 
 Changed = tuple[tuple[int, Receipt], ...]
 """The changed frames: (frame id, receipt) each."""
 
 
-@dataclass(frozen=True, eq=False)
-class NewProposal:
-    """A box to propose.
-
-    Attributes:
-        box: in the camera frame.
-        track_id: of its object, if known.
-        proposal: with its trace, if the recursion found the box.
-        attributes: values of the object in the frame that the box comes from.
-        origin: how an operator made it, if one did.
-        said: what other software says of the object, if the box takes the place of its proposal.
-    """
-
-    label: str
-    box: OrientedBox
-    track_id: int | None = None
-    proposal: Proposal | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    origin: Origin | None = None
-    said: tuple[SaidRecord, ...] = ()
-
-    @classmethod
-    def like(cls, label: Label, box: OrientedBox, track_id: int | None, **more: Any) -> NewProposal:
-        """A label's object at another box, with its class, kind of box and values."""
-        return cls(label.label, box, track_id, box_kind=label.box_kind, **{"attributes": label.attributes, **more})
+def proposal_like(label: Label, box: OrientedBox, track_id: int | None, **more: Any) -> NewLabel:
+    """A proposal of a label's object at another box, with its class, kind of box and values."""
+    values = {"box_kind": label.box_kind, "attributes": label.attributes} | more
+    return NewLabel(label.label, box, track_id=track_id, state=ReviewState.PROPOSED, **values)
 
 
 def proposal_events(
-    project: Project, frame: StoredFrame, boxes: Sequence[NewProposal], *, where_rejected: bool = False
+    project: Project, frame: StoredFrame, boxes: Sequence[NewLabel], *, where_rejected: bool = False
 ) -> list[Payload]:
     """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
@@ -84,29 +57,15 @@ def proposal_events(
     if not new:
         return []
     replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
-    proposed = [
-        LabelProposed(
-            uid=uuid.uuid4().hex,
-            label=each.label,
-            box=BoxRecord.of(each.box),
-            track_id=each.track_id,
-            proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
-            box_kind=each.box_kind,
-            attributes=dict(each.attributes),
-            origin=each.origin,
-            said=each.said,
-        )
-        for each in new
-    ]
     kept = project.labels.kept(frame.id)
     values = [
         # as set by a person, so that the new proposal is kept, too
-        LabelAttributesSet(uid=event.uid, attributes=dict(stored.label.attributes))
+        LabelAttributesSet(uid=each.uid, attributes=dict(stored.label.attributes))
         for stored in labels
-        for event, each in zip(proposed, new, strict=True)
+        for each in new
         if stored.label.uid in kept and stored.label.label == each.label and _is_replaced(stored, [each])
     ]
-    return [*replaced, *proposed, *values]
+    return [*replaced, *new, *values]
 
 
 def page_at(project: Project, frame_id: int, revision: int) -> FramePage:
@@ -152,7 +111,7 @@ def write(
     return tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
 
 
-def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
+def blocking(box: NewLabel, labels: Sequence[StoredLabel]) -> Label | None:
     """Returns the label of a frame beside which a box is not proposed, or None.
 
     That is a reviewed label of its track; or a label of its class at its place, if it is reviewed, or a proposal to
@@ -167,7 +126,7 @@ def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
     return near[int(np.argmax(overlaps))].label if overlaps.any() else None
 
 
-def why_left_out(box: NewProposal, labels: Sequence[StoredLabel]) -> str:
+def why_left_out(box: NewLabel, labels: Sequence[StoredLabel]) -> str:
     """Says why `proposal_events` leaves a box out of a frame with these labels."""
     label = blocking(box, labels)
     if label is None:
@@ -177,20 +136,20 @@ def why_left_out(box: NewProposal, labels: Sequence[StoredLabel]) -> str:
     return f"a proposal of track {label.track_id} is here; if it is the same object, give both one track"
 
 
-def _stays(stored: StoredLabel, box: NewProposal) -> bool:
+def _stays(stored: StoredLabel, box: NewLabel) -> bool:
     label = stored.label
     if label.state is ReviewState.PROPOSED:
         return label.track_id not in (None, box.track_id) and not stored.track_linked
     return label.state in REVIEWED
 
 
-def _once(boxes: Sequence[NewProposal]) -> list[NewProposal]:
+def _once(boxes: Sequence[NewLabel]) -> list[NewLabel]:
     """Returns the boxes without those whose track an earlier one has."""
     tracks = [box.track_id for box in boxes]
     return [box for n, box in enumerate(boxes) if box.track_id is None or box.track_id not in tracks[:n]]
 
 
-def _is_replaced(stored: StoredLabel, new: Sequence[NewProposal]) -> bool:
+def _is_replaced(stored: StoredLabel, new: Sequence[NewLabel]) -> bool:
     """Returns True for an unreviewed proposal of a new box's object, unless an operator gave it another track."""
     label = stored.label
     if label.state is not ReviewState.PROPOSED:

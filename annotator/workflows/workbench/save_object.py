@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,14 +9,14 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, WriteContext
-from annotator.project.changes import ImageBoxesSet, LabelChange, LabelCreated, LabelEdited, Payload, ViewBoxesSet
+from annotator.project.changes import ImageBoxesSet, LabelChange, LabelEdited, NewLabel, Payload, ViewBoxesSet
 from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion
 from annotator.types.errors import ConfigError, StaleRevisionError
-from annotator.workflows.tracks.propose_boxes import NewProposal, label_of, proposal_events, why_left_out
+from annotator.workflows.tracks.propose_boxes import label_of, proposal_events, proposal_like, why_left_out
 from annotator.workflows.views import changes_kind, geometry_of, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import (
     MAX_BOXES,
@@ -190,7 +189,7 @@ def _new_views(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> list[Payl
 
 def _label_change(
     page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet], kind: BoxKind
-) -> LabelCreated | LabelEdited | None:
+) -> NewLabel | LabelEdited | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
     A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drawn boxes have
@@ -200,13 +199,11 @@ def _label_change(
     is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
     measured = labelling.box if is_complete else None
     uid = _label_uid(page, drawn)
-    shared = {"label": drawn.image_box.label, "image_box": drawn.image_box}
+    name, image_box, suggestion = drawn.image_box.label, drawn.image_box, drawn.suggestion
     if uid is None:
         if measured is None:
             return None
-        new, record = uuid.uuid4().hex, BoxRecord.of(measured)
-        suggestion, origin = drawn.suggestion, Origin.DRAWN
-        return LabelCreated(uid=new, box=record, origin=origin, suggestion=suggestion, box_kind=kind, **shared)
+        return NewLabel(name, measured, origin=Origin.DRAWN, suggestion=suggestion, image_box=image_box, box_kind=kind)
     present = label_of(page, uid)
     is_kept = measured is None or _are_drawn(page, view_boxes)
     box = present.label.box if is_kept or measured is None else measured
@@ -217,9 +214,10 @@ def _label_change(
         uid=uid,
         box=BoxRecord.of(box),
         track_id=present.label.track_id,
-        suggestion=None if is_kept else drawn.suggestion,
+        suggestion=None if is_kept else suggestion,
         box_kind=None if is_kept else kind,
-        **shared,
+        label=name,
+        image_box=image_box,
     )
 
 
@@ -343,7 +341,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     source = project.frames.get(source_id)
     own = (each.label for each in project.labels.of_moment(source_id) if each.is_own)
     boxes = [label for label in own if label.state in REVIEWED]
-    copies = [NewProposal.like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
+    copies = [proposal_like(label, label.box, label.track_id, origin=Origin.COPIED) for label in boxes]
     # the operator asks for them, also where a wrong box was rejected
     payloads = proposal_events(project, frame, copies, where_rejected=True)
     if not payloads:

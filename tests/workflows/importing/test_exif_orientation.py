@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from annotator.formats.table import FlatFormat
-from annotator.image_bytes import as_stored, box_as_stored, is_turned, orientation_of, turned, turned_size
+from annotator.image_bytes import as_stored, box_as_stored, orientation_of, turned, turned_size
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import Box2D
@@ -74,17 +74,6 @@ def test_boxes_are_turned_as_pictures(orientation: int):
     shown = Box2D("a", columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5, 0.25)
     box = box_as_stored(shown, orientation, (WIDTH, HEIGHT))
     assert (box.xyxy, box.score) == (BOX, 0.25)
-
-
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_only_a_size_that_fits_one_of_both_decides(orientation: int):
-    stored, shown = (WIDTH, HEIGHT), (HEIGHT, WIDTH)
-    quarter = orientation in TURNED
-    assert is_turned(orientation, stored, stored) is (False if quarter or orientation == 1 else None)
-    assert is_turned(orientation, stored, shown) is (True if quarter else False if orientation == 1 else None)
-    for said in (None, (7, 7)):
-        assert is_turned(orientation, stored, said) is (False if orientation == 1 else None)
-    assert is_turned(orientation, (9, 9), (9, 9)) is (False if orientation == 1 else None)
 
 
 @given(st.binary(max_size=60), st.integers(0, 90))

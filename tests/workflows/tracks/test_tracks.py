@@ -30,7 +30,7 @@ from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next, corrected_alike
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
-from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, write
+from annotator.workflows.tracks.propose_boxes import proposal_events, write
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.save_object import copy_boxes
 
@@ -379,7 +379,9 @@ def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
 def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:
     project, first, second, uid = corrected_car(tmp_path)
     trusted = Proposal("car", 0.7, WAS, Box2D("car", 1.0, 2.0, 3.0, 4.0, 0.7), (), Quality(0.1, 1.0, 0.0, 0.9, 0.4))
-    payloads = proposal_events(project, second, [NewProposal("car", WAS, 4, trusted)])
+    payloads = proposal_events(
+        project, second, [NewLabel("car", WAS, track_id=4, state=ReviewState.PROPOSED, proposal=trusted)]
+    )
     write(project, [(second, payloads)], "me")
     (before,) = project.labels.select(states=[ReviewState.PROPOSED])
     effort = Effort(1, 2.0)
