@@ -23,7 +23,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOMENT, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
@@ -33,6 +33,8 @@ from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
+# Labels whose boxes behind them are looked up one by one.
+FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +103,6 @@ class Labels:
         """As `of_frame`, with what is stored beside each."""
         with self.writer.store.read() as connection:
             return read_stored(connection, frame_id)
-
-    def are_made_in(self, frame_id: int) -> bool:
-        """Whether a frame has labels of its own, not only those that other cameras of the moment have."""
-        query = select(labels.c.id).where(labels.c.frame_id == frame_id).limit(1)
-        with self.writer.store.read() as connection:
-            return connection.execute(query).first() is not None
 
     def get(self, uid: str) -> StoredLabel:
         """One label."""
@@ -275,7 +271,8 @@ class Labels:
 
 # Built once, since building these frequent queries takes longer than running them.
 _BEHIND = select(ALL_LABELS).where(ALL_LABELS.c.behind.is_not(None)).order_by(ALL_LABELS.c.id)
-_BEHIND_IN_MOMENT = _BEHIND.where(ALL_LABELS.c.moment_id == bindparam("moment"))
+_BEHIND_SOME = _BEHIND.where(ALL_LABELS.c.behind.in_(bindparam("uids", expanding=True)))
+_BEHIND_IN_MOMENT = _BEHIND.where(ALL_LABELS.c.moment_id == MOMENT)
 _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 
@@ -286,19 +283,23 @@ def read_stored(connection: Connection, frame_id: int) -> tuple[StoredLabel, ...
 
 
 def stored_labels(
-    connection: Connection, rows: Sequence[AnyRow], seen_from: Sequence[int] | None = None
+    connection: Connection, rows: Sequence[AnyRow], frame_ids: Sequence[int] | None = None
 ) -> tuple[StoredLabel, ...]:
     """The labels of rows; the same object for an equal row, as long as it is remembered.
 
     Args:
-        seen_from: `StoredLabel.frame_id` of each; None = the frames in which they were made.
+        frame_ids: as in `StoredLabel`; None = those in which they were made.
     """
     terms, behind = Terms(connection), defaultdict[str, list[AnyRow]](list)
-    moments = {row.moment_id for row in rows}
-    query = connection.execute(_BEHIND_IN_MOMENT, {"moment": min(moments)}) if len(moments) == 1 else None
-    for row in connection.execute(_BEHIND) if query is None else query:
+    frame_ids = [row.frame_id for row in rows] if frame_ids is None else frame_ids
+    if len(set(frame_ids)) == 1:
+        found = connection.execute(_BEHIND_IN_MOMENT, {"frame": frame_ids[0]})
+    elif len(rows) <= FEW:  # a project may have 100,000 boxes behind others
+        found = connection.execute(_BEHIND_SOME, {"uids": [row.uid for row in rows]})
+    else:
+        found = connection.execute(_BEHIND)
+    for row in found:
         behind[row.behind].append(row)
-    frame_ids = [row.frame_id for row in rows] if seen_from is None else seen_from
     return tuple(
         _stored_label(row, tuple(behind.get(row.uid, ())), frame_id, terms.key, terms.place(frame_id))
         for row, frame_id in zip(rows, frame_ids, strict=True)

@@ -57,7 +57,7 @@ class SharedCloud:
 
 
 NO_CLOUDS: Mapping[str, SharedCloud] = MappingProxyType({})
-_OF_RIG = recordings.alias()
+_OF_RIG, _OWN = recordings.alias(), frames.alias()
 
 
 def of_rig(recording: int | ScalarSelect[int]) -> ColumnElement[bool]:
@@ -439,7 +439,7 @@ def _update_frames(
         """The columns that say where a frame without changes belongs."""
         if (cloud := clouds.get(key)) is None:
             return {"moment_id": number, "revision": 0, "cloud": None, "pose": None}
-        moment, revision = moments.get(cloud.name, (number, 0))
+        moment, revision = moments.pop(cloud.name, (number, 0))
         pose = json.dumps(cloud.T_cloud_camera.as_matrix().tolist())
         return {"moment_id": moment, "revision": revision, "cloud": cloud.name, "pose": pose}
 
@@ -459,7 +459,8 @@ def _update_frames(
 
 
 def _moments(connection: Connection, recording_id: int) -> dict[str, tuple[int, int]]:
-    """The moments of a rig, each with its revision, by the name of the cloud."""
-    shared = select(frames.c.cloud, frames.c.moment_id, frames.c.revision)
-    rows = connection.execute(shared.where(of_rig(recording_id), frames.c.cloud.is_not(None)))
+    """The moments of a rig that a recording has no frame of, each with its revision, by the name of the cloud."""
+    own = select(_OWN.c.moment_id).where(_OWN.c.recording_id == recording_id)
+    shared = select(frames.c.cloud, frames.c.moment_id, frames.c.revision).where(frames.c.cloud.is_not(None))
+    rows = connection.execute(shared.where(of_rig(recording_id), frames.c.moment_id.not_in(own)))
     return {row.cloud: (row.moment_id, row.revision) for row in rows}

@@ -315,11 +315,11 @@ def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(pro
     project.labels.accept(other, project.labels.of_frame(other)[0].uid, now(project, other))
     assert project.class_counts() == {"hand": ClassCounts(0, 0, 4), "person": ClassCounts(5, 0, 0)}
     project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
-    # the reviewed label goes, and an automatic pass's values are as before
-    assert shown(project) == [("one", 0.02, ["two"]), ("ours", 5.0, [])]
-    assert project.class_counts() == {"hand": ClassCounts(2, 0, 1)}
+    # also behind the reviewed label, which goes; an automatic pass's values are as before
+    assert shown(project) == [("one", 0.02, ["two"]), ("ours", 5.0, []), ("two", 0.1, [])]
+    assert project.class_counts() == {"hand": ClassCounts(3, 0, 1)}
     bring(project, frame, "one")
-    assert shown(project) == [("ours", 5.0, []), ("two", 0.04, [])]
+    assert shown(project) == [("ours", 5.0, []), ("two", 0.04, []), ("two", 0.1, [])]
     assert verify(project.path, deep=True).problems == ()
 
 

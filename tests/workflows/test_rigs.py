@@ -124,6 +124,9 @@ def test_a_frame_whose_pose_was_missing_joins_its_moment_once_it_is_known(make_p
         (moments[0], 0, False),
         (moments[1], 1, False),
     ]
+    # a camera with two frames of a cloud has one of them in the moment
+    three = add(name="three", options='{"camera":"c"}', clouds={"0": both["0"], "1": both["0"]})
+    assert [frame.moment_id for frame in project.frames.of([three.id])] == [moments[0], 6]
 
 
 def test_scenes_and_cameras_of_a_dataset(make_project: MakeProject, tmp_path: Path):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, insert, select
@@ -19,7 +18,7 @@ from annotator.project.records import parsed
 from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.project.sources import regroup
-from annotator.types import ReviewState, Source
+from annotator.types import Source
 
 KIND = "classes_changed"
 # Rows that are read, and changed by one event, at once: a project may have 100,000.
@@ -35,8 +34,6 @@ def change_classes(
     refused.
     """
     newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-    removed = [number for number, name in Terms(connection).names.items() if name in change.removed]
-    gone = _show_others(writer, connection, old, removed, author) if removed else set[str]()
     stale = set[int]()
     of_classes = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
     query = select(func.max(events.c.revision)).where(of_classes)
@@ -48,7 +45,7 @@ def change_classes(
             stale |= _frames_of(connection, number)
     write.event(KIND, CLASSES)
     revision = write.finish().revision
-    for batch in _changed_rows(connection, change, gone) if change.changes_rows else ():
+    for batch in _changed_rows(connection, change) if change.changes_rows else ():
         write = _write(writer, connection, revision, author, old)
         for table, before, after in batch:
             key = before[AUDITED[table]]
@@ -61,6 +58,8 @@ def change_classes(
     driver = driver_of(connection)
     moments = {driver.execute("SELECT moment_id FROM frames WHERE id = ?", (id,)).fetchone() for id in stale}
     driver.executemany("UPDATE frames SET revision = revision + 1 WHERE moment_id = ?", sorted(moments))
+    if change.removed:
+        _show_others(writer, connection, old, author)
     row = {"event_id": newest, "author": author, "time_ns": writer.store.clock()}
     row |= {"content": change.model_dump_json(), "config": config_hash(new)}
     key = connection.execute(insert(class_changes), row).inserted_primary_key
@@ -93,45 +92,22 @@ def _frames_of(connection: Connection, class_id: int) -> set[int]:
     return {frame_id for (frame_id,) in found}
 
 
-def _show_others(
-    writer: Writer, connection: Connection, config: ProjectConfig, removed: Collection[int], author: str
-) -> set[str]:
-    """Shows other sources' boxes where one of a class that is about to be removed is shown.
-
-    Returns:
-        uids of what is behind labels that go otherwise.
-    """
+def _show_others(writer: Writer, connection: Connection, config: ProjectConfig, author: str) -> None:
+    """Shows other sources' boxes where the one before them was of a removed class."""
     query = (
-        "SELECT own.uid, own.frame_id, shown.uid, shown.state FROM labels AS own JOIN labels AS shown "
-        f"ON shown.uid = own.behind WHERE shown.class_id IN ({', '.join(map(str, removed))}) ORDER BY own.frame_id"
+        "SELECT DISTINCT frames.id, frames.revision FROM labels JOIN frames ON frames.id = frame_id "
+        "WHERE behind IS NOT NULL AND behind NOT IN (SELECT uid FROM labels) ORDER BY frames.id"
     )
-    shown, gone = defaultdict[int, set[str]](set), set[str]()
-    for uid, frame_id, shown_uid, state in driver_of(connection).execute(query).fetchall():
-        if state == ReviewState.PROPOSED.value:
-            shown[frame_id].add(shown_uid)
-        else:
-            gone.add(uid)
-    for frame_id, uids in shown.items():
+    for frame_id, revision in driver_of(connection).execute(query).fetchall():
         # the frame may be finalised, or of a removed recording
-        (revision,) = driver_of(connection).execute("SELECT revision FROM frames WHERE id = ?", (frame_id,)).fetchone()
         write = _write(writer, connection, revision, author, config, frame_id)
-        for row in write.labels():
-            if row["uid"] in uids or (row["behind"] in uids and row["class_id"] in removed):
-                write.put("labels", row["uid"], None)
         regroup(write, write.open_proposals())
         write.event(IMPORTED)
         write.finish()
-    return gone
 
 
-def _changed_rows(
-    connection: Connection, change: Relabelling, gone: Collection[str]
-) -> Iterator[list[tuple[str, Row, Row | None]]]:
-    """Yields the rows that a change of attributes, or a removed class, changes: table, before, after.
-
-    Args:
-        gone: uids of labels that are removed, too.
-    """
+def _changed_rows(connection: Connection, change: Relabelling) -> Iterator[list[tuple[str, Row, Row | None]]]:
+    """Yields the rows that a change of attributes, or a removed class, changes: table, before, after."""
     terms = Terms(connection)
     for table in ("labels", "frames", "image_labels", "view_labels"):
         if table in ("image_labels", "view_labels") and not change.removed:
@@ -139,7 +115,7 @@ def _changed_rows(
         for rows in _batches(connection, table):
             batch = list[tuple[str, Row, Row | None]]()
             for row in rows:
-                after = None if row.get("uid") in gone else _changed(terms, change, table, row)
+                after = _changed(terms, change, table, row)
                 if after != row:
                     batch.append((table, row, after))
             if batch:

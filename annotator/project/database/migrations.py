@@ -349,7 +349,8 @@ _FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 
 
 _INDEXES = (
     "CREATE INDEX frames_in_order ON frames (recording_id, position)",
-    "CREATE INDEX frames_of_moment ON frames (moment_id)",
+    # a camera has one frame of a moment
+    "CREATE UNIQUE INDEX frames_of_moment ON frames (moment_id, recording_id)",
     "CREATE INDEX frames_of_cloud ON frames (cloud) WHERE cloud IS NOT NULL",
     "CREATE UNIQUE INDEX events_of_frame ON events (frame_id, revision) WHERE frame_id IS NOT NULL",
     "CREATE UNIQUE INDEX events_of_view ON events (view_id, revision) WHERE frame_id IS NULL",

@@ -144,5 +144,5 @@ def columns_of(table: str) -> tuple[str, ...]:
 
 
 # Queries of many modules, built once, since building a statement takes longer than running it.
-_MOMENT = select(frames.c.moment_id).where(frames.c.id == bindparam("frame")).scalar_subquery()
-LABELS_OF_MOMENT = select(labels).where(labels.c.moment_id == _MOMENT).order_by(labels.c.id)
+MOMENT = select(frames.c.moment_id).where(frames.c.id == bindparam("frame")).scalar_subquery()
+LABELS_OF_MOMENT = select(labels).where(labels.c.moment_id == MOMENT).order_by(labels.c.id)

@@ -9,7 +9,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -166,12 +165,12 @@ class _Import:
         renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
         return [box for box in renamed if box.label in self._classes]
 
-    def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], stored: Stored) -> bool:
-        """Counts the boxes of an image by the outcome of storing them; returns whether they were stored."""
-        if stored is Stored.LEFT_ALONE:
+    def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], replaced: bool | None) -> bool:
+        """Counts the boxes of an image; returns whether they were stored. `replaced` as from `store_on_image`."""
+        if replaced is None:
             self._report.add(Note.FINALISED)
             return False
-        self._report.add(Note.REPLACED, stored is Stored.REPLACED)
+        self._report.add(Note.REPLACED, replaced)
         self._report.boxes.update(box.label for box in known)
         others = (box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)
         self._report.add_all(Note.OTHER_CLASS, others)
@@ -182,17 +181,6 @@ class _Import:
 ROUNDED_PX = 0.01
 
 
-class Stored(Enum):
-    """The outcome of storing the boxes of an image."""
-
-    # stored, without replacing boxes of another author
-    KEPT = "kept"
-    # stored, in place of boxes drawn by another author
-    REPLACED = "replaced"
-    # not stored: the frame is finalised
-    LEFT_ALONE = "left alone"
-
-
 def store_on_image(
     project: Project,
     path: Path,
@@ -201,16 +189,19 @@ def store_on_image(
     kind: BoxKind,
     drawn_from: Sequence[Box2D],
     importer: Importer,
-) -> Stored:
+) -> bool | None:
     """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
 
     Args:
         drawn_from: boxes on this image that imported views were rendered from.
+
+    Returns:
+        Whether it has replaced boxes that another author drew; None = nothing was stored.
     """
     while True:
         page = read_page(project, image.frame_id)
         if page.frame.finalised:
-            return Stored.LEFT_ALONE
+            return None
         before = () if page.image_boxes is None else page.image_boxes.boxes
         with storable(f"{path}: {image.labels.file_name}"):
             on_image = ImageBoxesSet(
@@ -222,7 +213,7 @@ def store_on_image(
         with suppress(StaleRevisionError):
             project.log.append_to_frames([part], importer.action)
             is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
-            return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
+            return is_drawn and before != on_image.boxes
 
 
 def _as_known(known: Sequence[Box2D], box: Box2D) -> Box2D:
@@ -233,17 +224,20 @@ def _as_known(known: Sequence[Box2D], box: Box2D) -> Box2D:
 
 def store_on_view(
     project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
-) -> Stored:
+) -> bool | None:
     """Copies the image into the project and stores its boxes, unless the frame is finalised.
 
     Args:
         revisions: revisions of the project's views without a frame, by id.
+
+    Returns:
+        As `store_on_image`.
     """
     content = read_file(view.file)
     while True:
         frame = None if view.frame_id is None else project.frames.get(view.frame_id)
         if frame is not None and frame.finalised:
-            return Stored.LEFT_ALONE
+            return None
         view_id = project.views.store(content)
         revision = revisions.get(view_id, 0) if frame is None else frame.revision
         context = WriteContext(revision, AUTHOR, Source.IMPORTED)
@@ -251,7 +245,7 @@ def store_on_view(
             project.boxes.set_on_view(
                 view_id, boxes, kind, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
             )
-            return Stored.KEPT
+            return False
         except StaleRevisionError:
             # retried if the frame was changed since it was read; only another import changes a view without a frame
             if frame is None:

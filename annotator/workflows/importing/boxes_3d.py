@@ -163,7 +163,7 @@ class _Labels:
 
     def add(self, name: str, stored: StoredFrame) -> None:
         """Stores the labels and values of a frame without labels, or the values that a labelled one lacks."""
-        is_labelled = stored.finalised or self._project.labels.are_made_in(stored.id)
+        is_labelled = stored.finalised or any(each.is_own for each in self._project.labels.of_moment(stored.id))
         if is_labelled:
             self._report.add(Note.ALREADY)
             if stored.finalised or not self._fill or not self._has_values(name):
@@ -234,14 +234,13 @@ def create_if_unlabelled(
     """
     while True:
         stored = project.frames.get(frame_id)
-        if stored.finalised or project.labels.are_made_in(frame_id):
+        of_moment = project.labels.of_moment(frame_id)
+        if stored.finalised or any(each.is_own for each in of_moment):
             return None
-        if there := project.labels.of_frame(frame_id):
-            taken = [label.track_id for label in there if label.state is not ReviewState.REJECTED]
-            left = [label for label, cover in zip(new, covered_by(new, there), strict=True) if cover is None]
-            chosen = with_tracks_once(left, taken)[0]
-        else:
-            chosen = list(new)
+        there = [each.label for each in of_moment]
+        taken = [label.track_id for label in there if label.state is not ReviewState.REJECTED]
+        left = [label for label, cover in zip(new, covered_by(new, there), strict=True) if cover is None]
+        chosen = with_tracks_once(left, taken)[0]
         if not chosen:
             return chosen
         # retried if the frame was changed since it was read
