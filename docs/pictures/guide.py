@@ -39,7 +39,7 @@ FRAMES, SEED = 24, 0
 LABELLED = (1, 20)
 WIDTH, MOST_BYTES = 1000, 85_000
 # Shorter than a user would train: the page is to be shown, not the best detector.
-IMAGE_PICTURES, MINUTES = 480, 1
+IMAGE_PICTURES, MINUTES = 2_400, 1
 SETTLED_MS = 1_500
 # Of the bag: the time of its first frame and between two, and how far its clouds are turned, degrees.
 BEGIN_NS, EVERY_NS, OFF_DEG = 1_700_000_000 * 10**9, 10**8, 2.0
