@@ -31,6 +31,8 @@ from annotator.types.errors import ProjectError, ReplacedError
 
 WAL = "-wal"
 _NO_TOKEN = "0" * 32
+# Digits of a token that are its number.
+_NUMBER = 16
 # Looks that must find a foreign file, and the time between them: another process may write between two readings.
 _LOOKS, _LOOKS_AGAIN_AFTER_S = 4, 0.05
 _ADVANCE = (
@@ -193,7 +195,9 @@ class DatabaseFile:
             return self._is_overwritten
         known = self._newest  # before the file is read: other threads write, too
         seen = _token(self.place, "mode=ro") or known
-        self._is_overwritten = seen < known or has_foreign_wal(self.place)
+        # two states with one number, but other digits, have parted before
+        is_older = seen != known and seen[:_NUMBER] <= known[:_NUMBER]
+        self._is_overwritten = is_older or has_foreign_wal(self.place)
         if not self._is_overwritten:
             self._stamp = stamp
             self.written(seen)
