@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -83,28 +82,21 @@ def test_the_original_table_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("frame_fields", "box_fields", "problem"),
-    [
-        ({"sequenceName": np.zeros(2)}, {}, "frame 1.sequenceName"),
-        ({"Rtilt": np.ones((3, 3))}, {}, "frame 1, Rtilt is not a rotation"),
-        ({}, {"basis": np.ones((3, 3))}, "frame 1, object 1, basis is not a rotation"),
-        ({}, {"coeffs": np.zeros(3)}, "frame 1, object 1: box sizes must be positive"),
-    ],
-)
-def test_errors_of_the_original_table_name_the_object(
-    tmp_path: Path, frame_fields: dict[str, Any], box_fields: dict[str, Any], problem: str
-) -> None:
-    def row(fields: dict[str, Any]) -> np.ndarray:
+def test_errors_of_the_original_table_name_the_object(tmp_path: Path) -> None:
+    def row(**fields: object) -> np.ndarray:
         made = np.empty((1, 1), [(name, object) for name in fields])
         made[0, 0] = tuple(fields.values())
         return made
 
-    bed = {"basis": np.eye(3), "coeffs": np.ones(3), "centroid": np.ones(3), "classname": "bed"} | box_fields
-    table = {"sequenceName": "a/b", "Rtilt": np.eye(3), "groundtruth3DBB": row(bed)} | frame_fields
-    savemat(tmp_path / META, {"SUNRGBDMeta": row(table)})
-    with pytest.raises(FormatError, match=problem):
-        read_meta(tmp_path / META)
+    for tilt, basis, sizes, problem in (
+        (np.ones((3, 3)), np.eye(3), np.ones(3), "frame 1, Rtilt is not a rotation"),
+        (np.eye(3), np.ones((3, 3)), np.ones(3), "frame 1, object 1, basis is not a rotation"),
+        (np.eye(3), np.eye(3), np.zeros(3), "frame 1, object 1: box sizes must be positive"),
+    ):
+        bed = row(basis=basis, coeffs=sizes, centroid=np.ones(3), classname="bed")
+        savemat(tmp_path / META, {"SUNRGBDMeta": row(sequenceName="a/b", Rtilt=tilt, groundtruth3DBB=bed)})
+        with pytest.raises(FormatError, match=problem):
+            read_meta(tmp_path / META)
 
 
 def assert_corners_as_in_the_toolbox(out: Path, expected: Sequence[OrientedBox]) -> None:

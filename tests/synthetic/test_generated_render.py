@@ -118,15 +118,6 @@ def test_depth_is_lost_at_edges_grazing_angles_and_out_of_range():
     assert seen[45:85, 60:].mean() > 0.98
 
 
-@pytest.mark.parametrize("mesh", [ball((0, 0, 0), 0.3, power=6), box_mesh((0, 0, 0), (1, 2, 3), 0)])
-def test_meshes_are_closed(mesh: Mesh) -> None:
-    """Each edge between vertices at different places belongs to two triangles."""
-    vertex = np.unique(mesh.vertices.round(5), axis=0, return_inverse=True)[1].reshape(-1)[mesh.triangles]
-    vertex = vertex[(vertex != np.roll(vertex, 1, axis=1)).all(axis=1)]
-    edges = np.sort(np.stack([vertex, np.roll(vertex, 1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
 def test_people_move_steadily_and_keep_off_each_other_and_the_furniture():
     zone = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0),))
     moments = islice(crowd_moments(zone, 4, np.random.default_rng(5), 0.1), 300)

@@ -37,7 +37,6 @@ from annotator.web.viewport.drawing import (
     pick,
     placed_box_lines,
     point_colors,
-    point_size_m,
     shown_points,
     view_placement,
 )
@@ -372,12 +371,6 @@ def test_height_colours_depend_only_on_the_height() -> None:
     assert colors[-1, 0] > colors[-1, 2]  # high: red
     moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
     np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
-
-
-def test_points_are_larger_where_the_scene_is() -> None:
-    near = frame_of(np.random.default_rng(0).normal((0, 0, 1), 0.1, (500, 3))).cloud
-    far = frame_of(near.xyz_m * 20.0).cloud
-    assert point_size_m(far, 500) == pytest.approx(20 * point_size_m(near, 500), rel=1e-3)
 
 
 def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
