@@ -102,6 +102,23 @@ def test_a_database_that_is_written_over_is_noticed(
         assert len(anew.labels.of_frame(frame)) == labels + 1
 
 
+def test_a_newer_copy_that_is_written_over_is_not_mixed_with_what_was_read(
+    project: Project, frame: int, backup: Path
+) -> None:
+    with open_project(backup) as other:
+        for _ in range(3):
+            _label(other, frame)
+    with closing(sqlite3.connect(project.path / "project.db")) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    project.labels.of_frame(frame)
+    shutil.copyfile(backup / "project.db", project.path / "project.db")
+    _label(project, frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 5
+
+
 def test_an_open_project_survives_checkpoints_of_others(project: Project, frame: int) -> None:
     with open_project(project.path) as other, closing(sqlite3.connect(project.path / "project.db")) as connection:
         for number in range(12):
