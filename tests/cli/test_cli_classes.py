@@ -131,7 +131,9 @@ def folder(tmp_path: Path, generated: Path) -> Path:
     with create_project(tmp_path, "rooms", ("person",)) as project:
         register_recording(project, open_recording(generated / "people"))
         key = project.frames.of()[0].key
-    boxes = [BOX | {"center": [1.5 * n - 2, 0, 4.0], "attributes": values} for n, values in enumerate(VALUES)]
+    place = {"center": [0, 0, 4.0], "score": 0.9}
+    boxes = [BOX | place | {"center": [1.5 * n - 2, 0, 4.0], "attributes": each} for n, each in enumerate(VALUES)]
+    boxes.append(BOX | place | {"score": 0.4})
     (tmp_path / "theirs.json").write_text(json.dumps({key: boxes}))
     return tmp_path
 
@@ -140,10 +142,11 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["import", "rooms", str(folder / "theirs.json"), "--as", "proposals", "--projects", str(folder)]
-    assert main([*words, "--source", "mine", "--add-attributes"]) == 0
+    assert main([*words, "--source", "mine", "--min-score", "0.5", "--add-attributes"]) == 0
     out = capsys.readouterr().out
     for line in (
         "proposed by mine: 4 person in 1 frame",
+        "skipped: 1 box with a lower score",
         "added: attribute pose of a box: one of sitting, standing",
         "added: attribute helmet of a box: true or false",
         "added: attribute mass of a box: a number",

@@ -194,6 +194,19 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
         np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)
 
 
+def test_muon_steps_have_singular_values_near_one_and_the_vectors_of_the_momentum() -> None:
+    import torch
+
+    from annotator.detection.trainer import orthogonalised
+
+    for shape in ((8, 8), (4, 30), (30, 4)):
+        u, _, v = np.linalg.svd(np.random.default_rng(0).normal(size=shape), full_matrices=False)
+        momentum = torch.from_numpy((u * np.geomspace(5.0, 0.2, min(shape)) @ v).astype(np.float32))[None]
+        within = u.T @ orthogonalised(momentum)[0].numpy() @ v.T
+        assert (np.abs(np.diag(within) - 0.9) < 0.4).all()
+        np.testing.assert_allclose(within, np.diag(np.diag(within)), atol=1e-3)
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Path) -> None:
     config = SHORT.model_copy(update={"epochs": 1})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
-from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti
+from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
 from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
@@ -246,3 +246,10 @@ def test_boxes_match_only_within_their_frame_and_class() -> None:
         "a": (0.0, 2),
         "b": (0.0, 1),
     }
+
+
+def test_thresholds_are_those_nearest_to_41_recalls() -> None:
+    assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
+    chosen = score_thresholds(np.arange(400, 0, -1.0), 400)
+    assert (len(chosen), chosen[0], chosen[-1]) == (41, 400.0, 1.0)
+    np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)

@@ -181,6 +181,8 @@ def test_a_box_behind_the_camera_has_no_2d_box() -> None:
     assert around.clipped == (0.0, 0.0, 199.0, 99.0)
     beside = derived_box(CAMERA, cube(-50.0, 5.0), None)
     assert beside is not None and beside.truncated == 1.0
+    shifted = derived_box(CAMERA, cube(0.0, 5.5), RigidTransform.from_translation([0.5, 0.0, 0.0]))
+    assert shifted is not None and shifted.clipped == pytest.approx((99.5, 39.5, 119.5, 59.5)), "the colour camera"
 
 
 # Axes of upright boxes in the camera frame, with the length to the right, forward, to the left, towards the camera.
@@ -203,6 +205,11 @@ def box(x: float, z: float, R: np.ndarray = RIGHT, size: Sequence[float] = (1.0,
 GOLDEN = [
     (box(0.0, 5.5), "car 0.00 0 0.00 89.50 39.50 109.50 59.50 1.00 1.00 1.00 0.00 0.50 5.50 0.00"),
     (box(4.98, 5.5), "car 0.29 0 -0.74 174.17 39.50 199.00 59.50 1.00 1.00 1.00 4.98 0.50 5.50 0.00"),
+    # 4 m long away from the camera, 2 m wide, 1.5 m high: the near face is at 7 m
+    (
+        box(0.0, 9.0, Rotation.from_euler("y", -np.pi / 2).as_matrix() @ RIGHT, (4.0, 2.0, 1.5)),
+        "car 0.00 0 -1.57 85.21 38.79 113.79 60.21 1.50 2.00 4.00 0.00 0.75 9.00 -1.57",
+    ),
 ]
 
 
@@ -381,3 +388,17 @@ def test_frames_tracks_and_corners_are_those_of_the_devkit(tmp_path: Path):
         np.testing.assert_allclose(distance.min(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(frames[3][0].box.rotation[:, 0], [np.cos(0.5), np.sin(0.5), 0])
     np.testing.assert_allclose(frames[3][0].box.size_m, [4.5, 1.8, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("<l>4.5</l>", "<l>-4.5</l>", r"object 0: l w h must be positive, not -4\.5"),
+        (">Van<", "> <", "object 0 has no objectType"),
+        (">3</first", ">-1</first", "first_frame must be a whole number"),
+        ("<ry>0</ry>", "<ry>0.2</ry>", "object 0, pose 0 has rx or ry"),
+    ],
+)
+def test_tracklets_that_are_none_are_refused(tmp_path: Path, old: str, new: str, problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        read_tracklets(written(tmp_path, document(VAN.replace(old, new, 1))))

@@ -139,3 +139,10 @@ MIRRORED = {"name": "a", "vertices": [[x, y, z] for z in (0, 1) for y, x in ((0,
 def test_errors_of_invalid_labels_name_the_place(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         read_labelcloud(foreign(tmp_path, None, *entries))
+
+
+def test_a_damaged_calibration_is_an_error(tmp_path: Path) -> None:
+    (foreign(tmp_path, None, entry(0, 0, 0)) / "calib").mkdir()
+    (tmp_path / "calib/000000.txt").write_text("R0_rect: 1 0 0 0 1 0 0 0 1\n")
+    with pytest.raises(FormatError, match=r"calib/000000\.txt: has no P2 and no Tr_velo_to_cam"):
+        read_labelcloud(tmp_path)

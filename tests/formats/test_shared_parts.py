@@ -202,6 +202,16 @@ def test_rows_are_read(tmp_path: Path) -> None:
     assert read_box_csv(file_of(tmp_path, HEAD), scored=True) == []
 
 
+def test_rows_that_are_no_boxes_are_refused(tmp_path: Path) -> None:
+    for head, row, problem in (
+        (HEAD.removesuffix(",score"), ROW, ":1: has no column score"),
+        (HEAD, "3,bed", ":2: has 2 fields"),
+        (HEAD, ROW.replace(",2,", ",-2,"), ":2: .*must be positive"),
+    ):
+        with pytest.raises(FormatError, match=problem):
+            read_box_csv(file_of(tmp_path, head, row), scored=True)
+
+
 UNIT = {"label": "hand", "center": [0, 0, 1], "size": [0.2, 0.1, 0.05], "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
 
 

@@ -82,6 +82,23 @@ def test_the_original_table_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
 
 
+def test_errors_of_the_original_table_name_the_object(tmp_path: Path) -> None:
+    def row(**fields: object) -> np.ndarray:
+        made = np.empty((1, 1), [(name, object) for name in fields])
+        made[0, 0] = tuple(fields.values())
+        return made
+
+    for tilt, basis, sizes, problem in (
+        (np.ones((3, 3)), np.eye(3), np.ones(3), "frame 1, Rtilt is not a rotation"),
+        (np.eye(3), np.ones((3, 3)), np.ones(3), "frame 1, object 1, basis is not a rotation"),
+        (np.eye(3), np.eye(3), np.zeros(3), "frame 1, object 1: box sizes must be positive"),
+    ):
+        bed = row(basis=basis, coeffs=sizes, centroid=np.ones(3), classname="bed")
+        savemat(tmp_path / META, {"SUNRGBDMeta": row(sequenceName="a/b", Rtilt=tilt, groundtruth3DBB=bed)})
+        with pytest.raises(FormatError, match=problem):
+            read_meta(tmp_path / META)
+
+
 def assert_corners_as_in_the_toolbox(out: Path, expected: Sequence[OrientedBox]) -> None:
     """Checks the last objects of frame 1: field names, and corners computed as in SUNRGBDtoolbox."""
     frames = loadmat(out / META, squeeze_me=True, struct_as_record=False)["SUNRGBDMeta"]

@@ -18,6 +18,7 @@ from annotator.geometry.iou import (
     iou_3d_matrix,
     nms_3d,
 )
+from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
@@ -107,6 +108,13 @@ def test_known_volumes_with_a_unit_box(b: OrientedBox, expected: float) -> None:
     tolerance = 1e-9 * min(1.0, b.volume_m3)
     for pair in (([UNIT], [b]), ([b], [UNIT])):
         assert volumes(*pair)[0] == pytest.approx(expected, rel=1e-6, abs=tolerance)
+
+
+def test_volumes_of_turned_boxes_are_those_of_the_points_in_both() -> None:
+    unit = np.random.default_rng(0).uniform(-0.5, 0.5, (100_000, 3))
+    for a, b in zip(random_boxes(30, 1), random_boxes(30, 2), strict=True):
+        share = contains(b, a.T_camera_box.apply(unit * a.size_m)).mean()
+        assert volumes([a], [b])[0] / a.volume_m3 == pytest.approx(share, abs=0.01)
 
 
 def test_a_matrix_has_the_iou_of_every_pair() -> None:

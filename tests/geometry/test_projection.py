@@ -102,6 +102,10 @@ def test_strong_barrel_distortion_is_inverted_up_to_its_turning_point() -> None:
     near_limit = np.array([[1.04, 0.0], [0.0, -1.05]])
     np.testing.assert_allclose(undistort(barrel, distort(barrel, near_limit)), near_limit, atol=1e-6)
     assert np.isnan(undistort(barrel, np.array([[1.5, 0.0]]))).all()
+    # pixels beyond have no point
+    camera = Camera(64, 48, 25.0, 25.0, 31.5, 23.5, barrel)
+    xyz, pixel = unproject_depth(camera, np.ones((48, 64), np.float32))
+    assert 0 < len(xyz) < 64 * 48 and np.isfinite(xyz).all() and 0 not in pixel
 
 
 # What is no measurement in a depth image, for each type of number.

@@ -112,6 +112,14 @@ def test_a_correction_that_changes_nothing_is_no_step_to_undo(project: Project, 
     assert project.recordings.get(recording.id).correction == NO_CORRECTION
 
 
+def test_undo_of_an_older_edit_puts_the_box_where_the_cloud_is_now(project: Project, recording, labelled: int):
+    uid = project.labels.of_frame(labelled)[0].uid
+    project.labels.edit(labelled, uid, by_hand(1, "bob"), label="hand", box=box_at(5.0))
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    project.history.undo("bob")
+    assert same_box(box_of(project, labelled), box_at().transformed(TURNED.T_camera_recorded))
+
+
 def test_an_older_change_of_an_adjustment_cannot_be_undone_over_a_newer_one(project: Project, recording):
     project.adjustments.correct(recording.id, TURNED, "ann")
     project.adjustments.correct(recording.id, AGAIN, "bob", Basis(frame_id=project.frames.of()[3].id))

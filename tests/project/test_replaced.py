@@ -78,11 +78,13 @@ def test_a_database_that_is_put_beside_the_wal_of_an_open_one_is_refused(
         open_project(project.path)
 
 
-@pytest.mark.parametrize("checkpoint", ["PASSIVE", "TRUNCATE"])
+@pytest.mark.parametrize(("checkpoint", "labels"), [("PASSIVE", 1), ("TRUNCATE", 1), ("TRUNCATE", 2)])
 def test_a_database_that_is_written_over_is_noticed(
-    project: Project, frame: int, backup: Path, checkpoint: str
+    project: Project, frame: int, backup: Path, checkpoint: str, labels: int
 ) -> None:
-    open_project(backup).close()
+    with open_project(backup) as other:
+        if labels == 2:  # as many transactions as in the project, but another one
+            _label(other, frame)
     with closing(sqlite3.connect(project.path / "project.db")) as connection:
         connection.execute(f"PRAGMA wal_checkpoint({checkpoint})")
     # as `cp` does: the file stays the same, and so does the `-wal` beside it
@@ -95,9 +97,26 @@ def test_a_database_that_is_written_over_is_noticed(
     project.close()
     with open_project(project.path) as anew:
         assert anew.problems() == []
-        assert len(anew.labels.of_frame(frame)) == 1, "the copy's state, not mixed with what came after it"
+        assert len(anew.labels.of_frame(frame)) == labels, "the copy's state, not mixed with what came after it"
         _label(anew, frame)
-        assert len(anew.labels.of_frame(frame)) == 2
+        assert len(anew.labels.of_frame(frame)) == labels + 1
+
+
+def test_a_newer_copy_that_is_written_over_is_not_mixed_with_what_was_read(
+    project: Project, frame: int, backup: Path
+) -> None:
+    with open_project(backup) as other:
+        for _ in range(3):
+            _label(other, frame)
+    with closing(sqlite3.connect(project.path / "project.db")) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    project.labels.of_frame(frame)
+    shutil.copyfile(backup / "project.db", project.path / "project.db")
+    _label(project, frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 5
 
 
 def test_an_open_project_survives_checkpoints_of_others(project: Project, frame: int) -> None:

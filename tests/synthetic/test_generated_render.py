@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import contains
+from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
 from annotator.synthetic.materials import Lights, Material, Palette
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined
 from annotator.synthetic.render import Rendering, Sensor, Stage, depth_image, silhouette
@@ -101,3 +104,10 @@ def test_the_depth_noise_grows_with_the_square_of_the_distance(z: float):
     assert 1 - valid.mean() == pytest.approx(sensor.dropout, abs=0.003)
     assert measured[valid].mean() == pytest.approx(z, abs=2e-4)
     assert measured[valid].std() == pytest.approx(0.0008 + 0.0009 * z**2, rel=0.1)
+
+
+def test_people_move_steadily_and_keep_off_each_other():
+    moments = islice(crowd_moments(Zone(2.4, 4.5, 0.5, 0.3, ()), 4, np.random.default_rng(5), 0.1), 300)
+    places = np.array([[walker.place for walker in walkers] for walkers in moments])
+    assert (np.linalg.norm(places[:, :, None] - places[:, None], axis=3) + np.eye(4)).min() > 0.6 * PERSONAL_SPACE_M
+    assert np.linalg.norm(np.diff(places, axis=0), axis=2).max() < 0.25, "2.5 m/s"

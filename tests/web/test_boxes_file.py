@@ -280,9 +280,11 @@ def test_files_that_cannot_be_imported_say_why(room: Project, name: str, content
 
 def test_a_packed_dataset_is_bounded(room: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     assert uploads.MOST_BYTES <= security.UPLOAD_LIMIT
-    monkeypatch.setattr(uploads, "MOST_BYTES", 10)
-    with pytest.raises(FormatError, match="divide it"):
-        read(room, "set.zip", packed({"classes.txt": "person and more\n"}))
+    for limit, files in (("MOST_BYTES", {"classes.txt": "person and more\n"}), ("MOST_FILES", dict.fromkeys("ab", ""))):
+        with monkeypatch.context() as patch:
+            patch.setattr(uploads, limit, 1)
+            with pytest.raises(FormatError, match="divide it"):
+                read(room, "set.zip", packed({f"{name}.txt": text for name, text in files.items()}))
 
 
 def test_files_that_nobody_imports_are_kept_for_a_day(room: Project, generated: Path) -> None:

@@ -14,7 +14,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from annotator.project import WriteContext, open_project
-from annotator.types import Source
+from annotator.project.classes.edit import rename_class
+from annotator.types import Correction, Source
 from annotator.web.hub import Client, Hub
 from annotator.workflows.add_recordings import bring_back
 
@@ -60,6 +61,17 @@ def test_changes_by_another_process_are_announced(live: Live) -> None:
         project.frames.finalise(frame.id, WriteContext(frame.revision, "the command line", Source.MANUAL))
         event = next_of(socket, "frame")
         assert (event["frame"], event["revision"], event["operator"]) == (frame.id, 1, "the command line")
+
+
+def test_classes_and_corrections_of_another_process_are_announced(live: Live) -> None:
+    with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
+        next_of(socket, "presence")
+        project.change_classes(lambda config: rename_class(config, "person", "human"), "Cleo")
+        expected = {"type": "classes", "project": "room", "renamed": {"person": "human"}, "operator": "Cleo"}
+        assert next_of(socket, "classes") == expected
+        project.adjustments.correct(1, Correction((0.0, 0.1, 0.0), (0.0, 0.0, 0.0)), "annotator calibrate")
+        event = next_of(socket, "adjusted")
+        assert (event["recording"], event["operator"]) == (1, "annotator calibrate")
 
 
 def test_recordings_removed_and_restored_by_another_process_are_announced(live: Live) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from live_server import ended, running
 from room_api import BOX, change, state
+from test_events import listen, next_of
 
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside
@@ -247,7 +248,9 @@ def test_a_renamed_project_keeps_its_labels_and_jobs(live: Live) -> None:
         assert live.client.post(f"{ROOM}/rename", json={"name": name}).status_code == status
     assert "choose another name" in error(live.client.post(f"{ROOM}/rename", json={"name": "taken"}))[1]
 
-    renamed = live.client.post(f"{ROOM}/rename", json={"name": "hall"})
+    with listen(live) as socket:
+        renamed = live.client.post(f"{ROOM}/rename", json={"name": "hall"})
+        assert next_of(socket, "renamed")["name"] == "hall"
     assert renamed.json()["labels_by_state"]["accepted"] == 1
     assert live.client.get(ROOM).status_code == 404
     assert len(live.client.get("/api/projects/hall/frames/1").json()["labels"]) == 1

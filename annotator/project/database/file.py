@@ -31,6 +31,8 @@ from annotator.types.errors import ProjectError, ReplacedError
 
 WAL = "-wal"
 _NO_TOKEN = "0" * 32
+# Digits of a token that are its number.
+_NUMBER = 16
 # Looks that must find a foreign file, and the time between them: another process may write between two readings.
 _LOOKS, _LOOKS_AGAIN_AFTER_S = 4, 0.05
 _ADVANCE = (
@@ -181,7 +183,7 @@ class DatabaseFile:
         """Remembers the content, and SQLite's files beside the database; called when a connection has used it."""
         if not self.is_writable:
             return
-        self._stamp = _stamp(self.place)
+        self._stamp = stamp_of(self.place)
         for suffix in (WAL, SHARED_MEMORY):
             path = self.place.with_name(self.place.name + suffix)
             self._identities[path] = self._identity(path)
@@ -189,11 +191,13 @@ class DatabaseFile:
     def _is_written_over(self) -> bool:
         """True if another database, or an older copy, was written over the file, as `cp` does."""
         # only a checkpoint or a copy writes to the file itself, so this is rarely more than one `stat`
-        if self._stamp is None or self._is_overwritten or (stamp := _stamp(self.place)) == self._stamp:
+        if self._stamp is None or self._is_overwritten or (stamp := stamp_of(self.place)) == self._stamp:
             return self._is_overwritten
         known = self._newest  # before the file is read: other threads write, too
         seen = _token(self.place, "mode=ro") or known
-        self._is_overwritten = seen < known or has_foreign_wal(self.place)
+        # two states with one number, but other digits, have parted before
+        is_older = seen != known and seen[:_NUMBER] <= known[:_NUMBER]
+        self._is_overwritten = is_older or has_foreign_wal(self.place)
         if not self._is_overwritten:
             self._stamp = stamp
             self.written(seen)
@@ -234,7 +238,8 @@ class DatabaseFile:
                     raise ProjectError(f"{path}: is not a regular file; remove it")
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def stamp_of(path: Path) -> tuple[int, int] | None:
+    """Time and size of a file, which change when it is written; None if it is missing."""
     try:
         found = path.stat()
     except OSError:  # a missing file is noticed elsewhere

@@ -18,7 +18,7 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 from sqlalchemy.util import LRUCache
 
-from annotator.project.database.file import DatabaseFile, advance, require_own_wal
+from annotator.project.database.file import DatabaseFile, advance, require_own_wal, stamp_of
 from annotator.project.database.migrations import (
     APPLICATION_ID,
     newest_version,
@@ -191,6 +191,10 @@ class Store:
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
         with explained(self.path, self.file), self.engine.connect() as connection:
+            if connection.info.get("stamp") != (stamp := stamp_of(self.file.place)):
+                # a newer copy may have been written over the file; its pages must not be mixed with those in the cache
+                driver_of(connection).execute("PRAGMA shrink_memory")
+                connection.info["stamp"] = stamp
             connection = connection.execution_options(**{_BEGIN: (begin, round(wait_s * 1000))})
             with connection.begin():
                 # after it has begun: it may have waited long for the lock

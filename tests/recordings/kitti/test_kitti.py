@@ -76,6 +76,7 @@ def points(values: list[list[float]]) -> Callable[[Path], None]:
 
 DAMAGES = [
     pytest.param(scan_path, truncate, "the scan is truncated: 47993 bytes", id="truncated-scan"),
+    pytest.param(scan_path, Path.unlink, r"missing; put 000003\.bin beside the image 000003", id="no-scan"),
     pytest.param(scan_path, points([[-5, 0, 0, 0.5]]), "none of its points lies in the image", id="all-behind"),
     pytest.param(calib_path, replaced("P2", "P"), "P2 is missing", id="no-p2"),
     pytest.param(calib_path, replaced("P2: 7.", "P2: 7,"), "P2: '7,0*e.01' has a decimal comma", id="p2-comma"),

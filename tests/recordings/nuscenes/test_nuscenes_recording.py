@@ -94,6 +94,7 @@ def test_a_frame_is_an_image_with_the_scan_moved_to_its_time(tmp_path: Path):
 def test_samples_have_labels_and_tracks_and_sweeps_have_none(tmp_path: Path):
     small(tmp_path)
     for scene in (0, 1):
+        start_us = START_US + scene * 10**7
         for camera, size in zip(CAMERAS, ([3, 1, 2], [4, 2, 1.5]), strict=True):
             recording = opened(tmp_path, scene=f"scene-{scene:04}", camera=camera)
             assert has_truth(recording)
@@ -101,6 +102,10 @@ def test_samples_have_labels_and_tracks_and_sweeps_have_none(tmp_path: Path):
             (truth,) = load_truth(recording, 0, recording.frame(0))
             assert (truth.label, truth.track_id) == ("vehicle.car", 2 * scene + (camera == "CAM_BACK"))
             np.testing.assert_allclose(truth.box.size_m, size)
+            delay_us, x_m = (20_000, -8.0) if camera == "CAM_BACK" else (-15_000, 10.0)
+            T_camera_ego = (ego_pose(start_us + delay_us) * mount(camera)).inv() * ego_pose(start_us)
+            np.testing.assert_allclose(truth.box.center_m, T_camera_ego.apply([x_m, 0.5, 1.0]), atol=1e-6)
+            np.testing.assert_allclose(truth.box.rotation, T_camera_ego.rotation.as_matrix(), atol=1e-9)
             assert load_truth(recording, 1, recording.frame(1)) == []
 
 

@@ -307,6 +307,22 @@ def test_an_export_opens_with_its_labels(
     assert "unchecked-dataset" not in {finding.rule for finding in checked.findings}
 
 
+def test_a_frame_of_an_export_that_contradicts_itself_is_refused(labelled_people: Project, tmp_path: Path) -> None:
+    export_project(labelled_people, tmp_path / "out", choose=ALL)
+    recording = open_recording(tmp_path / "out")
+    file = tmp_path / "out/labels" / f"{recording.keys[0]}.json"
+    record = json.loads(file.read_text())
+    for change, problem in (
+        ({"up": [0, 0, 0]}, "up has length 0"),
+        ({"timestamp_ns": 10**19}, r"timestamp_ns: the time 1\d+ ns is beyond"),
+        ({"image": "../secret.png"}, "leads out of the folder"),
+        ({"camera": record["camera"] | {"width_px": 7}}, "but its camera has 7 x"),
+    ):
+        file.write_text(json.dumps(record | change))
+        with pytest.raises(FrameError, match=problem):
+            recording.frame(0)
+
+
 def test_the_parts_of_an_rcv_export_are_lists_of_its_frames(labelled_people: Project, tmp_path: Path) -> None:
     report = export_project(labelled_people, tmp_path / "out", choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
     listed = {path.stem: len(path.read_text().split()) for path in (tmp_path / "out/splits").iterdir()}

@@ -74,6 +74,9 @@ def test_imported_labels_are_shifted_by_the_calibration_beside_them(
     (_, first), (_, second) = (boxes(project)[key][0] for key in ("000000", "000001"))
     shift = np.array([(45 - 600 * 0.005) / 700, (-0.3 - 180 * 0.005) / 700, 0.005])
     np.testing.assert_allclose(first.center_m - second.center_m, shift, atol=1e-12)
+    (folder / "label_2" / "000000.txt").write_text(row.replace(" 1 1.5 8 ", " 999999999.99 1.5 8 "))
+    with pytest.raises(FormatError, match="training: 000000: a box must be within"):
+        import_labels(make_project(generated / "people"), read_labels(BoxFormat.KITTI, folder))
     for text, problem in (("P0: 1", "has no P2"), ("P2: 1 0 0 1e9 0 1 0 0 0 0 1 0", "by more than")):
         calibration.write_text(text)
         with pytest.raises(FormatError, match=rf"calib/000000\.txt.*{problem}"):

@@ -88,6 +88,9 @@ def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:
         assert truth.track_id == index
         np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
     assert load_truth(drive, 3, frame) == []
+    far = RigidTransform.from_translation([1e9, 0.0, 0.0])
+    with pytest.raises(FormatError, match=r"label_02\.txt: frame 1: a box must be within .*; correct its boxes or its"):
+        load_truth(drive, 1, replace(frame, T_camera_label=far))
     (wall / "label_02.txt").write_text(row.format(0, 7) * 2)
     assert len(load_truth(drive, 0, frame)) == 2
 
