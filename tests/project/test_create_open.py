@@ -153,7 +153,6 @@ def test_opening_a_damaged_project_raises_a_clear_error(
 @pytest.mark.parametrize("name", ["project.json", "project.db", "project.db-journal"])
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
 def test_a_pipe_or_device_in_place_of_a_file_is_an_error(project: Project, name: str, make: Callable[[Path], object]):
-    """Reading it would never end."""
     project.close()
     (project.path / name).unlink(missing_ok=True)
     make(project.path / name)

@@ -70,8 +70,6 @@ def test_the_first_camera_looks_where_a_virtual_camera_looks_today(tmp_path: Pat
     )
     with pytest.raises(ConfigError, match="has no virtual camera left; it has around-000, around-090"):
         around(tmp_path, look_around=4, camera="left")
-    with pytest.raises(ConfigError, match=r"cloud_folder, which takes .*not --camera"):
-        open_recording(tmp_path, ReaderOptions(camera="around-000"))
 
 
 @pytest.mark.parametrize("build", [kitti_object, kitti_raw])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import contains
 from annotator.synthetic.materials import Lights, Material, Palette
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, joined
-from annotator.synthetic.render import Rendering, Sensor, Stage, depth_image
+from annotator.synthetic.render import Rendering, Sensor, Stage, depth_image, silhouette
 from annotator.synthetic.scene import Actor
 from annotator.synthetic.writer import actor_box
 from annotator.types import Camera
@@ -68,6 +70,17 @@ def test_an_actors_box_touches_its_surface_on_all_six_sides():
     np.testing.assert_allclose(local.max(axis=0), box.size_m / 2, atol=1e-6)
     np.testing.assert_allclose(local.min(axis=0), -box.size_m / 2, atol=1e-6)
     np.testing.assert_allclose(box.rotation, T_camera_world.rotation.as_matrix() @ axes, atol=1e-9)
+
+
+@settings(deadline=None)
+@given(st.floats(-0.6, 0.6), st.floats(-0.4, 0.4), st.floats(1.0, 2.2), st.floats(0.1, 0.4))
+def test_silhouettes_agree_with_ray_casting(x: float, y: float, z: float, radius: float):
+    mesh = ball((x, y, z), radius, power=3)
+    outline = silhouette(CAMERA, LEVEL, mesh)
+    seen = stage().render([mesh]).track == 1
+    assert outline is not None
+    assert abs(int(outline.sum()) - int(seen.sum())) < 8 * np.sqrt(seen.sum() + 10)
+    assert (seen & (outline == 0)).sum() < 0.02 * seen.sum() + 3
 
 
 @pytest.mark.parametrize("z", [1.0, 2.0, 4.0])

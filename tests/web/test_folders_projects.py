@@ -85,6 +85,17 @@ def test_path_tricks_find_nothing(tree: Path) -> None:
             folders.list(path)
 
 
+def test_a_folder_that_may_not_be_read(tree: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may read everything")
+    (tree / "sub").chmod(0)
+    try:
+        with pytest.raises(NotFoundError, match="cannot be read"):
+            Folders((tree,)).list("data/sub")
+    finally:
+        (tree / "sub").chmod(0o755)
+
+
 def test_recordings_are_recognised_and_a_folder_with_a_cloud_can_still_be_opened(tree: Path, generated: Path) -> None:
     entries = Folders((generated,)).list(generated.name).entries
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]

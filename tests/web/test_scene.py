@@ -247,17 +247,8 @@ def test_a_dragged_gizmo_sends_its_box_and_stays_during_updates(
     np.testing.assert_allclose(gizmo.position, box.center_m)
 
 
-@pytest.fixture(scope="module")
-def frame(generated: Path) -> Frame:
-    return open_recording(generated / "people").frame(0)
-
-
-@pytest.fixture(scope="module")
-def truth(generated: Path, frame: Frame) -> OrientedBox:
-    return load_truth(open_recording(generated / "people"), 0, frame)[0].box
-
-
-def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: OrientedBox) -> None:
+def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(boxes: tuple[ShownBox, ...]) -> None:
+    truth = boxes[0].box
     lines = placed_box_lines(truth)
     assert lines.shape == (21, 2, 3)
     corners = box_corners(truth)
@@ -275,8 +266,8 @@ def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: Orien
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
-def test_the_frustum_projects_onto_the_image_box(frame: Frame, distortion: tuple[float, ...]) -> None:
-    camera = frame.camera
+def test_the_frustum_projects_onto_the_image_box(frames: list[Frame], distortion: tuple[float, ...]) -> None:
+    frame, camera = frames[0], frames[0].camera
     bent = Camera(camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, distortion)
     seen = Frame("0", 0, bent, frame.rgb, frame.cloud)
     box = Box2D("person", 40.0, 30.0, 200.0, 180.0)
@@ -290,8 +281,11 @@ def test_the_frustum_projects_onto_the_image_box(frame: Frame, distortion: tuple
     assert on_edge.max() < 0.05
 
 
-def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(frame: Frame, truth: OrientedBox) -> None:
-    image_box = box_on_image(frame.camera, truth, "person")
+def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(
+    frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    frame = frames[0]
+    image_box = box_on_image(frame.camera, boxes[0].box, "person")
     assert image_box is not None
     views = first_views(frame, image_box, RcvConfig())
     assert views is not None

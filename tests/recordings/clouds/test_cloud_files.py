@@ -45,17 +45,6 @@ def vertices(order: str = "<") -> np.ndarray:
     return structured(dict(zip("xyz", XYZ.T.astype(float), strict=True)) | {"Intensity": SHARES}, order)
 
 
-@pytest.mark.parametrize("order", ["binary_big_endian", "binary_little_endian"])
-def test_ply_of_either_byte_order_and_with_other_elements_is_read(tmp_path: Path, order: str):
-    path = tmp_path / "a.PLY"
-    before, after = "element sensor 2\nproperty int8 id\n", "element face 1\nproperty list uchar int vertex_indices\n"
-    content = ply(vertices(">" if "big" in order else "<"), order, before, after)
-    path.write_bytes(content.replace(b"end_header\n", b"end_header\n\0\0") + b"\x03" + bytes(12))
-    read = read_cloud(path)
-    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
-    np.testing.assert_allclose(read.reflectance, SHARE, atol=1e-5)
-
-
 def test_text_ply_with_byte_colours_and_another_element_is_read(tmp_path: Path):
     path = tmp_path / "a.ply"
     path.write_text(
