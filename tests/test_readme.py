@@ -78,11 +78,7 @@ def commands(text: str) -> list[str]:
 
 
 def as_run(command: str, shared: Path) -> list[str] | None:
-    """The words to run for a command of a page, or None to skip it.
-
-    Raises:
-        AssertionError: if the program is not in PROGRAMS.
-    """
+    """The words to run for a command of a page, or None to skip it."""
     if command in INSTEAD:
         instead = INSTEAD[command].command
         if instead is None:

@@ -80,8 +80,6 @@ def unharmed(live: Live) -> Iterator[None]:
     assert memory_mb() - before < MOST_GROWTH_MB
 
 
-# --- what must hold for a project after any attack --------------------------------------------------------------------
-
 Labels = dict[str, list[tuple[str, str, tuple[float, ...]]]]
 """By frame: class, state and centre (rounded to micrometres) of each label, sorted."""
 
@@ -115,15 +113,8 @@ def content_of(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
-# --- kills of a command at moments that are spread over its run time --------------------------------------------------
-
-
 class Killer:
-    """Kills a command at moments that are spread over its run time.
-
-    Attributes:
-        killed: how often the kill came before the end.
-    """
+    """Kills a command at moments that are spread over its run time."""
 
     def __init__(self, mortal: Mortal, template: Path, folder: Path, times: int, chance: random.Random) -> None:
         self.mortal, self.template, self.folder, self.times, self.chance = mortal, template, folder, times, chance
@@ -141,10 +132,9 @@ class Killer:
         return end
 
     def kills(self, *words: str | Path, done: Callable[[], object] = lambda: None) -> Iterator[End]:
-        """Kills the command once per iteration, on a fresh copy; at least half the kills must hit.
+        """Kills the command once per iteration, on a fresh copy; `done` undoes what a whole run wrote elsewhere.
 
-        Args:
-            done: undoes what a whole run has written outside the copy.
+        At least half the kills must hit.
         """
         # the first run reads files that later ones find in memory
         for _ in range(2):

@@ -71,26 +71,23 @@ def mortal(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     runner.close()
 
 
+def _room(root: Path, recording: Path, *more: list[str]) -> Path:
+    adds = ["add", "room", str(recording)]
+    for words in (["new", "room", "--classes", "person"], adds if more else [*adds, "--no-labels"], *more):
+        assert main([*words, "--projects", str(root)]) == 0
+    return root
+
+
 @pytest.fixture(scope="module")
 def labelled(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A projects folder with `room`: 5 frames with 3D labels and 2D boxes; do not change it."""
-    root = tmp_path_factory.mktemp("labelled")
-    for words in (
-        ["new", "room", "--classes", "person"],
-        ["add", "room", str(generated / "people")],
-        ["import", "room", "--as", "2d"],
-    ):
-        assert main([*words, "--projects", str(root)]) == 0
-    return root
+    return _room(tmp_path_factory.mktemp("labelled"), generated / "people", ["import", "room", "--as", "2d"])
 
 
 @pytest.fixture(scope="module")
 def empty(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A projects folder with `room`: 5 frames without labels; do not change it."""
-    root = tmp_path_factory.mktemp("empty")
-    for words in (["new", "room", "--classes", "person"], ["add", "room", str(generated / "people"), "--no-labels"]):
-        assert main([*words, "--projects", str(root)]) == 0
-    return root
+    return _room(tmp_path_factory.mktemp("empty"), generated / "people")
 
 
 @pytest.fixture

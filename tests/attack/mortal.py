@@ -24,13 +24,7 @@ TICK_S = 0.0005
 
 @dataclass(frozen=True)
 class End:
-    """How a command ended.
-
-    Attributes:
-        code: exit code; -9 if killed.
-        seconds: from its start to its end.
-        said: its output.
-    """
+    """How a command ended: its exit code (-9 if killed), the seconds that it took, and its output."""
 
     code: int
     seconds: float
@@ -56,13 +50,7 @@ class Mortal:
         assert self._answer() == "ready"
 
     def run(self, *words: str | Path, kill_s: float | None = None, file_limit: int | None = None) -> End:
-        """Runs a command line.
-
-        Args:
-            words: the command line without `annotator`.
-            kill_s: when to kill it, seconds after its start; None = never.
-            file_limit: the largest file that it can write, bytes; None = any.
-        """
+        """Runs a command line without `annotator`; kills it after some seconds, or limits its files (bytes)."""
         order = {"words": [str(word) for word in words], "kill_s": kill_s, "log": str(self._log), "limit": file_limit}
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(order) + "\n")

@@ -102,15 +102,6 @@ def test_arrays_are_never_unpickled(tmp_path: Path, kind: str) -> None:
     assert trace.is_dir()
 
 
-def _must_fail(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
-    """Runs a command, which must report unusable input; returns what it says."""
-    code = main([str(word) for word in words])
-    said = capsys.readouterr()
-    assert code == 2, (words, code, said)
-    assert "Traceback" not in said.err and len(said.err) < 5000, said.err
-    return said.err
-
-
 DAMAGED = {
     "deep": "[" * 200_000,
     "not a number": '{"version": NaN}',
@@ -125,7 +116,9 @@ def test_a_sent_project_with_a_hostile_configuration_is_refused(
     assert main(["new", "sent", "--classes", "hand", "--projects", str(tmp_path)]) == 0
     (tmp_path / "sent/project.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     capsys.readouterr()
-    _must_fail(capsys, "stats", "sent", "--projects", tmp_path)
+    assert main(["stats", "sent", "--projects", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err and len(said.err) < 5000, said.err
     # a check finds it, and says so
     assert main(["check", "sent", "--projects", str(tmp_path)]) == 1
     said = capsys.readouterr()
@@ -175,8 +168,6 @@ def test_recordings_with_hostile_names_are_added_exported_and_leave_nothing_outs
     assert not list(tmp_path.rglob("hacked*")) and not Path("hacked").exists()
 
 
-# --- files of a recording or a project that never end, or that are far larger than they look --------------------------
-
 ENDLESS: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
     "device": lambda path: path.symlink_to("/dev/zero"),
@@ -187,19 +178,6 @@ ENDLESS: dict[str, Callable[[Path], object]] = {
 
 def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-@pytest.mark.parametrize("kind", ENDLESS)
-def test_an_endless_file_of_a_project_is_refused(live: Live, tmp_path: Path, kind: str) -> None:
-    folder = tmp_path / "projects" / "odd"
-    folder.mkdir()
-    ENDLESS[kind](folder / "project.json")
-    before = peak_mib()
-    listed = live.client.get("/api/projects", timeout=30).json()
-    assert "odd" in str(listed) and "room" in str(listed)
-    assert live.client.get("/api/projects/odd", timeout=30).status_code >= 400
-    assert live.client.get("/api/projects/room", timeout=30).status_code == 200
-    assert peak_mib() - before < 200
 
 
 @pytest.mark.parametrize("kind", ENDLESS)
@@ -214,18 +192,4 @@ def test_an_endless_file_of_a_recording_is_refused(live: Live, own_copy: Callabl
     before = peak_mib()
     assert live.client.get(f"/api/projects/room/frames/{first.id}", timeout=30).status_code >= 400
     assert live.client.get("/api/projects", timeout=30).status_code == 200
-    assert peak_mib() - before < 200
-
-
-def test_a_small_archive_of_a_gigabyte_is_refused(live: Live, tmp_path: Path) -> None:
-    clouds = tmp_path / "clouds"
-    clouds.mkdir()
-    np.savez_compressed(clouds / "0.npz", points=np.zeros((20_000_000, 3), np.float32))
-    project = live.context.project("room")
-    registered = register_recording(project, open_recording(clouds))
-    first = project.frames.of([registered.id])[0]
-    before = peak_mib()
-    answer = live.client.get(f"/api/projects/room/frames/{first.id}", timeout=60)
-    assert answer.status_code >= 400
-    assert "ANNOTATOR_FRAME_MEMORY" in answer.text
     assert peak_mib() - before < 200

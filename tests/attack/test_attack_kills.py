@@ -5,12 +5,10 @@ from __future__ import annotations
 import io
 import random
 import shutil
-import sqlite3
 import threading
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 
 import httpx
@@ -18,6 +16,7 @@ import pytest
 from attacks import Killer, Labels, content_of, labels_in, require_sound
 from filled import fill
 from live_server import PATIENCE_S, wait_until
+from store_samples import damage
 from test_server_process import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.cli.main import main
@@ -105,8 +104,6 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
     require_whole_frames(kills, words, wanted)
 
 
-# --- `kill -9` of backup, restore, copy, repair and upgrade: nothing half is offered, and nothing is lost -------------
-
 LABELS = 900
 
 
@@ -165,14 +162,9 @@ def test_a_killed_restore_makes_a_whole_project_or_none(
         assert sorted(path.name for path in kills.folder.iterdir()) == ["again", "long"], "a leftover"
 
 
-def damage(database: Path) -> None:
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("DROP TRIGGER events_are_not_deleted")
-
-
 COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
     "copy": (["project", "copy", "{folder}/long", "new"], None),
-    "repair": (["project", "repair", "long", "new"], damage),
+    "repair": (["project", "repair", "long", "new"], damage("DROP TRIGGER events_are_not_deleted")),
 }
 
 
@@ -181,7 +173,7 @@ def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path
     words, change = COMMANDS[name]
     template = Path(shutil.copytree(long, tmp_path / "template"))
     if change is not None:
-        change(template / "long" / "project.db")
+        change(template / "long")
     kills = killer(template)
     words = [word.format(folder=kills.folder) for word in words]
     for _ in kills.kills(*words, "--projects", kills.folder):
@@ -195,8 +187,6 @@ def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path
         for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
             assert read_manifest(backup).labels == LABELS
 
-
-# --- `kill -9` of the server while operators save and a job writes a dataset ------------------------------------------
 
 EDITORS = 2
 LONGEST_S = 6.0

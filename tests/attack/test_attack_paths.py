@@ -94,8 +94,6 @@ def test_no_file_beside_the_page_is_served(places: Live) -> None:
             assert SECRET not in answer and b"root:" not in answer
 
 
-# --- links and paths in a project or a projects folder that somebody sent: nothing outside is read or written ---------
-
 SECRET_TEXT = "the secret of another folder"
 PLACES = ("project.db", "project.db-wal", "models/view/run/weights/last.safetensors", "views", ".uploads")
 COMMANDS = (

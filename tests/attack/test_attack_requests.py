@@ -198,9 +198,6 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(own_copy: Any) -> None:
     assert memory_mb() - before < MOST_GROWTH_MB
 
 
-# --- requests that name another host, or come from another page -------------------------------------------------------
-
-
 def test_two_hosts_no_host_or_an_absolute_target_do_not_confuse_the_check(live: Live) -> None:
     here, cookie = live.url.removeprefix("http://"), live.cookies()
     for lines in (

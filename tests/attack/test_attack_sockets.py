@@ -14,7 +14,6 @@ import httpx
 import pytest
 from attacks import unharmed
 from live_server import PATIENCE_S, running, wait_until
-from room_api import change, state
 from websockets.exceptions import ConnectionClosed
 
 from annotator.project import create_project
@@ -86,27 +85,6 @@ def test_frames_that_break_the_protocol_end_their_own_connection_at_most(live: L
             with suppress(OSError):  # it has been closed already
                 raw.sendall(frame)
 
-
-def test_readers_that_do_not_read_are_dropped_or_kept_small(live: Live) -> None:
-    sockets = [live.listen() for _ in range(20)]
-    try:
-        for number in range(100):
-            revision = state(live.client)["frame"]["revision"]
-            answer = change(live.client, revision, {"kind": ("finalise", "reopen")[number % 2]})
-            assert answer.status_code == 200, answer.text
-    finally:
-        for each in sockets:
-            each.close()
-
-
-def test_connections_that_come_and_go_leave_nothing(live: Live) -> None:
-    for _ in range(300):
-        with live.listen():
-            pass
-    assert len(live.context.hub._clients) <= 1
-
-
-# --- strangers who hold connections of a server with a token open -----------------------------------------------------
 
 TOKEN = "a-token-for-the-attacks"
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "

@@ -140,9 +140,6 @@ def upright(yaws: np.ndarray) -> np.ndarray:
     return np.asarray(Rotation.from_euler("z", yaws[:, None]).as_matrix())
 
 
-# --- what is read -----------------------------------------------------------------------------------------------------
-
-
 def of_boxes(boxes: Sequence[OrientedBox]) -> Reading:
     """Boxes in the frame of the first one; and the distances between all corners, whatever the axes are called."""
     corners, first = np.concatenate([box_corners(each) for each in boxes]), boxes[0]
@@ -205,9 +202,6 @@ def read_flat(format: FlatFormat, folder: Path) -> Reading:
     if any(each.file(folder) is None for each in pictures):
         raise FormatError(folder, "an import says that an image is missing")
     return {"pixels": np.array([box.xyxy for each in pictures for box in each.boxes_on(*SIZE)])}
-
-
-# --- what is written --------------------------------------------------------------------------------------------------
 
 
 def png(pixels: np.ndarray) -> bytes:
@@ -324,9 +318,6 @@ def write_yolo(folder: Path, n: Numbers) -> None:
     put(folder / "labels" / "a.txt", "".join(f"0 {' '.join(map(repr, row))}\n" for row in rows))
     put(folder / "train.txt", "images/a.png\n")
     put(folder / "data.yaml", "train: train.txt\nval: train.txt\nnames:\n  0: hand\n")
-
-
-# --- the table --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

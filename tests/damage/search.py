@@ -106,11 +106,7 @@ def watch(name: str, given: argparse.Namespace) -> tuple[Counter[str], list[str]
 
 
 def read_all(name: str, seed: int, start: int, count: int, keep: Path | None) -> None:
-    """Reads the damaged files of a target, and writes a line before and after each.
-
-    Args:
-        start: number of the first file.
-    """
+    """Reads the damaged files of a target from number `start` on, and writes a line before and after each."""
     from targets import TARGETS
 
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))

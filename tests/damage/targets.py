@@ -70,13 +70,7 @@ SHARED = Path(os.environ.get("ANNOTATOR_SHARED", TESTS.parent.parent / "shared")
 
 @dataclass(frozen=True)
 class Target:
-    """Something to damage.
-
-    Attributes:
-        name: unique.
-        build: writes sound files below an existing folder.
-        read: reads them as a user's command does; returns the frame, for recordings.
-    """
+    """Something to damage: written below an existing folder, and read as a user's command does."""
 
     name: str
     build: Callable[[Path], object]

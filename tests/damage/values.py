@@ -52,9 +52,6 @@ LEVELS = {"image": 2.0, "colours": 2.0}
 KINDS = ("equal", "refused", "ambiguous", "silent")
 
 
-# --- numbers written in another way -----------------------------------------------------------------------------------
-
-
 def no_points(value: float, n: Numbers, draw: random.Random) -> Numbers:
     """Rows that are no returns: one of their coordinates, or all, are `value`."""
     odd = np.array([draw.choice(n.xyz_m) for _ in range(draw.randint(1, 20))])
@@ -84,8 +81,6 @@ WAYS: dict[str, Callable[[Numbers, random.Random], Numbers]] = {
 }
 
 
-# --- texts written in another way -------------------------------------------------------------------------------------
-
 # not the points in names and versions
 NUMBER = re.compile(r"(?<![\w./-])(-?\d+)\.(\d+)(?![\w.]*[./\w])")
 TEXTS: dict[str, Callable[[str], bytes]] = {
@@ -109,9 +104,6 @@ def rewrite(mutation: str, folder: Path, draw: random.Random) -> str:
     for file in draw.choice(([draw.choice(found)], found)) if found else ():
         file.write_bytes(TEXTS[mutation](file.read_text()))
     return "" if found else "no text"
-
-
-# --- what is written, changed: each says why nobody could see the change, or "" ---------------------------------------
 
 
 def changed_json(file: Path, change: Callable[[str, Any], Any]) -> None:
@@ -215,9 +207,6 @@ EDITS: dict[str, Callable[[Path, random.Random], str]] = {
 }
 
 
-# --- one case ---------------------------------------------------------------------------------------------------------
-
-
 def mutations(target: Target) -> list[str]:
     """All that a target is tried with."""
     return ["plain", *target.ways, *target.edits, *TEXTS]
@@ -246,11 +235,7 @@ def on_a_line(levels: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def case(target: Target, mutation: str, seed: str, keep: Path | None = None) -> tuple[str, str]:
-    """Tries a mutation: returns one of `KINDS`, and the difference or the refusal.
-
-    Args:
-        keep: folder for the files, if something is read wrong.
-    """
+    """Tries a mutation: returns one of `KINDS`, and the difference or the refusal; `keep`s what is read wrong."""
     draw = random.Random(seed)
     numbers = Numbers.drawn(draw)
     if mutation.startswith("grey"):

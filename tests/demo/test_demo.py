@@ -148,14 +148,11 @@ TRAINING = demo._training
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("preset", "label", "rotation"), [("hands", "hand", BoxRotation.FREE)])
-def test_the_demo_runs_all_stages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
-) -> None:
+def test_the_demo_runs_all_stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "_training", tiny)
     told: dict[str, list[float]] = {}
     result = run_trained(
-        tmp_path, Plan(preset, 4), lambda stage, done, of: told.setdefault(stage, []).append(done / of)
+        tmp_path, Plan("hands", 4), lambda stage, done, of: told.setdefault(stage, []).append(done / of)
     )
 
     assert list(result.seconds) == STAGES
@@ -165,15 +162,15 @@ def test_the_demo_runs_all_stages(
     assert [each.role for each in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
     assert (result.annotated.done, result.annotated.failed) == (4, [])
     ((name, scores),) = result.scores.content.model_dump()["classes"].items()
-    assert (name, scores["objects"]) == (label, 4), "only the two unlabelled frames are scored"
+    assert (name, scores["objects"]) == ("hand", 4), "only the two unlabelled frames are scored"
     assert 0 <= scores["mean_iou"] <= 1
 
     assert len(open_recording(tmp_path / "recording")) == 4
-    dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
+    dataset = read_rcv(tmp_path / "3D_HAND")
     counts = dataset.manifest.counts
     assert (counts.frames, counts.objects) == (result.dataset.frames, result.dataset.objects)
     with open_project(tmp_path / "demo") as project:
-        assert project.config.classes == (label,)
-        assert project.config.settings.rotation is rotation
+        assert project.config.classes == ("hand",)
+        assert project.config.settings.rotation is BoxRotation.FREE
         assert project.statistics().labels.total == dataset.manifest.counts.objects
         assert project.problems() == []

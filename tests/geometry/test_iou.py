@@ -22,8 +22,6 @@ from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-# Rotations that permute a box's axes: with its sizes permuted likewise, the box is the same.
-
 
 def box(center, size, rotation: np.ndarray | None = None) -> OrientedBox:
     turn = np.eye(3) if rotation is None else rotation
@@ -130,9 +128,6 @@ def test_invalid_boxes_are_refused(which: int, value: float) -> None:
     broken[which] = np.full_like(broken[which], value)
     with pytest.raises(GeometryError, match="finite"):
         intersection_volume_pairs(*broken, *parts([UNIT]))
-
-
-# Class-wise greedy suppression.
 
 
 def cube(x: float) -> OrientedBox:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry_strategies import boxes, random_boxes, rigid_transforms, rotations, vectors
+from geometry_strategies import boxes, random_boxes, rotations, vectors
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import (
@@ -23,7 +23,7 @@ from annotator.geometry.oriented_box import (
     tightest_box,
 )
 from annotator.geometry.projection import project, unproject_depth
-from annotator.geometry.transforms import corners_4x8, right_handed_axes, unit
+from annotator.geometry.transforms import right_handed_axes, unit
 from annotator.rcv.rotations import free_grid, yaw_grid
 from annotator.types import Box2D, Camera, Correction, Frame, OrientedBox, PointCloud
 from annotator.types.errors import GeometryError
@@ -117,9 +117,6 @@ def test_an_aligned_box_has_a_minimum_size_and_needs_a_point() -> None:
         aligned_box(np.zeros((0, 3)), np.eye(3))
 
 
-# The nearest upright box, compared with a search over all yaws, and for boxes that are already upright.
-
-
 UP = np.array([0.0, -1.0, 0.0])
 SIZE = np.array([4.0, 1.8, 1.5])
 CENTER = np.array([1.0, 2.0, 15.0])
@@ -170,9 +167,6 @@ def test_a_box_that_stands_on_end_has_its_length_as_height(pitch: float) -> None
     np.testing.assert_allclose(found.rotation[:, 2], UP, atol=1e-9)
 
 
-# The box of least volume around points.
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_free_box_is_found_from_its_corners(seed: int) -> None:
     rotation = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
@@ -189,9 +183,6 @@ def test_an_upright_box_turns_about_the_vertical_only() -> None:
     found = tightest_box(points, yaw_grid(UP), UP)
     assert np.abs(found.rotation.T @ UP).max() == pytest.approx(1.0)
     assert contains(found, points, 1e-6).all()
-
-
-# Frames with a corrected calibration.
 
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -235,9 +226,6 @@ def test_points_take_the_colour_of_the_pixel_on_which_they_fall(frame: Frame):
     assert not (moved.cloud.rgb == frame.cloud.rgb).all()
 
 
-# The common axis of boxes, and how alike they are turned about it.
-
-
 def standing(up: np.ndarray, turns: np.ndarray, lean_deg: float, seed: int) -> np.ndarray:
     """Boxes along an axis that lean by this much in all directions, with their axes in any order."""
     random = np.random.default_rng(seed)
@@ -264,9 +252,6 @@ def test_boxes_that_do_not_turn_are_alike() -> None:
     assert found.alike > 0.95
 
 
-ZERO = np.zeros(3)
-
-
 def is_rotation(matrix: np.ndarray) -> bool:
     return np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-12) and np.linalg.det(matrix) > 0
 
@@ -281,25 +266,3 @@ def test_axes_are_right_handed_and_keep_the_major_axis(major: np.ndarray, hint: 
     if np.linalg.norm(np.cross(unit(major), hint)) > 1e-6:
         assert frame[:, 1] @ hint > 0
         assert abs(frame[:, 2] @ hint) < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: unit(ZERO), "no direction"),
-        (lambda: unit(np.array([np.nan, 0.0, 1.0])), "no direction"),
-        (lambda: right_handed_axes(ZERO, np.ones(3)), "no direction"),
-        (lambda: right_handed_axes(np.ones(3), np.array([np.inf, 0.0, 0.0])), "finite"),
-    ],
-)
-def test_vectors_without_direction_are_refused(call, message: str) -> None:
-    with pytest.raises(GeometryError, match=message):
-        call()
-
-
-@settings(deadline=None)
-@given(boxes(), rigid_transforms())
-def test_a_4x4_matrix_maps_homogeneous_corners_as_in_equation_1(box: OrientedBox, T_dst_camera: RigidTransform) -> None:
-    mapped = T_dst_camera.as_matrix() @ corners_4x8(box)
-    np.testing.assert_allclose(mapped[:3].T, box_corners(box.transformed(T_dst_camera)), atol=1e-9)
-    np.testing.assert_array_equal(mapped[3], 1.0)

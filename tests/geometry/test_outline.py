@@ -94,9 +94,6 @@ def test_the_2d_box_of_points_contains_those_on_the_image() -> None:
     assert points_on_image(CAMERA, xyz[:1], "a") is None
 
 
-# The visible parts of the edges of boxes on the image.
-
-
 EDGE_CAMERA = Camera(640, 480, 500.0, 510.0, 320.0, 235.0)
 EDGE_DISTORTED = Camera(640, 480, 500.0, 510.0, 320.0, 235.0, (-0.28, 0.09, 0.001, -0.0005, -0.012))
 

@@ -22,7 +22,6 @@ from annotator.geometry.projection import (
     unproject_depth,
 )
 from annotator.types import Box2D, Camera, OrientedBox
-from annotator.types.errors import GeometryError
 
 PINHOLE = Camera(640, 480, 500.0, 510.0, 319.5, 239.5)
 
@@ -85,14 +84,6 @@ def test_a_point_beyond_the_lens_models_range_is_not_folded_back_into_the_image(
     assert np.isnan(project(camera, far_aside)).all()
 
 
-def test_depth_of_another_size_is_refused() -> None:
-    with pytest.raises(GeometryError, match="320 x 240 px, the camera 640 x 480"):
-        unproject_depth(PINHOLE, np.ones((240, 320), np.float32))
-
-
-# The lens model against OpenCV's.
-
-
 def test_strong_barrel_distortion_is_inverted_up_to_its_turning_point() -> None:
     barrel = (-0.3, 0.0, 0.0, 0.0)
     # r - 0.3 r^3 grows up to r^2 = 1 / 0.9
@@ -106,9 +97,6 @@ def test_strong_barrel_distortion_is_inverted_up_to_its_turning_point() -> None:
     camera = Camera(64, 48, 25.0, 25.0, 31.5, 23.5, barrel)
     xyz, pixel = unproject_depth(camera, np.ones((48, 64), np.float32))
     assert 0 < len(xyz) < 64 * 48 and np.isfinite(xyz).all() and 0 not in pixel
-
-
-# What is no measurement in a depth image, for each type of number.
 
 
 INF, NAN = float("inf"), float("nan")
@@ -131,9 +119,6 @@ def test_depths_in_metres(kind: str, raw: list[float], units: list[float], units
         assert depth_m.dtype == np.float32
 
 
-# The points in the frustum of a 2D box.
-
-
 @settings(deadline=None)
 @given(cameras())
 def test_the_frustum_of_a_box_contains_exactly_the_pixels_inside(camera: Camera) -> None:
@@ -142,9 +127,6 @@ def test_the_frustum_of_a_box_contains_exactly_the_pixels_inside(camera: Camera)
     inside = in_frustum(camera, xyz, Box2D("x", 9.5, 4.5, 30.5, 20.5))
     v, u = np.divmod(pixel, camera.width_px)
     np.testing.assert_array_equal(inside, (u >= 10) & (u <= 30) & (v >= 5) & (v <= 20))
-
-
-# Occlusion of boxes in scenes with a known result, and undistorted images.
 
 
 PIXELS = pixel_rays(Camera(40, 40, 40.0, 40.0, 19.5, 19.5)).reshape(-1, 2)

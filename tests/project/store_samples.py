@@ -50,6 +50,11 @@ def by_hand(revision: int = 0, author: str = "ann") -> WriteContext:
     return WriteContext(revision, author, Source.MANUAL)
 
 
+def revised(project: Project, frame: int) -> WriteContext:
+    """A change by hand of the present revision of a frame."""
+    return by_hand(project.frames.get(frame).revision)
+
+
 def by_machine(revision: int = 0) -> WriteContext:
     return WriteContext(revision, "rcv", Source.AUTO)
 
@@ -144,11 +149,7 @@ STEPS = (
 def actions(
     project: Project, views: list[str], step: Step, who: str, behind: int = 0
 ) -> dict[str, Callable[[], object]]:
-    """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it.
-
-    Args:
-        behind: number of revisions by which the change is late.
-    """
+    """The call for each kind in `STEPS`, `behind` revisions late; raises `ProjectError` if the state forbids it."""
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
@@ -217,9 +218,6 @@ def give_attributes(project: Project) -> None:
         project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")
 
 
-# --- what a project holds, and ways to damage it ----------------------------------------------------------------------
-
-
 def stored_state(project: Path) -> dict[str, list[tuple[object, ...]]]:
     with open_project(project) as opened:
         return state_of(opened)
@@ -241,9 +239,6 @@ def damage(statement: str) -> Callable[[Path], None]:
     return change
 
 
-# --- ways to put a backup in the place of a project -------------------------------------------------------------------
-
-
 def replace_folder(folder: Path, backup: Path) -> None:
     # as `rm -rf`: a server may remove its own files meanwhile
     while folder.exists():
@@ -261,8 +256,6 @@ def replace_database(folder: Path, backup: Path) -> None:
         source.backup(target)
     (folder / "new.db").rename(folder / "project.db")
 
-
-# --- an example of a migration: the database of the next release ------------------------------------------------------
 
 NOW = newest_version()
 NEXT: Migration = (

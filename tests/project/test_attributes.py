@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from pydantic import ValidationError
-from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes
+from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, revised, some_boxes
 
 from annotator.project import NewLabel, Project, StoredRecording
 from annotator.project.changes import LabelTracked
@@ -32,10 +32,6 @@ def of(project: Project, uid: str) -> dict[str, Any]:
 
 def named(project: Project, uid: str) -> str:
     return project.labels.get(uid).label.label
-
-
-def revised(project: Project, frame: int) -> Any:
-    return by_hand(project.frames.get(frame).revision)
 
 
 @pytest.mark.parametrize(

@@ -93,9 +93,6 @@ def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_
         assert BackupClock(restored.path, restored.store).is_due()
 
 
-# --- backups restore to the state of one moment, and replace nothing --------------------------------------------------
-
-
 def test_a_backup_restores_everything_but_what_can_be_made_again(full: Path, tmp_path: Path) -> None:
     back_up(full, tmp_path / "copy.zip")
     path, manifest = restore(tmp_path / "copy.zip", tmp_path / "elsewhere")
@@ -172,9 +169,6 @@ def test_what_a_killed_command_has_left_is_removed_by_the_next(full: Path, tmp_p
     assert [folder.exists() for folder in left] == [False, True]
 
 
-# --- A foreign project is copied without what could lead out of it ----------------------------------------------------
-
-
 def test_a_foreign_project_is_copied_without_links_and_caches(full: Path, tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("secret")
@@ -200,9 +194,6 @@ def test_a_foreign_project_whose_main_files_are_links_is_refused(full: Path, tmp
     (full / name).symlink_to(tmp_path / name)
     with pytest.raises(ProjectError, match=f"{name} is missing or no regular file"):
         copy_project(full, tmp_path, "taken")
-
-
-# --- backups and repairs that cannot be made say why, and what a killed one left does not stay ------------------------
 
 
 @pytest.fixture
@@ -238,8 +229,6 @@ def test_a_locked_project_is_not_taken_for_a_damaged_one(room: Path, monkeypatch
             repair(room)
     assert [path.name for path in room.parent.iterdir()] == ["room"]
 
-
-# --- damaged and hostile backups are refused, and leave nothing -------------------------------------------------------
 
 Change = Callable[[Path, Path], object]
 """Writes a changed backup: (of this one, to this file)."""

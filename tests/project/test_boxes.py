@@ -68,9 +68,6 @@ def test_boxes_on_a_view_need_its_image(project: Project, frame: int) -> None:
     assert project.boxes.on_views() == ()
 
 
-# --- images of pseudo-views, stored by the hash of their content ------------------------------------------------------
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(rgb=npst.arrays(np.uint8, npst.array_shapes(min_dims=2, max_dims=2, max_side=9).map(lambda s: (*s, 3))))
 def test_an_image_is_read_back(project: Project, rgb: np.ndarray) -> None:

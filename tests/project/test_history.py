@@ -7,12 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from store_samples import (
-    box_at,
-    by_hand,
-    by_machine,
-    proposal_at,
-)
+from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project
 from annotator.project.backup.verify import verify
@@ -87,8 +82,6 @@ def test_an_action_without_effect_is_skipped_and_one_of_several_kinds_named_afte
     assert project.history.undo("ann").words == "delete hand (frame 2)"
 
 
-# --- undo and redo of values of attributes that the project's schema no longer allows ---------------------------------
-
 # An attribute as it was, a value that it had, and the attribute as it is now.
 BEFORE, VALUE, AFTER = {"kind": "boolean"}, True, {"kind": "integer"}
 
@@ -96,10 +89,6 @@ BEFORE, VALUE, AFTER = {"kind": "boolean"}, True, {"kind": "integer"}
 def put(project: Project, of: str, definition: dict[str, Any], name: str = "state", *, drop: bool = False) -> None:
     attribute = Attribute(name=name, of=AttributeOf(of), **definition)
     project.change_classes(lambda config: edit.put_attribute(config, attribute, drop=drop), "ann")
-
-
-def revised(project: Project, frame: int) -> Any:
-    return by_hand(project.frames.get(frame).revision)
 
 
 def set_on_frame(project: Project, frame: int, **values: Any) -> None:

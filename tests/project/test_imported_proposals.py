@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import select
-from store_samples import box_at, by_hand, by_machine, proposal_at
+from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
-from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, WriteContext, new_action
+from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
@@ -29,10 +29,6 @@ def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[
     """Number of open, merged and covered boxes."""
     done = project.proposals.bring(source, {frame: boxes})[frame]
     return done.is_open.count(True), done.merged, done.is_open.count(False)
-
-
-def now(project: Project, frame: int) -> WriteContext:
-    return by_hand(project.frames.get(frame).revision)
 
 
 def put(project: Project, *attributes: Attribute) -> None:
@@ -139,7 +135,7 @@ def test_who_said_it_stays_known_after_an_edit_and_moves_with_the_cloud(project:
     bring(project, frame, "two", box(0.02, 0.4))
     (stored,) = project.labels.select()
     uid = stored.label.uid
-    project.labels.edit(frame, uid, now(project, frame), label="person", box=box_at(0.1))
+    project.labels.edit(frame, uid, revised(project, frame), label="person", box=box_at(0.1))
     recording = project.frames.get(frame).recording_id
     project.adjustments.correct(recording, Correction((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "ann")
     said = project.labels.get(uid).said
@@ -185,7 +181,7 @@ def test_an_import_over_several_frames_is_undone_and_redone_as_one_step(project:
     assert shown(project) == before
     project.history.redo("Ada")
     assert shown(project) == after
-    project.labels.reject(other, project.labels.of_frame(other)[0].uid, now(project, other))
+    project.labels.reject(other, project.labels.of_frame(other)[0].uid, revised(project, other))
     with pytest.raises(HistoryError, match="the paw label was changed by ann"):
         project.history.undo("Ada")
 
@@ -206,7 +202,7 @@ def test_values_that_sources_gave_follow_their_attributes(
     put(project, COLOUR)
     bring(project, frame, "one", NewLabel("hand", box_at(), 0.9, attributes={"colour": "red"}))
     bring(project, frame, "two", NewLabel("hand", box_at(0.02), 0.5, attributes={"colour": "blue"}))
-    project.labels.delete(frame, project.labels.select()[0].label.uid, now(project, frame))
+    project.labels.delete(frame, project.labels.select()[0].label.uid, revised(project, frame))
     project.change_classes(change, "ann")
     # of a label that is restored, too, and of a source that takes the place of another
     project.history.undo("ann")
@@ -288,7 +284,7 @@ def test_a_lent_value_of_a_track_goes_with_its_source(project: Project, frame: i
     for number in two_frames:
         say(project, number, "two", 0.5, side="left")
     first = project.labels.select()[0].label.uid
-    project.labels.set_attributes(frame, first, {"side": "right"}, now(project, frame))
+    project.labels.set_attributes(frame, first, {"side": "right"}, revised(project, frame))
     assert sides() == ["right", "right"]
     assert say(project, two_frames[1], "three", 0.4, side="left").conflicts == 1
     assert sides() == ["right", "right"]
@@ -300,7 +296,7 @@ def test_our_proposal_with_a_lent_value_is_not_kept(project: Project, frame: int
     say(project, frame, "two", 0.5, colour="blue")
     (stored,) = project.labels.select()
     for side in ("left", None):
-        project.labels.set_attributes(frame, stored.label.uid, {"side": side}, now(project, frame))
+        project.labels.set_attributes(frame, stored.label.uid, {"side": side}, revised(project, frame))
     project.proposals.replace(frame, [], by_machine(project.frames.get(frame).revision))
     assert shown(project) == [("two", 0.02, [])]
 
@@ -312,7 +308,7 @@ def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(pro
     other = project.frames.of()[3].id
     bring(project, other, "one", box(0.0, 0.9, "person"))
     bring(project, other, "two", box(0.1, 0.5))
-    project.labels.accept(other, project.labels.of_frame(other)[0].uid, now(project, other))
+    project.labels.accept(other, project.labels.of_frame(other)[0].uid, revised(project, other))
     assert project.class_counts() == {"hand": ClassCounts(0, 0, 4), "person": ClassCounts(5, 0, 0)}
     project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
     # also behind the reviewed label, which goes; an automatic pass's values are as before
@@ -328,7 +324,7 @@ def test_another_source_is_shown_in_finalised_frames_and_removed_recordings(
 ) -> None:
     bring(project, frame, "one", box(0.0, 0.9, "person"))
     bring(project, frame, "two", box(0.1, 0.5))
-    project.frames.finalise(frame, now(project, frame))
+    project.frames.finalise(frame, revised(project, frame))
     project.recordings.remove(recording.id, "ann")
     project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
     project.recordings.rescan(recording.id, [str(n) for n in range(5)])

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from store_samples import by_hand, by_machine, proposal_at
 
-from annotator.project import Project, Run, RunShare, Status, StoredModel, StoredRecording, open_project, run_key
+from annotator.project import Project, Run, RunShare, Status, StoredModel, StoredRecording, open_project
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 
@@ -32,13 +32,6 @@ def _fail(project: Project, run: Run, key: str) -> None:
 
 def _pending(project: Project, run: Run) -> str:
     return "".join(frame.key for frame in project.jobs.pending(run.key))
-
-
-def test_the_key_depends_on_detectors_and_settings() -> None:
-    key = run_key("a", "b", '{"x": 1, "y": [2]}')
-    assert key == run_key("a", "b", '{"y":[2],"x":1}')
-    others = [("b", "a", '{"x": 1, "y": [2]}'), ("ab", "", '{"x": 1, "y": [2]}'), ("a", "b", '{"x": 1, "y": [3]}')]
-    assert len({key, *(run_key(*other) for other in others)}) == 4
 
 
 def test_frames_that_are_done_are_skipped(project: Project, recording: StoredRecording) -> None:
@@ -106,20 +99,6 @@ def test_refused_proposals_leave_no_result(project: Project, recording: StoredRe
     assert project.jobs.results() == ()
     assert project.labels.of_frame(frame) == ()
     assert project.frames.get(frame).revision == 2
-
-
-def test_errors_name_the_missing_run_or_frame(project: Project, recording: StoredRecording) -> None:
-    run = _start(project, '{"a": 1}')
-    with pytest.raises(ProjectError, match="no frame with id 99"):
-        project.jobs.record_failure(run.id, 99, "x", 0.0)
-    with pytest.raises(ProjectError, match="no run with id 99"):
-        project.jobs.finish(99)
-    assert project.jobs.all() == (run,)
-    assert (run.image_detector, run.view_detector, run.config) == ("image-1", "view-1", '{"a": 1}')
-    assert run.finished_ns is None
-
-
-# --- the registry of trained detectors --------------------------------------------------------------------------------
 
 
 def _register(project: Project, role: DetectorKind, name: str, activate: bool = True) -> StoredModel:
@@ -195,13 +174,3 @@ def test_models_lie_inside_the_project(project: Project, tmp_path: Path) -> None
             database.execute(f"UPDATE models SET {column} = ?", [path])
         with pytest.raises(ProjectError, match=f"its view model 1 lies outside its folder, at {path}"):
             open_project(project.path)
-
-
-def test_missing_files_and_models_are_named(project: Project, tmp_path: Path) -> None:
-    with pytest.raises(ProjectError, match=r"none\.pt: is missing"):
-        project.models.register(
-            DetectorKind.IMAGE, tmp_path / "none.pt", labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f"
-        )
-    with pytest.raises(ProjectError, match="no model with id 5"):
-        project.models.activate(5)
-    assert project.models.all() == ()

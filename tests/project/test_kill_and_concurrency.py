@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from store_samples import by_hand, proposal_at, state_of
 
 from annotator.project import Project, StoredRecording, open_project
 from annotator.types import BoxKind
-from annotator.types.errors import ProjectError, StaleRevisionError
+from annotator.types.errors import ProjectError
 
 HERE = Path(__file__).parent
 
@@ -110,29 +109,6 @@ def test_two_processes_write_to_different_frames_and_one_of_them_on_a_revision(
     assert sum(wins) == rounds
     assert [event.revision for event in project.log.of_frame(frames[0])] == list(range(1, 2 * rounds + 1))
     assert project.frames.get(frames[1]).revision == rounds
-
-
-def test_only_one_of_several_threads_can_write_on_a_revision(project: Project, frame: int) -> None:
-    rounds, threads = 10, 6
-    barrier = threading.Barrier(threads)
-    outcomes: list[str] = []
-
-    def write() -> None:
-        for revision in range(rounds):
-            barrier.wait()
-            try:
-                project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand(revision))
-                outcomes.append("won")
-            except StaleRevisionError:
-                outcomes.append("stale")
-
-    workers = [threading.Thread(target=write) for _ in range(threads)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    assert outcomes.count("won") == rounds
-    assert outcomes.count("stale") == rounds * (threads - 1)
 
 
 def test_an_error_inside_a_write_rolls_it_back(project: Project, frame: int) -> None:

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import text
 from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, RunShare, WriteContext, create_project
 from annotator.types import BoxKind, ReviewState
-from annotator.types.errors import ProjectError
 
 MONDAY, TUESDAY = datetime(2026, 1, 5, 12), datetime(2026, 1, 6, 12)
 
@@ -146,9 +144,6 @@ def test_a_box_that_following_proposed_is_a_proposal(shift: Shift) -> None:
     assert shift.progress()["proposals"]["by_class"]["hand"]["missed"] == 0
 
 
-# --- what is left -----------------------------------------------------------------------------------------------------
-
-
 def label(shift: Shift, count: int, seconds: float = 18.0) -> None:
     """Two boxes in each of `count` frames; the time at work is `seconds` per box."""
     for n, frame in enumerate(shift.frames[:count]):
@@ -196,17 +191,6 @@ def test_the_range_is_that_of_the_slowest_and_the_fastest_of_the_last_frames(shi
     # nothing is known of the time before the first box but what the page has counted
     assert forecast["boxes_an_hour"] == {"low": 90.0, "expected": pytest.approx(20 * 3600 / 580), "high": 180.0}
     assert forecast["hours_left"] == {"low": 20 / 180, "expected": pytest.approx(580 / 3600), "high": 20 / 90}
-
-
-# --- all together -----------------------------------------------------------------------------------------------------
-
-
-def test_a_damaged_box_is_reported(shift: Shift) -> None:
-    label(shift, 1)
-    with shift.project.store.write() as connection:
-        connection.execute(text("UPDATE labels SET box = '{' WHERE id = 1"))
-    with pytest.raises(ProjectError, match="damaged: one of its rows cannot be read"):
-        shift.project.statistics()
 
 
 def test_the_statistics_follow_frames_that_are_exchanged_for_as_many_others(tmp_path: Path) -> None:

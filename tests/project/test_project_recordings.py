@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, sorted_state, state_of
 
-from annotator.project import NewLabel, Project, StoredRecording, open_project
-from annotator.project.backup.repair import repair
+from annotator.project import NewLabel, Project, StoredRecording
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
@@ -63,14 +62,6 @@ def test_recordings_with_the_same_name_get_a_suffix(project: Project, tmp_path: 
     assert names == ["seq", "seq-2", "seq-3"]
 
 
-def test_a_duplicate_key_is_refused(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
-    with pytest.raises(ProjectError, match="'a' occurs twice"):
-        project.recordings.add(tmp_path, "rgbd", "x", ["a", "b", "a"], True)
-    with pytest.raises(ProjectError, match="'b' occurs twice"):
-        project.recordings.rescan(recording.id, ["b", "b"])
-    assert len(project.frames.of()) == 5
-
-
 def test_a_rescan_reports_new_and_missing_frames(project: Project, recording: StoredRecording) -> None:
     project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
     rescan = project.recordings.rescan(recording.id, ["00", "0", "2", "1", "9"])
@@ -81,20 +72,6 @@ def test_a_rescan_reports_new_and_missing_frames(project: Project, recording: St
     again = project.recordings.rescan(recording.id, ["00", "0", "2", "1", "9", "3"])
     assert (again.added, again.missing) == ((), ("4",))
     assert _keys(project)[5] == ("3", 5)
-
-
-def test_errors_name_the_missing_recording_or_frame(project: Project, recording: StoredRecording) -> None:
-    with pytest.raises(ProjectError, match="no recording 'x'; it has: take"):
-        project.recordings.find("x")
-    for call in (
-        lambda: project.recordings.get(99),
-        lambda: project.recordings.rescan(99, ["a"]),
-        lambda: project.frames.get(99),
-        lambda: project.frames.find(recording.id, "99"),
-        lambda: project.frames.finalise(99, by_hand()),
-    ):
-        with pytest.raises(ProjectError, match="99"):
-            call()
 
 
 def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: StoredRecording) -> None:
@@ -149,8 +126,6 @@ def test_a_move_to_another_recording_is_refused(
         moved_to(project, recording, recording.path / "there", keys)
     assert (project.recordings.get(recording.id), project.frames.of()) == (recording, before)
 
-
-# --- recordings that are removed, and come back with their labels -----------------------------------------------------
 
 KEYS = [str(number) for number in range(5)]
 
@@ -224,18 +199,6 @@ def test_changes_while_a_recording_is_removed_give_the_state_of_a_rebuild(
     assert state_of(project) == before
 
 
-def test_labels_of_a_removed_recording_follow_a_changed_class(
-    project: Project, recording: StoredRecording, other: StoredRecording
-) -> None:
-    project.recordings.remove(recording.id, "ann")
-    project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "ann")
-    assert [entry.label.label for entry in project.labels.select()] == ["person"]
-    assert verify(project.path, deep=True).problems == ()
-    project.recordings.rescan(recording.id, KEYS)
-    assert [entry.label.label for entry in project.labels.select()] == ["palm", "palm", "person"]
-    assert verify(project.path, deep=True).problems == ()
-
-
 def test_changes_that_labels_of_a_removed_recording_do_not_fit_are_refused(
     project: Project, recording: StoredRecording, other: StoredRecording
 ) -> None:
@@ -258,19 +221,6 @@ def test_changes_that_labels_of_a_removed_recording_do_not_fit_are_refused(
     assert verify(project.path, deep=True).problems == ()
 
 
-def test_changes_of_a_removed_recording_are_undone_only_once_it_is_back(
-    project: Project, recording: StoredRecording, other: StoredRecording
-) -> None:
-    assert project.history.next("ann")[0] == "finalise frame 0"
-    project.recordings.remove(recording.id, "bea")
-    assert project.history.next("ann")[0] == "draw person (frame b)"
-    project.recordings.rescan(recording.id, KEYS)
-    assert project.history.undo("ann").words == "finalise frame 0"
-    project.recordings.remove(recording.id, "bea")
-    assert project.history.next("ann") == ("draw person (frame b)", None)
-    assert project.history.undo("ann").words == "draw person (frame b)"
-
-
 def test_a_removed_recording_that_has_moved_comes_back_at_its_new_place(
     project: Project, recording: StoredRecording, other: StoredRecording, tmp_path: Path
 ) -> None:
@@ -291,14 +241,3 @@ def test_a_removed_recording_gives_up_its_place_to_one_that_moves_there(
     project.recordings.remove(recording.id, "ann")
     assert moved_to(project, other, recording.path, ["a", "b"]).path == recording.path
     assert moved_to(project, recording, other.path, KEYS).path == other.path
-
-
-def test_a_project_that_is_saved_from_its_events_has_no_removed_labels(
-    project: Project, recording: StoredRecording, other: StoredRecording
-) -> None:
-    project.recordings.remove(recording.id, "ann")
-    (project.path / "project.json").unlink()
-    with open_project(repair(project.path).path) as saved:
-        assert [entry.label.label for entry in saved.labels.select()] == ["person"]
-        saved.recordings.rescan(recording.id, KEYS)
-        assert len(saved.labels.select()) == 3

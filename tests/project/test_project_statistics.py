@@ -16,8 +16,6 @@ from annotator.project.classes.attributes import Attribute, AttributeKind, Attri
 from annotator.project.progress.reviewed import ORIGINS, draft_id
 from annotator.types import Box2D, BoxKind, Source
 
-# --- the effort per box by origin, and the results of reviewing proposals ---------------------------------------------
-
 
 def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target: str | None = None) -> WriteContext:
     effort = None if actions is None else Effort(actions, seconds)

@@ -7,7 +7,6 @@ import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from itertools import count
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ from time_limit import time_limit
 from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
-from annotator.project.database import file
 from annotator.project.database.file import has_foreign_wal
 from annotator.types.errors import ProjectError, ReplacedError
 
@@ -187,9 +185,6 @@ def test_a_project_that_cannot_be_written_can_be_read(
             reading.labels.of_frame(frame)
 
 
-# --- A file project.db-wal that is left beside a database is used only if it belongs to it ----------------------------
-
-
 def write_and_be_killed(project: Path) -> None:
     """Adds three labels, and leaves the files as they are while the database is open: as after a kill."""
     left = project.parent / "left"
@@ -249,16 +244,6 @@ def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full:
         assert store.file.is_current()
         with store.write() as connection:
             connection.exec_driver_sql("DROP TABLE filler")
-
-
-@pytest.mark.parametrize(("wrong", "is_foreign"), [(3, False), (4, True)])
-def test_several_looks_must_find_a_foreign_wal(
-    full: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, is_foreign: bool
-) -> None:
-    write_and_be_killed(full)
-    true, looks = file._token, count()
-    monkeypatch.setattr(file, "_token", lambda *how: "f" * 32 if next(looks) < wrong else true(*how))
-    assert has_foreign_wal(full / "project.db") == is_foreign
 
 
 @pytest.mark.parametrize(

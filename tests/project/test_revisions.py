@@ -85,9 +85,6 @@ def test_every_event_has_author_time_and_source(project: Project, frame: int) ->
         WriteContext(1, "  ")
 
 
-# --- the number of SQL statements does not depend on the number of frames ---------------------------------------------
-
-
 @contextmanager
 def counted() -> Iterator[list[str]]:
     """Collects the SQL statements within the block."""

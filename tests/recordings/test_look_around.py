@@ -10,7 +10,7 @@ import pytest
 from cloud_samples import SCAN, camera_file
 from kitti_samples import OBJECT_CALIB
 from nuscenes_samples import small
-from small_recordings import kitti_object, kitti_raw, rgbd_folder
+from small_recordings import kitti_object, kitti_raw
 
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, open_recording
@@ -70,8 +70,6 @@ def test_the_first_camera_looks_where_a_virtual_camera_looks_today(tmp_path: Pat
     )
     with pytest.raises(ConfigError, match="has no virtual camera left; it has around-000, around-090"):
         around(tmp_path, look_around=4, camera="left")
-    with pytest.raises(ConfigError, match=r"cloud_folder, which takes .*not --camera"):
-        open_recording(tmp_path, ReaderOptions(camera="around-000"))
 
 
 @pytest.mark.parametrize("build", [kitti_object, kitti_raw])
@@ -112,14 +110,6 @@ def test_a_cloud_in_another_frame_is_turned_level(tmp_path: Path):
     put_scan(tmp_path / "kitti")
     (tmp_path / "kitti" / "calib.txt").write_text(OBJECT_CALIB)
     assert len(around(tmp_path / "kitti", look_around=8, camera="around-315").frame(0).cloud) == len(SCAN)
-
-
-def test_a_recording_without_a_lidar_takes_no_virtual_cameras(tmp_path: Path):
-    rgbd_folder(tmp_path)
-    with pytest.raises(
-        ConfigError, match="is read as rgbd_folder, without scans of a LiDAR, and takes no --look-around"
-    ):
-        open_recording(tmp_path, ReaderOptions(look_around=4))
 
 
 def test_labels_all_around_belong_to_the_cameras_that_see_them(tmp_path: Path):

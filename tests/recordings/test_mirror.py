@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recordings import write_tum
 
 from annotator.recordings import open_recording
 from annotator.recordings.mirror import open_mirror
@@ -62,15 +61,6 @@ def test_only_files_of_the_frame_and_shared_files_are_copied(tmp_path: Path) -> 
     assert np.array_equal(mirror.frame(1).cloud.xyz_m, plain.frame(1).cloud.xyz_m)
     copied = {path.name: path.stat().st_size for path in (tmp_path / "copy").rglob("*") if path.is_file()}
     assert copied["000007.bin"] == 0 and copied["all.txt"] == 10
-
-
-def test_images_with_a_partner_of_another_name_belong_to_one_frame(tmp_path: Path) -> None:
-    times, image = (range(0, 3000, 1000), range(10, 3000, 1000)), np.full((480, 640), 90, np.uint8)
-    folder = write_tum(tmp_path / "take", *times, lambda _: np.dstack([image] * 3), lambda _: image.astype(np.uint16))
-    mirror = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE)
-    assert np.array_equal(mirror.frame(2).cloud.xyz_m, open_recording(folder).frame(2).cloud.xyz_m)
-    copied = {path.name for path in (tmp_path / "copy").rglob("*.png") if path.stat().st_size}
-    assert copied == {"1305031104.000000.png", "1305031104.010000.png"}
 
 
 def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_path: Path) -> None:

@@ -53,14 +53,6 @@ def test_a_raw_sun_rgbd_folder_is_not_taken_for_an_rgbd_folder(shared: Path):
     assert detect_format(shared / "data" / "sunrgbd" / "raw") is None
 
 
-def test_a_file_and_a_missing_path_have_different_errors(tmp_path: Path):
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(UnknownFormatError, match="in this file"):
-        open_recording(tmp_path / "notes.txt")
-    with pytest.raises(UnknownFormatError, match="no such file or folder"):
-        open_recording(tmp_path / "nowhere")
-
-
 def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The system's errors are simulated, since root may read everything."""
     make(tmp_path, "take/color/", "take/depth/")

@@ -35,7 +35,6 @@ KNOWN_CASES = [
 def test_known_cases_are_errors(
     tmp_path: Path, build: Callable[[Path], None], name: str, change: Callable[[bytes], bytes], complaint: str
 ):
-    """Each of these was once accepted."""
     build(tmp_path)
     file = tmp_path / name
     assert change(file.read_bytes()) != file.read_bytes()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import small_recordings as made
 from scipy.spatial.transform import Rotation
-from small_recordings import START_S
+from small_recordings import START_S, replaced
 
 from annotator.recordings import open_recording
 from annotator.recordings.recording import ReaderOptions
@@ -69,15 +69,6 @@ def test_other_recordings_have_their_own_camera_and_no_known_gravity(tmp_path: P
     assert frame.depth_m.max() == depth(0).max() / np.float32(5000)
     (path / "camera_intrinsic.json").write_text(json.dumps(camera | {"depth_scale": 1000}))
     assert recording.frame(0).depth_m.max() == depth(0).max() / np.float32(1000)
-
-
-def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
-    def change(path: Path) -> None:
-        text = (path / name).read_text()
-        assert old in text
-        (path / name).write_text(text.replace(old, new, 1))
-
-    return change
 
 
 DAMAGES = [

@@ -62,14 +62,6 @@ def test_the_depth_agrees_with_the_plane_and_the_sphere():
     assert outline == pytest.approx(80 * 0.5 / np.sqrt(4 - 0.25), abs=1.0)
 
 
-def test_nearer_surfaces_and_walls_occlude_farther_ones():
-    near, far, hidden = ball((0, 0, 1.5), 0.2, 1), ball((0.1, 0, 2.2), 0.4, 2), ball((0, 0, 3.6), 0.3, 3)
-    rendering = stage().render([far, hidden, near])
-    assert rendering.track[35, 47] == 1
-    assert (rendering.track == 2).any()
-    assert not (rendering.track == 3).any()
-
-
 def test_an_actors_box_touches_its_surface_on_all_six_sides():
     axes = Rotation.from_euler("xyz", [0.3, -0.5, 1.1]).as_matrix()
     mesh = joined([ball((0.2, 0.1, 2.0), 0.3, power=4), ball((-0.3, 0.2, 2.4), 0.2)])

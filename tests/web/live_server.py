@@ -25,13 +25,7 @@ PATIENCE_S = 240.0
 
 @dataclass(eq=False)
 class Live:
-    """A running server.
-
-    Attributes:
-        url: `http://127.0.0.1:PORT`.
-        settings: the server's settings.
-        client: signed in as Ada, with the Origin of the server's own page.
-    """
+    """A running server at `http://127.0.0.1:PORT`; its client is signed in as Ada, from the server's own page."""
 
     url: str
     settings: ServerSettings

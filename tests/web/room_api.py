@@ -84,11 +84,7 @@ def rig_settings(folder: Path) -> ServerSettings:
 
 
 def label_object(project: Project, frame_id: int, right_m: float) -> str:
-    """Labels the object in a level camera's frame; returns the label's uid.
-
-    Args:
-        right_m: how far it is to the camera's right: -10 for the camera that looks ahead, 10 for the one to its left.
-    """
+    """Labels the object this far to a level camera's right: -10 m for the one ahead, 10 m for the one to its left."""
     box = OrientedBox.from_parts(np.array([right_m, 0.0, 10.0]), np.eye(3), np.array([2.0, 2.0, 2.0]))
     context = WriteContext(project.frames.get(frame_id).revision, "maria", Source.MANUAL)
     return project.labels.create(frame_id, [NewLabel("car", box, track_id=3)], context).uids[0]

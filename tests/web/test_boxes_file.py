@@ -169,19 +169,6 @@ def wait_for(live: Live, job: dict[str, Any], stage: str) -> None:
         time.sleep(0.05)
 
 
-def test_3d_boxes_are_proposed_from_the_file(
-    live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    project = live.context.project("room")
-    sent = send(live, "boxes.json", json.dumps(coco(generated)).encode())
-    perfect = ReadyDetector(knowing("people").view, BoxKind.BOX, Lock())
-    monkeypatch.setattr(work, "require_view", lambda _: perfect)
-    done = run(project, tmp_path, upload=sent["id"], names={"Person": "person"}, lift=True)
-    assert done.result["proposals"] == sent["boxes"]["Person"] and done.result["failures"] == 0
-    assert done.message.endswith("proposals in 2 frames, measured by: this project's view detector")
-    assert len(project.labels.select()) == sent["boxes"]["Person"]
-
-
 def test_3d_boxes_are_proposed_from_2d_boxes_of_the_project(
     live: Live, generated: Path, tmp_path: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -218,16 +205,7 @@ def read(project: Project, name: str, content: bytes) -> Preview:
             },
             {"dog": 1, "person": 1},
         ),
-        ({"a/mine.csv": "image,class,cx,cy,cz,l,w,h,yaw,score\nKEY,person,0,3,0,1,1,1,0,0.25\n"}, {"person": 1}),
         ({"KEY.json": PSR}, {"person": 1}),
-        # an export whose class names have spaces lists them in a file of this name, as YOLO does
-        (
-            {
-                "set/classes.txt": "tall_person tall person\n",
-                "set/training/label_2/KEY.txt": "person 0 0 0.1 10 10 50 50 1.8 0.5 0.5 0 1 3 0.1\n",
-            },
-            {"person": 1},
-        ),
         # of macOS, with labels beside the images
         (
             {
@@ -240,7 +218,7 @@ def read(project: Project, name: str, content: bytes) -> Preview:
             {"person": 1},
         ),
     ],
-    ids=["yolo", "csv", "one frame", "kitti", "macos"],
+    ids=["yolo", "one frame", "macos"],
 )
 def test_packed_folders(room: Project, files: dict[str, str], boxes: dict[str, int]) -> None:
     key = room.frames.of()[0].key

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,23 +25,6 @@ from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetec
 
 if TYPE_CHECKING:
     from live_server import Live
-
-
-def test_boxes_are_copied_and_interpolated(live: Live) -> None:
-    created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
-    uids = {frame: change(live.client, 0, created, frame=frame).json()["labels"][0]["uid"] for frame in (1, 4)}
-    for tool, frame in (("copy-next", 1), ("interpolate", 4)):
-        stale = live.client.post(f"{ROOM}/frames/{frame}/{tool}", json={"revision": 0, "uid": uids[frame]})
-        assert (stale.status_code, stale.json()["state"]["frame"]["revision"]) == (409, 1)
-    body = {"revision": 1, "uid": uids[1], "effort": {"actions": 1, "seconds": 2.0}}
-    done = live.client.post(f"{ROOM}/frames/1/copy-next", json=body).json()
-    assert done == {"frame": 2, "uid": state(live.client, 2)["labels"][0]["uid"]}
-    filled = live.client.post(f"{ROOM}/frames/4/interpolate", json={"revision": 1, "uid": uids[4]}).json()
-    assert (filled["filled"], filled["state"]["frame"]["id"]) == (2, 4)
-    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/5").json()["boxes"]
-    states = ["accepted", "proposed", "proposed", "accepted"]
-    assert [(box["frame"], box["state"]) for box in boxes] == list(zip((1, 2, 3, 4), states, strict=True))
-    assert live.client.get(f"{ROOM}/recordings/9/tracks/5").status_code == 404
 
 
 def accept_truth(project: Project, generated: Path, frame: int = 1, objects: int = 1) -> list[str]:
@@ -128,42 +109,6 @@ def test_what_cannot_be_followed_is_refused(
     monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: readiness)
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid})
     assert refused.json()["error"]["message"] == "the view detector cannot be used: the weights are damaged"
-
-
-def in_track(live: Live, project: Project) -> list[str]:
-    """One proposal of track 7 in each of three frames; returns their uids."""
-    uids = [propose(project, frame, 0.1)[0] for frame in (1, 2, 3)]
-    for frame, uid in enumerate(uids, 1):
-        track = {"kind": "track", "uid": uid, "track_id": 7}
-        change(live.client, state(live.client, frame)["frame"]["revision"], track, frame=frame)
-    return uids
-
-
-def test_a_sheet_shows_pictures_and_accepts_in_one_step(live: Live, project: Project) -> None:
-    uids = in_track(live, project)
-    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/7").json()["boxes"]
-    tiles = [json.loads(line) for line in live.client.get(f"{ROOM}/recordings/1/tracks/7/sheet").text.splitlines()]
-    assert [tile["uid"] for tile in tiles] == uids
-    assert all(base64.b64decode(tile["png"]).startswith(b"\x89PNG") for tile in tiles)
-    assert live.client.get(f"{ROOM}/recordings/9/tracks/7/sheet").status_code == 404
-    seen = [{key: box[key] for key in ("frame", "revision", "uid")} for box in boxes[:2]]
-    body = {"boxes": seen, "effort": {"actions": 2, "seconds": 3.0}}
-    assert live.client.post(f"{ROOM}/sheet/accept", json=body).json() == {"accepted": 2}
-    assert "open the sheet again" in live.client.post(f"{ROOM}/sheet/accept", json=body).text
-
-
-def test_later_proposals_are_corrected_alike(live: Live, project: Project) -> None:
-    uids = in_track(live, project)
-    shown = state(live.client)
-    revision, was = shown["frame"]["revision"], shown["labels"][0]["box"]
-    body = {"revision": revision, "uid": uids[0], "was": was}
-    assert "reviewed" in live.client.post(f"{ROOM}/frames/1/carry", json=body).text
-    center = [was["center"][0] + 0.25, *was["center"][1:]]
-    edit = {"kind": "edit", "uid": uids[0], "label": "person", "box": {**was, "center": center}, "track_id": 7}
-    change(live.client, revision, edit)
-    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).status_code == 409
-    body["revision"] = revision + 1
-    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).json() == {"changed": 2}
 
 
 POSE = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"], "key": "o"}
@@ -308,20 +253,6 @@ def test_a_correction_of_an_outdated_one_is_refused(live: Live) -> None:
     assert correct(live.client, NONE, adjusted=seen).status_code == 409
     body = {"up": [0.0, -1.0, 0.0], "frame": 1, "adjusted": seen}
     assert live.client.post(f"{RECORDING}/up", json=body).status_code == 409
-
-
-def test_up_is_estimated_set_and_cleared(live: Live) -> None:
-    known = state(live.client)["up"]
-    found = live.client.post(f"{RECORDING}/estimate-up", json={}).json()
-    assert np.degrees(np.arccos(np.dot(found["up"], known))) < 2
-    assert found["certainty"] > 0.6
-    assert live.client.post(f"{ROOM}/recordings/99/estimate-up", json={}).status_code == 404
-    body = {"up": [0.1, -0.99, 0.0], "frame": 1, "adjusted": shown(live.client)["adjusted"]}
-    answer = live.client.post(f"{RECORDING}/up", json=body).json()
-    assert answer["up_source"] == "project"
-    assert state(live.client, 2)["up"] == pytest.approx(answer["up"])
-    cleared = live.client.post(f"{RECORDING}/up", json={**body, "up": None, "adjusted": answer["adjusted"]}).json()
-    assert (cleared["up_source"], cleared["up"]) == ("files", known)
 
 
 def test_wrong_corrections_are_refused(live: Live) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+import viser
 from live_server import wait_until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -22,12 +23,12 @@ from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Frame, LostObject, OrientedBox, Proposal, Quality
-from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections, live_app, sigterm_as_interrupt, table
+from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections, live_app, sigterm_as_interrupt
 from annotator.web.security import ServerSettings
 from annotator.web.serve import Running
 from annotator.workflows.live.detection import Detected, Taken
 from annotator.workflows.live.open_source import Playback, Repeat
-from annotator.workflows.live.pipeline import Drops, Meter, Pipeline
+from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.recorded.reading import load_truth
 
 
@@ -89,7 +90,9 @@ def test_only_pages_of_this_server_may_connect(generated: Path, tmp_path: Path) 
                 connect(socket, origin=None if origin is None else Origin(origin)).close()
         with pytest.raises(InvalidStatus):  # bypassing the guard
             connect(f"ws://127.0.0.1:{page.port}", origin=Origin(url)).close()
-        with connect(socket, origin=Origin(url), subprotocols=[viser_protocol()], max_size=None) as browser:
+        with connect(
+            socket, origin=Origin(url), subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None
+        ) as browser:
             received = b"".join(part for part in (browser.recv(20) for _ in range(3)) if isinstance(part, bytes))
             assert received
 
@@ -103,12 +106,6 @@ def test_on_other_addresses_the_live_page_needs_the_token(generated: Path, tmp_p
             connect(url.replace("http", "ws"), origin=Origin(url)).close()
         assert browser.get(url, params={"token": settings.token or ""}).status_code == 200
         assert "<html" in browser.get(url).text
-
-
-def viser_protocol() -> Subprotocol:
-    import viser
-
-    return Subprotocol(f"viser-v{viser.__version__}")
 
 
 def test_the_page_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
@@ -138,7 +135,7 @@ def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.array([0.2, 0.2, 0.2]))
     answer = detections(frame, box)
     lost = LostObject("hand", Box2D("hand", 200.0, 100.0, 300.0, 200.0), ())
-    drawn = draw_detections(frame, replace_lost(answer, lost))
+    drawn = draw_detections(frame, FrameProposals(answer.key, answer.proposals, (lost,)))
     assert drawn.shape == frame.rgb.shape
     changed = (drawn != frame.rgb).any(axis=2)
     for corner in project(frame.camera, box_corners(box)):
@@ -150,20 +147,6 @@ def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
     small = draw_detections(frame, answer, width_px=160)
     assert small.shape == (120, 160, 3)
     assert np.abs(small[52, 20].astype(int) - BOX_COLOR).max() < 80
-
-
-def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
-    return FrameProposals(answer.key, answer.proposals, (lost,))
-
-
-def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None:
-    detected, meter = Detected(frame, detections(frame), 0.0, {}), Meter()
-    assert "| frames/s | - |" in table(detected, meter.figures(Drops()), {})
-    meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
-    meter.broken = 2
-    after = table(detected, meter.figures(Drops(detect=7)), {"backend": "torch"})
-    for row in ("read 12 · views 30", "| dropped | detect 7 |", "| unreadable | 2 |", "| backend | torch |"):
-        assert row in after
 
 
 def test_sigterm_interrupts_once_and_not_after_the_end_of_a_session() -> None:

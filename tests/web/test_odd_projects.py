@@ -19,14 +19,14 @@ from fastapi import FastAPI
 from in_process import HERE, ask
 from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM
-from store_samples import replace_folder
+from store_samples import damage, replace_folder
 
 from annotator.files import unfinished_folder
 from annotator.project import create_project
 from annotator.project.labels import Labels
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.app import Fair, create_app
-from annotator.web.background import Learner, Watch
+from annotator.web.background import Learner
 from annotator.web.folders import clear_leftovers, hold_server_lock
 from annotator.web.routes import projects
 from annotator.web.schemas import Box3DJson
@@ -100,45 +100,14 @@ def test_a_project_without_its_database_says_what_to_do(app: FastAPI, web_settin
     assert draw(app, 1).status_code == 404
 
 
-def test_the_watch_opens_a_replaced_project_anew_and_logs_a_problem_once(
-    app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    context: Context = app.state.context
-    monkeypatch.setattr(type(context.hub), "projects", lambda _: {"room": 0})
-    watch = Watch(context, Learner(context.jobs))
-    old = context.project("room")
-    shutil.copytree(old.path, old.path.with_name("backup"))
-    shutil.rmtree(old.path)
-    old.path.with_name("backup").rename(old.path)
-    watch.poll()
-    assert context.project("room") is not old
-    (old.path / "project.json").write_text("{")
-    for _ in range(5):
-        watch.poll()
-    assert caplog.text.count("it cannot be watched") == 1
-
-
-def _run(*statements: str) -> Callable[[Path], None]:
-    def run(folder: Path) -> None:
-        with closing(sqlite3.connect(folder / "project.db", isolation_level=None)) as connection:
-            for statement in statements:
-                connection.execute(statement)
-
-    return run
-
-
-def _as_a_table(folder: Path) -> None:
-    _run("DROP TABLE labels", "CREATE VIEW labels AS SELECT 1")(folder)
-
-
 NONSENSE = (
     "INSERT INTO labels (uid, frame_id, moment_id, class_id, box, source, state, author, time_ns, track_linked, "
     "box_kind, attributes, values_set) VALUES ('u', 1, 1, 1, '{', 'manual', 'bogus', 'Ada', 0, 0, 'box', '{}', 0)"
 )
 ODD: dict[str, Callable[[Path], object]] = {
-    "dropped": _run("DROP TABLE labels"),
-    "a-view": _as_a_table,
-    "too-new": _run("PRAGMA user_version = 1000"),
+    "dropped": damage("DROP TABLE labels"),
+    "a-view": damage("DROP TABLE labels;;CREATE VIEW labels AS SELECT 1"),
+    "too-new": damage("PRAGMA user_version = 1000"),
     "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
     "empty": lambda folder: (folder / "project.db").write_bytes(b""),
     "a-link": lambda folder: (folder / "models" / "view").symlink_to("/"),
@@ -177,7 +146,7 @@ def test_odd_projects_are_cards_that_say_what_to_do(
         create_project(web_settings.projects_root, name, ["person"]).close()
         harm(web_settings.projects_root / name)
     create_project(web_settings.projects_root, "nonsense", ["person"]).close()
-    _run("PRAGMA ignore_check_constraints = 1", NONSENSE)(web_settings.projects_root / "nonsense")
+    damage(f"PRAGMA ignore_check_constraints = 1;;{NONSENSE}")(web_settings.projects_root / "nonsense")
     not_text = web_settings.projects_root / os.fsdecode(b"not-\xff-text")
     shutil.copytree(web_settings.projects_root / "room", not_text)
     answer = send(app, "GET", "/api/projects")

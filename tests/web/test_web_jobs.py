@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,6 @@ from annotator.web.jobs.records import (
     FILE,
     WORK,
     JobState,
-    TrainRequest,
     read_journal,
 )
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, JobRunner
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-WaitFor = Callable[[Callable[[], Any]], None]
 JOBS = "/api/projects/room/jobs"
 ENDS = ("done", "failed", "cancelled")
 
@@ -356,27 +354,6 @@ def test_boxes_from_before_the_newest_detector_are_learned_already(
         )
         Learner(jobs).look("room", project)
         assert jobs.is_idle() is not waits
-
-
-def test_a_training_that_somebody_started_has_learned_too(
-    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reviewed = [5]
-    monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
-    project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
-    learner = Learner(jobs)
-    learner.look("room", project)
-    jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
-    reviewed[0] = 20
-    learner.look("room", project)
-    assert len(jobs.all()) == 1
-    end_all(jobs)
-    trained = Decision(objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=20)
-    monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
-    monkeypatch.setattr(background, "decision_of", lambda model: trained)
-    for reviewed[0], rounds in ((20, 0), (29, 0), (30, 1)):
-        learner.look("room", project)
-        assert sum(job.background for job in jobs.all()) == rounds
 
 
 def test_a_job_in_the_background_stops_for_another_job_and_begins_again(learning: Live) -> None:

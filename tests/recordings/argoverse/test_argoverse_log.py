@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from argoverse_samples import DELAYS_US, PERIOD_US, put, write_log
 from nuscenes_samples import HEIGHT, START_US, WIDTH, K, ego_pose, mount, scan_points
-from PIL import Image
 from pyarrow import feather
 
 from annotator.feather import read_feather
@@ -91,24 +90,6 @@ def test_cameras_and_sweeps_without_images(tmp_path: Path):
         match=r"lidar: the file 9223372036854775808: the time \d+ ns is beyond the year 2262",
     ):
         opened(tmp_path)
-
-
-@pytest.mark.parametrize("orientation", [3, 6])
-def test_an_image_with_an_exif_orientation_is_as_its_calibration_says(tmp_path: Path, orientation: int):
-    write_log(tmp_path)
-    before = opened(tmp_path)
-    plain = before.frame(0)
-    with_tag = Image.Exif()
-    with_tag[0x0112] = orientation
-    (image,) = before.files(0)[1:]
-    Image.fromarray(plain.rgb).save(image, exif=with_tag)
-    if orientation == 3:
-        with pytest.raises(FrameError, match="its calibration may be for the image as stored or as shown"):
-            before.frame(0)
-        return
-    frame = before.frame(0)
-    assert (frame.exif_orientation, plain.exif_orientation) == (orientation, 1)
-    np.testing.assert_array_equal(frame.rgb, plain.rgb)
 
 
 def test_a_calibration_without_a_size_is_read(tmp_path: Path):

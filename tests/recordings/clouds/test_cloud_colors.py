@@ -10,7 +10,7 @@ import pytest
 from cloud_samples import npy, pcd, ply, ros_cloud
 
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
+from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.ros.messages import cloud_of as read_message
 from annotator.types.errors import FrameError
 
@@ -125,19 +125,6 @@ def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: st
     body = rows.tobytes() if form == "pcd binary" else lines([f"{r} {g} {b} 0" for r, g, b in RGB.tolist()])
     (tmp_path / "a.pcd").write_bytes(head.encode() + body)
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
-
-
-def test_a_dark_scan_has_the_scale_of_the_others():
-    """16 bits, of which the dark scan uses eight."""
-    scans = [of_depth(16), np.full((N, 3), 200.0)]
-
-    def cloud(number: int) -> RawCloud:
-        columns = dict(zip(("x", "y", "z", *NAMES), [*XYZ.T, *scans[number].astype(np.uint16).T], strict=True))
-        return from_columns(columns)
-
-    assert cloud(1).rgb is not None and (cloud(1).rgb == 200).all()
-    scaled = CommonScale().apply("place", cloud(1), lambda: (0, 1), cloud)
-    assert scaled.rgb is not None and (scaled.rgb == 1).all()
 
 
 def test_reflectances_that_are_all_saturated_are_none():

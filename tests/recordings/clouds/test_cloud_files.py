@@ -14,11 +14,8 @@ import numpy as np
 import pytest
 from bag_writer import structured
 from cloud_samples import lzf, npy, npz, pcd, ply
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from annotator.recordings.clouds.cloud_file import parse_las, read_cloud
-from annotator.recordings.clouds.pcd_ply import lzf_decompress
 from annotator.types.errors import FrameError
 
 XYZ = np.random.default_rng(0).normal(0, 20, (500, 3)).astype(np.float32)
@@ -46,17 +43,6 @@ def test_files_written_by_open3d_are_read(tmp_path: Path, name: str, options: di
 def vertices(order: str = "<") -> np.ndarray:
     """Points as doubles, with intensities."""
     return structured(dict(zip("xyz", XYZ.T.astype(float), strict=True)) | {"Intensity": SHARES}, order)
-
-
-@pytest.mark.parametrize("order", ["binary_big_endian", "binary_little_endian"])
-def test_ply_of_either_byte_order_and_with_other_elements_is_read(tmp_path: Path, order: str):
-    path = tmp_path / "a.PLY"
-    before, after = "element sensor 2\nproperty int8 id\n", "element face 1\nproperty list uchar int vertex_indices\n"
-    content = ply(vertices(">" if "big" in order else "<"), order, before, after)
-    path.write_bytes(content.replace(b"end_header\n", b"end_header\n\0\0") + b"\x03" + bytes(12))
-    read = read_cloud(path)
-    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
-    np.testing.assert_allclose(read.reflectance, SHARE, atol=1e-5)
 
 
 def test_text_ply_with_byte_colours_and_another_element_is_read(tmp_path: Path):
@@ -164,24 +150,6 @@ def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path)
         read_cloud(tmp_path / "a.npz")
 
 
-@settings(deadline=None)
-@given(st.lists(st.one_of(st.binary(min_size=1, max_size=32), st.tuples(st.integers(1, 400), st.integers(3, 264)))))
-def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
-    plain, packed = bytearray(), bytearray()
-    for step in steps:
-        if isinstance(step, bytes):
-            plain += step
-            packed += bytes([len(step) - 1]) + step
-        elif step[0] <= len(plain):
-            distance, length = step
-            for _ in range(length):
-                plain.append(plain[-distance])
-            high, low = divmod(distance - 1, 256)
-            short = length - 2
-            packed += bytes([short << 5 | high, low] if short < 7 else [7 << 5 | high, short - 7, low])
-    assert lzf_decompress(bytes(packed), len(plain)) == bytes(plain)
-
-
 def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     np.savez_compressed(tmp_path / "a.npz", points=np.ones((100_000, 3)))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
@@ -190,8 +158,6 @@ def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, m
     with pytest.raises(FrameError, match=r"too large: 100000 points take about 15 MiB .* limit is 10 MiB"):
         read_cloud(tmp_path / "a.npz")
 
-
-# LAS and LAZ.
 
 LAS_COUNT = 300
 RANDOM = np.random.default_rng(0)

@@ -12,6 +12,7 @@ import av
 import numpy as np
 import phone_samples as made
 import pytest
+from small_recordings import replaced
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -213,15 +214,6 @@ def test_times_of_record3d_that_are_0_are_unknown(tmp_path: Path, seconds: list[
     recording = open_recording(made.write_record3d(tmp_path / "take", made.frames(3), frameTimestamps=seconds))
     by_rate = [0, 16_666_667, THIRD]
     assert [recording.frame(i).timestamp_ns for i in range(3)] == (by_rate if known is None else known)
-
-
-def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
-    def change(path: Path) -> None:
-        text = (path / name).read_text()
-        assert old in text
-        (path / name).write_text(text.replace(old, new, 1))
-
-    return change
 
 
 STRAY_DAMAGES = [

@@ -32,22 +32,13 @@ from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
+from benchmarks.served import ARGS, VIEWPORT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 SCREENSHOTS = Path(__file__).resolve().parents[3] / "out" / "screenshots"
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM_ARGS = (
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    # as in a browser without a graphics card: only WebGL uses the software GL, not the page itself
-    "--disable-gpu-compositing",
-    "--disable-background-networking",
-)
-VIEWPORT = {"width": 1366, "height": 768}
 # Long, since the 3D view is rendered in software, possibly on a busy machine.
 TIMEOUT_MS = 120_000.0
 # For tests without the 3D view, which spend most of their time in software WebGL otherwise.
@@ -85,7 +76,7 @@ def _running_browser() -> Iterator[tuple[Browser, asyncio.AbstractEventLoop]]:
         pytest.skip(f"none of {', '.join(CHROMIUM_NAMES)} on the path; install chromium, or set ANNOTATOR_CHROMIUM")
     playwright.expect.set_options(timeout=TIMEOUT_MS)
     driver = playwright.sync_playwright().start()
-    browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
+    browser = driver.chromium.launch(executable_path=chromium, args=[*ARGS, "--disable-background-networking"])
     loop = asyncio.get_running_loop()
     asyncio._set_running_loop(None)
     yield browser, loop

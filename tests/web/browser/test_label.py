@@ -13,7 +13,7 @@ from browser_page import EDGES, FRAME, Bench, answers_drag, drag_box, draw_on_vi
 from annotator.detection import pretrained
 from annotator.geometry.iou import iou_3d
 from annotator.project.classes import edit
-from annotator.types import BoxKind, DetectorKind, ReviewState, Suggestion
+from annotator.types import BoxKind, ReviewState, Suggestion
 
 if TYPE_CHECKING:
     from playwright.sync_api import Request
@@ -362,20 +362,3 @@ def test_detected_image_boxes_are_accepted(
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
     bench.saved()
     assert len(bench.labels) == 1
-
-
-def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench) -> None:
-    weights = bench.project.models_folder / "broken" / "best.pt"
-    weights.parent.mkdir()
-    weights.write_bytes(b"no weights")
-    bench.project.models.register(
-        DetectorKind.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="broken"
-    )
-    bench.draw_on_image(0)
-    told = bench.page.get_by_test_id("toast-warn").filter(has_text="the view detector cannot be loaded")
-    expect(told).to_have_count(1)
-    told.get_by_role("button").click()
-    views = bench.draw_on_image(1)["steps"][0]["views"]
-    bench.wait_for_view(1, views[1])
-    bench.saved()
-    expect(told).to_have_count(0)

@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 from urllib.parse import urljoin
 from zipfile import ZipFile
 
@@ -24,9 +23,6 @@ import pytest
 from live_server import PATIENCE_S
 
 from annotator import __version__
-
-if TYPE_CHECKING:
-    pass
 
 pytestmark = [
     pytest.mark.slow,
