@@ -42,6 +42,7 @@ from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
 
@@ -49,7 +50,7 @@ CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
 
 
-class Dimensions(reading.FileRecord):
+class Dimensions(FileRecord):
     """Full sizes along the box's own x, y, z; metres."""
 
     length: reading.BoundedPositive
@@ -57,7 +58,7 @@ class Dimensions(reading.FileRecord):
     height: reading.BoundedPositive
 
 
-class BoxObject(reading.FileRecord):
+class BoxObject(FileRecord):
     """A labelled box: centre, sizes and angles, or its corners."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -73,7 +74,7 @@ class BoxObject(reading.FileRecord):
         return self
 
 
-class LabelFile(reading.FileRecord):
+class LabelFile(FileRecord):
     """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
 
     folder: str = ""
@@ -82,7 +83,7 @@ class LabelFile(reading.FileRecord):
     objects: tuple[BoxObject, ...]
 
 
-class ClassesFile(reading.FileRecord):
+class ClassesFile(FileRecord):
     """The box form of all label files; the classes of a file are not read."""
 
     format: str = CENTROID_REL

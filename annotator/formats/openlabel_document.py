@@ -26,9 +26,10 @@ import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact, FileRecord
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact
 from annotator.formats.units import rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
+from annotator.types.bases import FileRecord
 from annotator.types.label import AttributeValue, Said
 from annotator.types.messages import first_problem
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
@@ -55,13 +55,14 @@ from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView, ReviewState
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 
 SIDECAR = "views.json"
 
 
-class ViewPlace(BaseModel):
+class ViewPlace(Strict):
     """The origin of a pseudo-view image.
 
     Attributes:
@@ -71,8 +72,6 @@ class ViewPlace(BaseModel):
         geometry: the view's position and axes in space; None if unknown.
         labelled: True if it was reviewed: without boxes it then shows no object.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_name: str
     recording: str | None
