@@ -24,14 +24,7 @@ from annotator.types import Detector
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.web.live import LivePage
-from annotator.workflows.detectors import (
-    Detectors,
-    UsedModel,
-    active_detectors,
-    image_model,
-    load_detector,
-    view_model,
-)
+from annotator.workflows.detectors import Detectors, UsedModel, active_detectors, image_model, load_detector, view_model
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Figures, Pipeline

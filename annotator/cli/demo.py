@@ -15,15 +15,7 @@ from rich.progress import TaskID
 
 from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
-from annotator.demo import (
-    PROJECT,
-    FirstDragResult,
-    Plan,
-    Progress,
-    TrainedResult,
-    run_first_drag,
-    run_trained,
-)
+from annotator.demo import PROJECT, FirstDragResult, Plan, Progress, TrainedResult, run_first_drag, run_trained
 from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError

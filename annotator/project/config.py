@@ -13,15 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    Field,
-    JsonValue,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationError, model_serializer, model_validator
 from sqlalchemy import Connection, select
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic

@@ -15,14 +15,7 @@ import numpy as np
 
 from annotator.files import new_folder
 from annotator.formats.attributes import NO_VALUES, Values
-from annotator.formats.dataset_writing import (
-    DatasetItem,
-    FileNames,
-    count_lost,
-    encoded_image,
-    write_frames,
-    writing,
-)
+from annotator.formats.dataset_writing import DatasetItem, FileNames, count_lost, encoded_image, write_frames, writing
 from annotator.formats.frame_names import FrameOrigin, PictureLabels
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat

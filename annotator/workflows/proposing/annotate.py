@@ -26,13 +26,7 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
-from annotator.workflows.proposing.tasks import (
-    FrameAnswer,
-    FrameSpec,
-    GivenDetectors,
-    Task,
-    pickle_exactly,
-)
+from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 

@@ -16,14 +16,7 @@ from annotator.types.messages import amount
 from annotator.workflows.detectors import TrainedDetectors
 from annotator.workflows.proposing.engines import cuda_devices, environment, make_runner
 from annotator.workflows.proposing.pool import TASKS_PER_WORKER, Died, Fault, Report, WorkerPool, fault_of
-from annotator.workflows.proposing.tasks import (
-    Answer,
-    DetectorSource,
-    Identity,
-    PackedDetectors,
-    Storage,
-    Task,
-)
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, PackedDetectors, Storage, Task
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.
