@@ -148,15 +148,12 @@ def annotate(
     config: RcvConfig,
     *,
     recordings: Sequence[int] | None = None,
-    rotation: BoxRotation | None = None,
     limit: int | None = None,
     progress: Progress | None = None,
 ) -> AnnotateSummary:
     """Runs `annotate_with` in this process."""
     engine = InlineEngine(GivenDetectors(detectors))
-    return annotate_with(
-        project, engine, config, recordings=recordings, rotation=rotation, limit=limit, progress=progress
-    )
+    return annotate_with(project, engine, config, recordings=recordings, limit=limit, progress=progress)
 
 
 def annotate_with(

@@ -151,18 +151,13 @@ class Storage:
     def open(self, recording: StoredRecording, project: str) -> OpenedRecording:
         """Opens a recording at the workers' path or URL."""
         place = self.place(recording.path)
-        if not is_url(place):
+        if "://" not in place:
             return open_stored(replace(recording, path=Path(place)), project)
         from annotator.recordings.mirror import open_mirror
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
         mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
         return OpenedRecording(mirror, recording.up, recording.correction)
-
-
-def is_url(place: str) -> bool:
-    """Returns True for a URL, False for a path."""
-    return "://" in place
 
 
 def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:
