@@ -1,6 +1,6 @@
 """The table of label formats. A new format is a module and a row here.
 
-The rows drive `annotator export` and its help, the page, the table of docs/formats.md (which its test makes), the tests of
+The rows drive `annotator export` and its help, the page, the table of docs/formats.md (its test makes it), the tests of
 round trips, and what imports and checks recognise (`recognising`). The readers of a format are functions of its module,
 which return `LabelledFrame`s or `PictureLabels`; `annotator.workflows.importing` places these on a project's frames.
 """

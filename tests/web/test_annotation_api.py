@@ -179,9 +179,9 @@ def test_review_tools_render_fit_and_copy(
 ) -> None:
     monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path / "none")
     found = live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 128}).json()
-    assert [view["name"] for view in found["views"]] == ["top", "front", "side"]
-    assert all((view["width"], view["height"]) == (128, 128) for view in found["views"])
-    assert live.client.get(found["views"][0]["url"]).status_code == 200
+    assert [view["name"] for view in found] == ["top", "front", "side"]
+    assert all((view["width"], view["height"]) == (128, 128) for view in found)
+    assert live.client.get(found[0]["url"]).status_code == 200
     assert live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 10_000}).status_code == 422
     fitted = live.client.post(f"{ROOM}/frames/1/refit", json={"box": BOX, "label": "person"}).json()
     assert fitted["quality"] is None and "no pseudo-view detector yet" in fitted["note"]

@@ -296,10 +296,10 @@ def done_export(live: Live) -> Job:
 def test_a_recording_is_removed_and_comes_back_with_its_labels(live: Live) -> None:
     label_one(live)
     before, place = state(live.client), f"{ROOM}/recordings/1"
-    (listed,) = live.client.delete(place).json()["recordings"]
+    (listed,) = live.client.delete(place).json()
     assert (listed["name"], listed["labels"], listed["removed_by"]) == ("people", 1, "Ada")
     assert live.client.get(f"{ROOM}/frames/1").status_code == live.client.delete(place).status_code == 404
-    (back,) = live.client.post(f"{place}/restore").json()["recordings"]
+    (back,) = live.client.post(f"{place}/restore").json()
     assert (back["labels"], back["removed_by"]) == (1, None)
     assert state(live.client) == before
     assert live.client.post(f"{ROOM}/recordings/9/restore").status_code == 404

@@ -40,7 +40,7 @@ def test_boxes_are_copied_and_interpolated(live: Live) -> None:
     assert done == {"frame": 2, "uid": state(live.client, 2)["labels"][0]["uid"]}
     filled = live.client.post(f"{ROOM}/frames/4/interpolate", json={"revision": 1, "uid": uids[4]}).json()
     assert (filled["filled"], filled["state"]["frame"]["id"]) == (2, 4)
-    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/5").json()["boxes"]
+    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/5").json()
     states = ["accepted", "proposed", "proposed", "accepted"]
     assert [(box["frame"], box["state"]) for box in boxes] == list(zip((1, 2, 3, 4), states, strict=True))
     assert live.client.get(f"{ROOM}/recordings/9/tracks/5").status_code == 404
@@ -141,7 +141,7 @@ def in_track(live: Live, project: Project) -> list[str]:
 
 def test_a_sheet_shows_pictures_and_accepts_in_one_step(live: Live, project: Project) -> None:
     uids = in_track(live, project)
-    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/7").json()["boxes"]
+    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/7").json()
     tiles = [json.loads(line) for line in live.client.get(f"{ROOM}/recordings/1/tracks/7/sheet").text.splitlines()]
     assert [tile["uid"] for tile in tiles] == uids
     assert all(base64.b64decode(tile["png"]).startswith(b"\x89PNG") for tile in tiles)

@@ -49,12 +49,6 @@ class FormatInfo(BaseModel):
     flat: bool
 
 
-class FormatList(BaseModel):
-    """All export formats, annotator's own first."""
-
-    formats: list[FormatInfo]
-
-
 @router.post("/api/projects/{name}/jobs", status_code=201)
 def begin(at: AtProject, body: Annotated[JobRequest, Body()]) -> Job:
     """Start a job (train, propose, lift, export, import or copy); it waits for earlier ones of its lane."""
@@ -84,14 +78,12 @@ def download(id: JobId, ctx: Ctx, operator: Operator) -> FileResponse:
 
 
 @router.get("/api/export-formats")
-def formats(operator: Operator) -> FormatList:
-    """The formats that labels can be exported to."""
-    return FormatList(
-        formats=[
-            FormatInfo(name=name, summary=writer.summary, states=list(writer.states), flat=writer.flat)
-            for name, writer in WRITERS.items()
-        ]
-    )
+def formats(operator: Operator) -> list[FormatInfo]:
+    """The formats that labels can be exported to, annotator's own first."""
+    return [
+        FormatInfo(name=name, summary=writer.summary, states=list(writer.states), flat=writer.flat)
+        for name, writer in WRITERS.items()
+    ]
 
 
 UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
