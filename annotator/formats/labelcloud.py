@@ -34,12 +34,13 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, write_ply
 from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
 from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord

@@ -19,17 +19,11 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import (
-    JPEG_QUALITY,
-    DatasetItem,
-    DatasetWriter,
-    Detector,
-    encoded_image,
-    write_ply,
-)
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, write_ply
 from annotator.formats.frame_names import LabelledFrame, in_world
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
+from annotator.image_bytes import JPEG_QUALITY, encoded_image
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.bases import Strict

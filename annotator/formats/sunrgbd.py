@@ -47,7 +47,7 @@ from jaxtyping import Float32, Float64
 from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
 from annotator.formats.reading import MAX_BYTES, finite_number, read_model, text_files, text_rows
@@ -56,6 +56,7 @@ from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.mat_file import MatFileError, read_mat
 from annotator.text import spelled
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth

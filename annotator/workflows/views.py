@@ -28,12 +28,13 @@ from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import write_coco
-from annotator.formats.dataset_writing import encoded_image, writing
+from annotator.formats.dataset_writing import writing
 from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
+from annotator.image_bytes import encoded_image
 from annotator.project import Project, ViewBoxes, ViewGeometry
 from annotator.project.changes import (
     ImageBoxesSet,
@@ -263,7 +264,7 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
     with new_folder(out, lambda _: False) as folder:
         for place, view in _places(project, step, config, broken):
             with writing(out):
-                (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
+                (folder / place.file_name).write_bytes(encoded_image(view.rgb))
             images.append(PictureLabels(place.file_name, (), (view.rgb.shape[1], view.rgb.shape[0])))
             places.append(place)
         if not images:

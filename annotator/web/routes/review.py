@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from annotator.geometry.outline import visible_edges
-from annotator.project.boxes import png
+from annotator.image_bytes import encoded_image
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter, waiting_sources
 from annotator.rcv.config import RcvConfig
@@ -97,7 +97,9 @@ class CopyIn(FrameChange):
 def ortho(at: AtFrame, body: OrthoIn) -> list[OrthoView]:
     """Three views along the box's axes; points outside the box are dimmed."""
     drawn = ortho_views(at.open(), body.box.box(), body.size_px)
-    return [OrthoView(name=item.name, **dict(drawn_view(at, item.view, png(item.view.rgb)))) for item in drawn]
+    return [
+        OrthoView(name=item.name, **dict(drawn_view(at, item.view, encoded_image(item.view.rgb)))) for item in drawn
+    ]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
