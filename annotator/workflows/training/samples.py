@@ -30,8 +30,8 @@ from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.bases import Strict
+from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FrameError
-from annotator.workflows.detectors import Picture
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
