@@ -123,9 +123,8 @@ class _Run:
     """One run of the pipeline, with its own source and its own page."""
 
     def __init__(self, recording: Recording, detection: LiveDetection, rate: float) -> None:
-        frames = range(len(recording))
-        # back and forth, so that motion has no jump
-        self._source = Playback(recording, rate=rate, order=cycle([*frames, *frames[-2:0:-1]]))
+        back_and_forth = cycle([*range(len(recording)), *range(len(recording) - 2, 0, -1)])  # motion without a jump
+        self._source = Playback(recording, rate=rate, order=back_and_forth)
         self._detection = detection
         self.frames = self.objects = self.warm = 0
 

@@ -219,12 +219,7 @@ def create_project(
     return open_project(root / name, clock=clock)
 
 
-def open_project(
-    path: Path,
-    *,
-    clock: Clock = time.time_ns,
-    readable: Sequence[Path] | None = None,
-) -> Project:
+def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[Path] | None = None) -> Project:
     """Opens the project in the folder `path`; an older database is backed up, and upgraded to the newest version.
 
     Args:

@@ -126,7 +126,7 @@ class RayEngine(WorkerPool):
                     f"{amount(limit, 'worker')} of {amount(threads, 'thread')}; "
                     "use fewer --workers or --threads, or add machines to the cluster"
                 )
-            super().__init__(self._make_worker, workers or limit)
+            super().__init__(lambda number, report: RayWorker(number, report, self._make_actor), workers or limit)
             packed = PackedDetectors.of(source) if isinstance(source, TrainedDetectors) else source
             packed_ref = self._ray.put(packed)
         except BaseException:
@@ -141,9 +141,6 @@ class RayEngine(WorkerPool):
             runtime_env={"env_vars": {**SWITCHES, **environment(threads)}},
         )
         self._make_actor: Callable[[], Any] = lambda: remote.remote(packed_ref, threads, storage)
-
-    def _make_worker(self, number: int, report: Report) -> RayWorker:
-        return RayWorker(number, report, self._make_actor)
 
     def close(self) -> None:
         """Ends the actors, and a cluster started here."""

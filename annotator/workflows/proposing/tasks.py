@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -110,13 +110,9 @@ def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
     return RigidTransform(matrix, normalize=False)
 
 
-def _reduced(transform: RigidTransform) -> tuple[Any, ...]:
-    return transform_of, (np.asarray(transform.as_matrix(), np.float64),)
-
-
 def pickle_exactly() -> None:
     """Makes pickling of poses exact in this process: scipy's own pickle recomputes rotations inexactly."""
-    copyreg.pickle(RigidTransform, _reduced)
+    copyreg.pickle(RigidTransform, lambda T: (transform_of, (np.asarray(T.as_matrix(), np.float64),)))
 
 
 CACHE_MB = 4000
