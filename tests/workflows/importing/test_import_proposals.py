@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from argoverse_samples import CAMERAS as LOG_CAMERAS
 from argoverse_samples import write_log
-from nuscenes_samples import CAMERAS, small
+from nuscenes_samples import CAMERAS, real, small
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.sunrgbd import read_extracted_folder
