@@ -141,7 +141,11 @@ def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
         watch.end("label")
         trained = train(
             project,
-            _training(),
+            TrainPlan(
+                image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.IMAGE]}),
+                view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.VIEW]}),
+                samples=SampleConfig(views=320),
+            ),
             progress=lambda role, step: progress(f"train the {role} detector", step.epochs_done, step.epochs),
         )
         watch.end("train")
@@ -153,14 +157,6 @@ def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
         dataset = _exported(project, root, plan, progress)
         watch.end("score and export")
     return TrainedResult(drawn, trained, annotated, scores, dataset, watch.seconds)
-
-
-def _training() -> TrainPlan:
-    return TrainPlan(
-        image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.IMAGE]}),
-        view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.VIEW]}),
-        samples=SampleConfig(views=320),
-    )
 
 
 # The operator accepts a proposal with at least this IoU, and adjusts a worse one.

@@ -23,6 +23,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -39,6 +40,28 @@ JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length, and bytes that are not markers; they are invalid before a frame header.
 JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
+
+
+JPEG_QUALITY = 95
+
+
+def encoded_image(
+    image: np.ndarray, image_format: Literal["png", "jpg"] = "png", jpeg_quality: int = JPEG_QUALITY
+) -> bytes:
+    """Returns an RGB image, (h, w, 3) uint8, or one of numbers, (h, w) uint8 or uint16, as the bytes of a file.
+
+    Raises:
+        OSError: the image is too large for the format.
+    """
+    import cv2
+
+    settings = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if image_format == "jpg" else []
+    pixels = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+    done, data = cv2.imencode(f".{image_format}", pixels, settings)
+    if not done:
+        height_px, width_px = image.shape[:2]
+        raise OSError(0, f"an image of {width_px} x {height_px} pixels is too large for {image_format}")
+    return bytes(data.tobytes())
 
 
 def read_image(path: Path, flags: int) -> np.ndarray:

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
+from annotator.types.bases import FileRecord
 from annotator.types.checks import in_time
 from annotator.types.messages import first_problem
 
@@ -43,10 +44,8 @@ class TableError(ValueError):
     """A table that is damaged; the message does not name its file."""
 
 
-class Record(BaseModel):
+class Record(FileRecord):
     """A row of a table."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     token: Token
 

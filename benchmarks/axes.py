@@ -84,11 +84,6 @@ def best_ious(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> list[fl
     return iou_3d_matrix([p.box for p in proposals], [t.box for t in truths]).max(axis=1).tolist()
 
 
-def false_share(best: Sequence[float]) -> float:
-    """Share of the proposals without a matching true box (IoU below `FALSE_IOU`); 0 without proposals."""
-    return float(np.mean(np.array(best) < FALSE_IOU)) if best else 0.0
-
-
 def run(args: Arguments) -> dict[str, Any]:
     require(args, 0, math.inf, "jitter", "min_points", "seed")
     if not args.strategies:
@@ -114,7 +109,7 @@ def run(args: Arguments) -> dict[str, Any]:
                 "mean_iou": float(np.mean(tally.ious)),
                 "share_50": float(np.mean(np.array(tally.ious) >= 0.5)),
                 "share_70": float(np.mean(np.array(tally.ious) >= 0.7)),
-                "false_positives": false_share(tally.best_ious),
+                "false_positives": float(np.mean(np.array(tally.best_ious) < FALSE_IOU)) if tally.best_ious else 0.0,
                 "steps": float(np.mean(tally.steps)) if tally.steps else 0.0,
                 "ms_per_object": float(np.median(tally.seconds) * 1e3),
             }

@@ -75,11 +75,8 @@ def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]
 def follow_track(recording: Recording, label: str, boxes: dict[int, Truth], args: Arguments) -> TrackScore | None:
     """Follows one track; None if no box has enough points, or only its last one."""
     indices = sorted(boxes)
-
-    def enough(index: int) -> bool:
-        return int(contains(boxes[index].box, recording.frame(index).cloud.xyz_m).sum()) >= args.min_points
-
-    first = next((i for i in indices[:-1] if enough(i)), None)
+    clouds = ((i, recording.frame(i).cloud.xyz_m) for i in indices[:-1])
+    first = next((i for i, xyz_m in clouds if contains(boxes[i].box, xyz_m).sum() >= args.min_points), None)
     if first is None:
         return None
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,16 +25,9 @@ from annotator.types import Detector
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.web.live import LivePage
-from annotator.workflows.detectors import (
-    Detectors,
-    UsedModel,
-    active_detectors,
-    image_model,
-    load_detector,
-    view_model,
-)
+from annotator.workflows.detectors import Detectors, UsedModel, active_detectors, image_model, load_detector, view_model
 from annotator.workflows.live.detection import Detected, LiveDetection
-from annotator.workflows.live.open_source import Playback, Repeat
+from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.settings import rcv_config
 from benchmarks import loop
@@ -129,7 +123,8 @@ class _Run:
     """One run of the pipeline, with its own source and its own page."""
 
     def __init__(self, recording: Recording, detection: LiveDetection, rate: float) -> None:
-        self._source = Playback(recording, rate=rate, repeat=Repeat.BACK)
+        back_and_forth = cycle([*range(len(recording)), *range(len(recording) - 2, 0, -1)])  # motion without a jump
+        self._source = Playback(recording, rate=rate, order=back_and_forth)
         self._detection = detection
         self.frames = self.objects = self.warm = 0
 

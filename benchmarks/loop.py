@@ -270,8 +270,8 @@ def _label(
         return
     simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
     if operator is BoxKind.SILHOUETTE and has_truth(recording):
-        confirmed = confirm_whole_boxes(project, stored.id)
-        QUIET.print(f"whole boxes: {confirmed}")
+        ious = confirm_whole_boxes(project, stored.id)
+        QUIET.print(f"whole boxes: {len(ious)} confirmed, mean IoU {_mean(ious):.2f}")
     seconds["label"] = time.perf_counter() - begin
 
 

@@ -11,8 +11,8 @@ from typing import TypeVar
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.image_bytes import encoded_image
 from annotator.project import Effort, Project, StoredFrame, WriteContext
-from annotator.project.boxes import png
 from annotator.project.changes import Payload
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.workflows.frame_source import FrameSource
@@ -83,7 +83,7 @@ class Desk:
         opened = self.open(frame)
         begin = time.perf_counter()
         for view in ortho_views(opened, box, VIEW_PX):
-            png(view.view.rgb)
+            encoded_image(view.view.rgb)
         self.waited(bill, time.perf_counter() - begin, is_ahead)
         if is_ahead:
             # now the page loads the next one

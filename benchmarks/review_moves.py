@@ -46,11 +46,6 @@ SHIFT_CLICK_S = K + CLICK_S
 DRAG_S = 2 * (P + B)
 
 
-def number_s(digits: int) -> float:
-    """Seconds to click into a number's field, type it and press Enter."""
-    return CLICK_S + 2 * H + (digits + 1) * K
-
-
 @dataclass
 class Bill:
     """What an operator has done.
@@ -101,6 +96,8 @@ VIEW_PX, ARM_PX = 320, 26
 MIN_SIZE_M = 0.01
 # Decimals and digits of a typed side, metres.
 DECIMALS, DIGITS = 2, 4
+# Seconds to click into a number's field, type it and press Enter.
+TYPE_S = CLICK_S + 2 * H + (DIGITS + 1) * K
 # Sequences of actions are sought to this length; the best ones of each length go on.
 MOST_MOVES, BEAM = 5, 8
 
@@ -115,11 +112,6 @@ class Move:
     kind: str
     seconds: float
     apply: Callable[[OrientedBox, OrientedBox, Hand], OrientedBox]
-
-
-def steady() -> float:
-    """A hand without error: where the operator aims."""
-    return 0.0
 
 
 def shaky(rng: np.random.Generator, error_px: float) -> Hand:
@@ -138,7 +130,7 @@ def moves() -> list[Move]:
                 known.append(Move(kind, DRAG_S, partial(_drag_faces, view, faces)))
         known.append(Move("drag box", DRAG_S, partial(_drag_box, view)))
         known.append(Move("turn", DRAG_S, partial(_turn, view)))
-    return known + [Move("type number", number_s(DIGITS), partial(_type_side, axis)) for axis in range(3)]
+    return known + [Move("type number", TYPE_S, partial(_type_side, axis)) for axis in range(3)]
 
 
 def plan(box: OrientedBox, truth: OrientedBox, quality: float, known: Sequence[Move]) -> list[Move]:
@@ -146,7 +138,7 @@ def plan(box: OrientedBox, truth: OrientedBox, quality: float, known: Sequence[M
     ways: list[tuple[list[Move], OrientedBox]] = [([], box)]
     best: tuple[float, list[Move]] = (0.0, [])
     for _ in range(MOST_MOVES):
-        tried = [([*done, move], move.apply(at, truth, steady)) for done, at in ways for move in known]
+        tried = [([*done, move], move.apply(at, truth, lambda: 0.0)) for done, at in ways for move in known]
         ious = iou_3d_matrix([after for _, after in tried], [truth])[:, 0]
         order = np.argsort(-ious, kind="stable")
         if ious[order[0]] > best[0]:

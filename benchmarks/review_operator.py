@@ -26,8 +26,8 @@ import numpy as np
 from annotator.geometry.iou import iou_3d, iou_3d_matrix
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.image_bytes import encoded_image
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
-from annotator.project.boxes import png
 from annotator.project.changes import LabelAccepted, LabelEdited, LabelRejected, NewLabel
 from annotator.project.records import BoxRecord
 from annotator.rcv.known_objects import draw_object
@@ -271,7 +271,7 @@ class Operator:
         opened = self.desk.open(frame)
         begin = time.perf_counter()
         for label in labels:
-            png(picture(opened.frame, label.box))
+            encoded_image(picture(opened.frame, label.box))
         self.desk.waited(self.desk.bills[None], time.perf_counter() - begin, is_ahead=True)
         self.desk.ahead_since_s = self.desk.spent_s()
         for label in labels:

@@ -46,10 +46,6 @@ class Stopwatch:
         self.whole: dict[str, list[float]] = {stage: [] for stage in run_stages}
         self._inside: list[float] = []
 
-    def median_ms(self, stage: str) -> float:
-        """Median time of a stage of the whole run, milliseconds; NaN if it never ran."""
-        return float(np.median(self.whole[stage])) * 1e3 if self.whole[stage] else float("nan")
-
     @contextmanager
     def over(self, *functions: tuple[Any, ...]) -> Iterator[None]:
         """Times one run of functions, each an object, its name there, its stage, and True if it starts a step."""
@@ -187,7 +183,7 @@ def run(args: Arguments) -> dict[str, Any]:
         "size_px": args.size_px,
         "steps": rows,
         "per_step_ms": {path: _per_step(watch) for path, watch in watches.items()},
-        "per_frame_ms": {stage: watches["plain"].median_ms(stage) for stage in OF_FRAME},
+        "per_frame_ms": {s: float(np.median(watches["plain"].whole[s] or [np.nan])) * 1e3 for s in OF_FRAME},
     }
 
 

@@ -10,14 +10,7 @@ from typing import Any, overload
 from annotator import project as store
 from annotator.api.frames import choice, up_of
 from annotator.api.labels import read_labels
-from annotator.api.proposing import (
-    ImageDetector,
-    Rotation,
-    image_boxes_of,
-    image_kind_of,
-    kind_of,
-    watch_with,
-)
+from annotator.api.proposing import ImageDetector, Rotation, image_boxes_of, image_kind_of, kind_of, watch_with
 from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
 from annotator.api.frames import choice, require_on_image
-from annotator.geometry.outline import clip_to_image
+from annotator.detection.perfect import on_region
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -50,11 +50,7 @@ class FunctionDetector:
     def _boxes(self, image: Image) -> Sequence[Box2D]:
         if not isinstance(image, Region):
             return self._function(image)
-        inside = (
-            clip_to_image(box.shifted(-image.x_px, -image.y_px), image.width_px, image.height_px, LEAST_SIDE_PX)
-            for box in self._function(image.of)
-        )
-        return [box for box in inside if box is not None]
+        return on_region(image, self._function(image.of), LEAST_SIDE_PX)
 
 
 def as_detector(given: Any) -> Detector:

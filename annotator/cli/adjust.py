@@ -8,12 +8,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from pydantic import BaseModel, ConfigDict
 
 from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName, open_named
 from annotator.cli.output import print_facts, print_json
 from annotator.project import Basis, Project
 from annotator.types import NO_CORRECTION
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, GeometryError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.adjusting import RecordingUp, correct_calibration, estimate_recording_up
@@ -22,10 +22,8 @@ UP_AUTHOR = "annotator up"
 ORIGINS = {"files": "from the recording's files", "project": "set in the project"}
 
 
-class UpReport(BaseModel):
+class UpReport(Strict):
     """The up direction of a recording's first frame; certainty and reason of an estimate that was just made."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recording: str
     up: tuple[float, float, float] | None
@@ -102,10 +100,8 @@ CALIBRATE_AUTHOR = "annotator calibrate"
 Vector = tuple[float, float, float]
 
 
-class CalibrationReport(BaseModel):
+class CalibrationReport(Strict):
     """The correction of a recording: degrees, metres, seconds; and the number of labels that moved with its clouds."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recording: str
     turn_deg: Vector

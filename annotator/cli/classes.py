@@ -272,13 +272,12 @@ def _change(
     """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
     with open_named(name, projects) as opened:
         before = opened.class_counts()
-        changed = change_classes(opened, change, AUTHOR)
-    config = changed.config
+        config, backup = change_classes(opened, change, AUTHOR)
     for line in _followed(before, followed, verb):
         print_line(line)
-    if changed.backup is not None:
-        print_line(f"backed up before: {changed.backup}")
-        command = _restoring(name, changed.backup, projects)
+    if backup is not None:
+        print_line(f"backed up before: {backup}")
+        command = _restoring(name, backup, projects)
         print_line(
             f"undo does not take this back; to have the boxes and values of before in a second project: {command}"
         )

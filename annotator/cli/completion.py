@@ -5,19 +5,14 @@ from __future__ import annotations
 import io
 import sys
 from contextlib import redirect_stdout, suppress
-from enum import StrEnum
+from typing import Literal
 
 from tyro.extras import SubcommandApp
 
 from annotator.cli.main import COMMANDS, GROUPS, load, style, with_help
 
-
-class Shell(StrEnum):
-    """Shells that tyro writes completion scripts for."""
-
-    BASH = "bash"
-    ZSH = "zsh"
-    FISH = "fish"
+Shell = Literal["bash", "zsh", "fish"]
+"""Shells that tyro writes completion scripts for."""
 
 
 def run(shell: Shell, /) -> None:
@@ -39,10 +34,10 @@ def script(shell: Shell) -> str:
     """The completion script of a shell. Building it imports the module of every command, which takes two seconds."""
     printed = io.StringIO()
     with redirect_stdout(printed), suppress(SystemExit):
-        _app().cli(prog="annotator", args=["--tyro-print-completion", shell.value], config=style())
+        _app().cli(prog="annotator", args=["--tyro-print-completion", shell], config=style())
     text = printed.getvalue()
     # tyro's bash function offers no file names for positional arguments; with -o default, bash adds them
-    return text.replace("complete -F ", "complete -o default -F ") if shell is Shell.BASH else text
+    return text.replace("complete -F ", "complete -o default -F ") if shell == "bash" else text
 
 
 def _app() -> SubcommandApp:

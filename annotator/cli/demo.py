@@ -6,24 +6,16 @@ import os
 import sys
 import threading
 from contextlib import AbstractContextManager, ExitStack, suppress
-from enum import StrEnum
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Literal
 
 from rich.progress import Progress as Bar
 from rich.progress import TaskID
 
 from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
-from annotator.demo import (
-    PROJECT,
-    FirstDragResult,
-    Plan,
-    Progress,
-    TrainedResult,
-    run_first_drag,
-    run_trained,
-)
+from annotator.demo import PROJECT, FirstDragResult, Plan, Progress, TrainedResult, run_first_drag, run_trained
 from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
 from annotator.types.errors import ConfigError
@@ -33,19 +25,15 @@ from annotator.types.messages import amount
 FRAMES = {False: 24, True: 48}
 
 
-class Preset(StrEnum):
-    """The scene that is generated."""
-
-    PEOPLE = "people"
-    HANDS = "hands"
-    OBJECTS = "objects"
+Preset = Literal["people", "hands", "objects"]
+"""The scene that is generated."""
 
 
 def generate(
     out: Path,
     /,
     *,
-    preset: Preset = Preset.PEOPLE,
+    preset: Preset = "people",
     frames: int = 30,
     seed: Seed = 0,
     width: int = 640,
@@ -62,7 +50,7 @@ def generate(
         height: height of the images, pixels.
     """
     with counted("ray-casting") as progress:
-        write_generated(out, preset.value, frames, seed, width, height, progress)
+        write_generated(out, preset, frames, seed, width, height, progress)
     print_line(f"{out}: {amount(frames, 'frame')} of {preset}")
 
 
@@ -70,7 +58,7 @@ def demo(
     out: Path | None = None,
     /,
     *,
-    preset: Preset = Preset.PEOPLE,
+    preset: Preset = "people",
     frames: int | None = None,
     seed: Seed = 0,
     train: bool = False,
@@ -105,7 +93,7 @@ def demo(
         )
         train = True
     opens = not no_serve and _is_interactive()
-    plan = Plan(preset.value, frames or FRAMES[train], seed)
+    plan = Plan(preset, frames or FRAMES[train], seed)
     (_with_training if train else _without_training)(root, plan, opens=opens)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in, open_named
 from annotator.cli.output import counted, print_json, print_line
@@ -11,21 +11,7 @@ from annotator.formats.table import with_option
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows import exporting
-
-
-class ImageFormat(StrEnum):
-    """How camera images are written."""
-
-    PNG = "png"
-    JPG = "jpg"
-
-
-class Pictures(StrEnum):
-    """Which images the formats of 2D boxes contain."""
-
-    IMAGES = "images"
-    VIEWS = "views"
-    BOTH = "both"
+from annotator.workflows.exporting.choose import Pictures
 
 
 def run(
@@ -42,8 +28,8 @@ def run(
     split: str | None = None,
     split_by: exporting.SplitBy = exporting.SplitBy.FRAMES,
     seed: Seed = 0,
-    images: ImageFormat = ImageFormat.PNG,
-    boxes_on: Pictures = Pictures.IMAGES,
+    images: Literal["png", "jpg"] = "png",
+    boxes_on: Pictures = "images",
     vertices: bool = False,
     overwrite: bool = False,
     as_json: AsJson = False,
@@ -79,7 +65,7 @@ def run(
                 states or None, names_in(classes, opened.config.classes) or None, ids, empty_frames, skip_unreadable
             ),
             split=parts,
-            options=exporting.ExportOptions(images.value, boxes_on.value, vertices),
+            options=exporting.ExportOptions(images, boxes_on, vertices),
             overwrite=overwrite,
             progress=progress,
         )

@@ -92,10 +92,9 @@ def live(
     settings = ServerSettings(options.projects_root(projects).resolve(), (), host, port)
     settings = with_token(settings, token_file, no_token=no_token)
     with options.open_named(project, projects) as opened:
-        result = run_live(opened, chosen, settings, report=_to_stderr)
-    print_line(summary_line(result.figures))
+        figures, stored = run_live(opened, chosen, settings, report=_to_stderr)
+    print_line(summary_line(figures))
     if record is not None:
-        stored = result.stored
         print_line(
             "no frame was recorded"
             if stored is None

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, Float64
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.types.bases import Strict
+
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
 Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
 
@@ -42,10 +44,8 @@ class EdgeErrors(BaseModel):
         return np.asarray(self.factor * within**self.exponent)
 
 
-class TrainingConfig(BaseModel):
+class TrainingConfig(Strict):
     """Settings of a training run; docs/detector_training.md explains the defaults."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     model: str = Field("yolo11n", description="an ultralytics detection model: yolo11n, yolov8s, yolov5nu, yolo26n ...")
     pretrained: Literal["auto", "never"] | Path = Field(
@@ -81,10 +81,8 @@ class TrainingConfig(BaseModel):
         return self.epochs or min(max(round(self.pictures_seen / images), 10), 300)
 
 
-class DetectorConfig(BaseModel):
+class DetectorConfig(Strict):
     """Settings for running a trained detector. Device, backend, threads and names are not part of its fingerprint."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     image_size_px: int = Field(
         ge=32, le=4096, description="input size of the network, longer side, pixels; the training size works best"

@@ -18,12 +18,13 @@ from typing import Literal, TypeVar
 import cv2
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 from annotator.types.messages import first_problem
 
@@ -32,7 +33,7 @@ Split = Literal["train", "val"]
 Record = TypeVar("Record", bound=BaseModel)
 
 
-class ManifestEntry(BaseModel):
+class ManifestEntry(Strict):
     """One image of a training set.
 
     Attributes:
@@ -42,8 +43,6 @@ class ManifestEntry(BaseModel):
         boxes: class names of its boxes, in the order of the label file.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     image: str
     split: Split
     group: str
@@ -52,7 +51,7 @@ class ManifestEntry(BaseModel):
     boxes: tuple[str, ...]
 
 
-class DatasetManifest(BaseModel):
+class DatasetManifest(Strict):
     """A training set.
 
     Attributes:
@@ -60,8 +59,6 @@ class DatasetManifest(BaseModel):
         measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
             them too optimistic.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: Literal[1] = 1
     sha256: str

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64
 
 from annotator.detection.config import DetectorConfig, EdgeErrors
 from annotator.detection.dataset import DatasetManifest, TrainingSample
@@ -23,6 +23,7 @@ from annotator.files import read_text_file
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import edges_of
 from annotator.types import Box2D
+from annotator.types.detector import Picture
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
 MIN_EDGES, MIN_GAIN = 200, 0.02
@@ -103,11 +104,6 @@ MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
 BORDER_PX = 1.0
 
 
-@dataclass(frozen=True)
-class _Picture:
-    rgb: UInt8[np.ndarray, "h w 3"]
-
-
 def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetManifest, device: str) -> TrainedModel:
     """The trained view detector with the expected errors of its edges, for each class where they can be fitted.
 
@@ -127,7 +123,7 @@ def with_edge_errors(trained: TrainedModel, dataset: Path, manifest: DatasetMani
     images = [dataset / entry.image for entry in manifest.entries if entry.split == "val" and entry.boxes]
     for begin in range(0, len(images), AT_ONCE):
         part = images[begin : begin + AT_ONCE]
-        pictures = [_Picture(TrainingSample(path, (), "", "").load()) for path in part]
+        pictures = [Picture(TrainingSample(path, (), "", "").load()) for path in part]
         for path, picture, boxes in zip(part, pictures, detector.detect(pictures), strict=True):
             height, width = picture.rgb.shape[:2]
             scale = trained.image_size_px / max(height, width)

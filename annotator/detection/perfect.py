@@ -7,7 +7,7 @@ other one returns the box around the nearest cluster of points on a pseudo-view.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,7 +125,7 @@ class PerfectDetector:
             if isinstance(image, Frame):
                 detections.append(self._on_image(image))
             elif isinstance(image, Region) and isinstance(image.of, Frame):
-                detections.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
+                detections.append(on_region(image, self._on_image(image.of), MIN_SIDE_PX))
             elif isinstance(image, PseudoView):
                 known = counted.get(id(image.xyz_m))
                 if known is None:
@@ -204,9 +204,11 @@ class PerfectDetector:
         return np.random.default_rng(int.from_bytes(digest[:8], "little"))
 
 
-def _on_region(region: Region, box: Box2D) -> Box2D | None:
-    """A box of the whole image in pixels of the region, clipped to it; None if it is outside."""
-    return clip_to_image(box.shifted(-region.x_px, -region.y_px), region.width_px, region.height_px, MIN_SIDE_PX)
+def on_region(region: Region, boxes: Iterable[Box2D], min_side_px: float) -> list[Box2D]:
+    """Boxes of the whole image in pixels of the region, clipped to it; those with a shorter side are left out."""
+    shifted = (box.shifted(-region.x_px, -region.y_px) for box in boxes)
+    cut = (clip_to_image(box, region.width_px, region.height_px, min_side_px) for box in shifted)
+    return [box for box in cut if box is not None]
 
 
 def _noisy_box(

@@ -5,19 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, ValidationError
 
 from annotator.detection.config import EdgeErrors, TrainingConfig
 from annotator.detection.dataset import Split, read_record
 from annotator.detection.weights import DESCRIPTION, describe, filled, half, read_facts, read_tensors, write_tensors
 from annotator.files import write_atomic
 from annotator.types import BoxKind, DetectorKind
+from annotator.types.bases import Strict
 from annotator.types.errors import DetectionError, FormatError
 
 MODEL_NAME, RUN_NAME = "model.json", "run.json"
 
 
-class TrainingMetrics(BaseModel):
+class TrainingMetrics(Strict):
     """Accuracy of the kept weights on the validation images.
 
     Attributes:
@@ -26,8 +27,6 @@ class TrainingMetrics(BaseModel):
         measured_on: "train" if there were no validation images; such figures are too optimistic.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     map50: float
     map50_95: float
     precision: float
@@ -35,7 +34,7 @@ class TrainingMetrics(BaseModel):
     measured_on: Split
 
 
-class TrainedModel(BaseModel):
+class TrainedModel(Strict):
     """A trained detector and its origin.
 
     Attributes:
@@ -45,8 +44,6 @@ class TrainedModel(BaseModel):
         edge_errors: expected errors of its edges, by class; empty for image detectors, and where the network does
             not tell them.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     role: DetectorKind
     weights: Path
@@ -60,7 +57,7 @@ class TrainedModel(BaseModel):
     note: str
     dataset_sha256: str
     config: TrainingConfig
-    edge_errors: dict[str, EdgeErrors] = {}
+    edge_errors: dict[str, EdgeErrors] = Field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
         """Writes `model.json`. It names the weights relative to itself, so the folder can be moved."""
@@ -68,7 +65,7 @@ class TrainedModel(BaseModel):
         write_atomic(folder / MODEL_NAME, relative.model_dump_json(indent=1).encode())
 
 
-class RunRecord(BaseModel):
+class RunRecord(Strict):
     """A training run that has started.
 
     Attributes:
@@ -78,8 +75,6 @@ class RunRecord(BaseModel):
         is_timed: whether it has a fixed duration; `annotator train` never resumes such a run, because its settings
             depend on the clock.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fingerprint: str
     pretrained: bool
@@ -114,7 +109,7 @@ WEIGHTS, OPTIMISER = "weights/", "optimiser/"
 REMEDY = "train again"
 
 
-class TrainingState(BaseModel):
+class TrainingState(Strict):
     """Numbers of a checkpoint.
 
     Attributes:
@@ -123,8 +118,6 @@ class TrainingState(BaseModel):
         groups: the optimiser's parameter groups without their parameters, which are listed by number.
         plain: the optimiser's state that is not a tensor, by parameter number and name.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     epoch: int
     updates: int

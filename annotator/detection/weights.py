@@ -23,10 +23,11 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, check_file, open_archive, open_file, read_file, write_atomic
+from annotator.types.bases import Strict
 from annotator.types.errors import DetectionError
 
 FORMAT = "annotator network 1"
@@ -38,14 +39,12 @@ MOST_HEADER_BYTES = 2**23
 DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
-class NetworkDescription(BaseModel):
+class NetworkDescription(Strict):
     """What is needed to build the network of a file.
 
     Attributes:
         end2end: whether the network predicts each object once; None = as is usual for the architecture.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: str = Field(FORMAT, pattern=f"^{FORMAT}$")
     architecture: str = Field(pattern="^yolo[a-z0-9]+(-[a-z0-9]+)*$", max_length=64)

@@ -18,9 +18,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from annotator.formats.reading import BoundedTrack, FileRecord, read_pairs, write_text
+from annotator.formats.reading import BoundedTrack, read_pairs, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 from annotator.types.messages import first_problem

@@ -30,8 +30,9 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.frame_names import PictureLabels
-from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_model, write_text
+from annotator.formats.reading import OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from jaxtyping import UInt8
 
 from annotator.files import new_folder
 from annotator.formats.attributes import Values
@@ -281,9 +280,6 @@ class FileNames:
         return candidate
 
 
-JPEG_QUALITY = 95
-
-
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
     """Turns an OSError into a FormatError that names the dataset."""
@@ -291,22 +287,6 @@ def writing(out: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise FormatError(out, f"cannot be written ({error.strerror}); the incomplete dataset was removed") from error
-
-
-def encoded_image(rgb: UInt8[np.ndarray, "h w 3"], image_format: Literal["png", "jpg"]) -> bytes:
-    """Returns an RGB image as the bytes of an image file.
-
-    Raises:
-        OSError: the image is too large for the format.
-    """
-    import cv2
-
-    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if image_format == "jpg" else []
-    done, data = cv2.imencode(f".{image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
-    if not done:
-        height_px, width_px = rgb.shape[:2]
-        raise OSError(0, f"an image of {width_px} x {height_px} pixels is too large for {image_format}")
-    return bytes(data.tobytes())
 
 
 XYZ = ("x", "y", "z")

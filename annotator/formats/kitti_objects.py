@@ -27,13 +27,14 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import kitti_rows
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
 from annotator.formats.reading import MOST, text_files, text_rows
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
+from annotator.image_bytes import encoded_image
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
@@ -242,7 +243,7 @@ class KittiWriter(DatasetWriter):
         """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
         camera, rgb = straightened(frame.camera, frame.rgb)
         T = kitti_rows.label_frame(frame)
-        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb, "png"))
+        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb))
         scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
         return calibration_text(camera, T)
 

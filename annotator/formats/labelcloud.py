@@ -34,14 +34,16 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, write_ply
 from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
 from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
 
@@ -49,7 +51,7 @@ CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
 
 
-class Dimensions(reading.FileRecord):
+class Dimensions(FileRecord):
     """Full sizes along the box's own x, y, z; metres."""
 
     length: reading.BoundedPositive
@@ -57,7 +59,7 @@ class Dimensions(reading.FileRecord):
     height: reading.BoundedPositive
 
 
-class BoxObject(reading.FileRecord):
+class BoxObject(FileRecord):
     """A labelled box: centre, sizes and angles, or its corners."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -73,7 +75,7 @@ class BoxObject(reading.FileRecord):
         return self
 
 
-class LabelFile(reading.FileRecord):
+class LabelFile(FileRecord):
     """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
 
     folder: str = ""
@@ -82,7 +84,7 @@ class LabelFile(reading.FileRecord):
     objects: tuple[BoxObject, ...]
 
 
-class ClassesFile(reading.FileRecord):
+class ClassesFile(FileRecord):
     """The box form of all label files; the classes of a file are not read."""
 
     format: str = CENTROID_REL

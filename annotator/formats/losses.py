@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
+from annotator.types.bases import Strict
 from annotator.types.messages import amount
 
 
@@ -72,7 +72,7 @@ LEAST_ROUNDING_M = 1e-6
 LEAST_TILT_RAD = 1e-3
 
 
-class Loss(BaseModel):
+class Loss(Strict):
     """One line of the report.
 
     Attributes:
@@ -81,8 +81,6 @@ class Loss(BaseModel):
         message: the count and what was lost, as text.
         most: the largest loss where it can be measured: radians for TILT; metres, of a corner, for ROUNDED.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Lost
     count: int

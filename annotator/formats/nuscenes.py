@@ -46,6 +46,7 @@ from annotator.nuscenes_tables import (
 )
 from annotator.text import normal, stem_of
 from annotator.types import OrientedBox, PointCloud, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import first_problem
@@ -341,7 +342,7 @@ def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list
 RESULTS = "results"
 
 
-class ResultBox(reading.FileRecord):
+class ResultBox(FileRecord):
     """A box of a detector or tracker."""
 
     translation: Vector3

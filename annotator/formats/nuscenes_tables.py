@@ -29,11 +29,12 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats import nuscenes
 from annotator.formats.attributes import VISIBILITY as VISIBLE
 from annotator.formats.attributes import dotted
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor
 from annotator.types import Camera, Label
 

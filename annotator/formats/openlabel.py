@@ -25,11 +25,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, write_ply
 from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
 from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
+from annotator.image_bytes import encoded_image
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
 from annotator.types import Frame as RecordedFrame

@@ -26,9 +26,10 @@ import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact, FileRecord
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact
 from annotator.formats.units import rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
+from annotator.types.bases import FileRecord
 from annotator.types.label import AttributeValue, Said
 from annotator.types.messages import first_problem
 
@@ -336,20 +337,15 @@ class _Entry(FileRecord):
     box_kind: BoxKind = BoxKind.BOX
 
 
+# What sources and their entries have in common.
+OF_SAID = ("source", "score", "track_id", "box_kind")
 _ENTRIES: TypeAdapter[tuple[_Entry, ...]] = TypeAdapter(tuple[_Entry, ...])
 
 
 def said_text(said: Sequence[Said]) -> str:
     """Returns the text."""
     entries = tuple(
-        _Entry(
-            source=each.source,
-            type=each.label,
-            val=cuboid_values(each.box),
-            score=each.score,
-            track_id=each.track_id,
-            box_kind=each.box_kind,
-        )
+        _Entry(type=each.label, val=cuboid_values(each.box), **{name: getattr(each, name) for name in OF_SAID})
         for each in said
     )
     return _ENTRIES.dump_json(entries, exclude_defaults=True).decode()

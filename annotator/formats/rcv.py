@@ -15,23 +15,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import (
-    JPEG_QUALITY,
-    DatasetItem,
-    DatasetWriter,
-    Detector,
-    encoded_image,
-    write_ply,
-)
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, write_ply
 from annotator.formats.frame_names import LabelledFrame, in_world
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
+from annotator.image_bytes import JPEG_QUALITY, encoded_image
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
+from annotator.types.bases import Strict
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.types.messages import amount
@@ -50,11 +45,7 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class RcvBox(_Record):
+class RcvBox(Strict):
     """A box: `center` and `size` (length, width, height), and `quaternion` (w, x, y, z)."""
 
     center: Vector3
@@ -96,14 +87,14 @@ class RcvObject(RcvBox):
     corners: tuple[Row8, Row8, Row8, Row8]
 
 
-class RcvPose(_Record):
+class RcvPose(Strict):
     """A pose: it maps coordinates p of the camera to `rotation(quaternion) p + translation`."""
 
     translation: Vector3
     quaternion: tuple[Number, Number, Number, Number]
 
 
-class RcvLabels(_Record):
+class RcvLabels(Strict):
     """`labels/ID.json`: one frame.
 
     `key`, `index` and `recording` are the frame's origin; `up` is the unit vector against gravity in the camera frame,
@@ -127,14 +118,14 @@ class RcvLabels(_Record):
     objects: tuple[RcvObject, ...]
 
 
-class RcvOptions(_Record):
+class RcvOptions(Strict):
     """How an export is written: lossless PNG, or JPEG at the given quality."""
 
     image_format: Literal["png", "jpg"] = "png"
     jpeg_quality: int = Field(95, ge=1, le=100)
 
 
-class RcvConventions(_Record):
+class RcvConventions(Strict):
     """The conventions of the numbers, in words."""
 
     frame_of_reference: str = FRAME_OF_REFERENCE
@@ -147,14 +138,14 @@ class RcvConventions(_Record):
     distortion: str = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
 
 
-class RcvCameraUse(_Record):
+class RcvCameraUse(Strict):
     """A camera and the recordings in which it occurs."""
 
     camera: Camera
     recordings: tuple[str, ...]
 
 
-class RcvCounts(_Record):
+class RcvCounts(Strict):
     """The numbers of frames, points, and objects by class, review state and source."""
 
     frames: int
@@ -167,7 +158,7 @@ class RcvCounts(_Record):
     objects_by_source: dict[Source, int]
 
 
-class RcvManifest(_Record):
+class RcvManifest(Strict):
     """`dataset.json`: the whole dataset; `frames` lists the ids in order."""
 
     format: Literal["annotator-rcv"]

@@ -16,13 +16,14 @@ from typing import Annotated, Never, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file, write_atomic
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image, read_image
 from annotator.text import SHOWN, decoded, normal, to_number
 from annotator.types import BoxKind
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 from annotator.types.messages import amount, first_problem
@@ -213,12 +214,6 @@ MAX_BYTES = 2**30
 SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-class FileRecord(BaseModel):
-    """A part of a file; other fields, which other tools may write, are ignored."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 PairsHook = Callable[[list[tuple[str, object]]], object]

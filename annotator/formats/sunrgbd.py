@@ -47,18 +47,20 @@ from jaxtyping import Float32, Float64
 from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
-from annotator.formats.reading import MAX_BYTES, FileRecord, finite_number, read_model, text_files, text_rows
+from annotator.formats.reading import MAX_BYTES, finite_number, read_model, text_files, text_rows
 from annotator.formats.units import rotation_problem
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.mat_file import MatFileError, read_mat
 from annotator.text import spelled
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 from annotator.types.messages import first_problem

@@ -35,14 +35,16 @@ from pydantic import ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.attributes import from_joined, joined
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
 from annotator.formats.frame_names import LabelledFrame, Pose, in_world, read_frames
-from annotator.formats.reading import Axes, Bounded, BoundedPositive, FileRecord, read_model
+from annotator.formats.reading import Axes, Bounded, BoundedPositive, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
 from annotator.types import Frame, Label, OrientedBox, PointCloud, Truth
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 

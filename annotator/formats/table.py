@@ -1,6 +1,6 @@
 """The table of label formats. A new format is a module and a row here.
 
-The rows drive `annotator export` and its help, the page, the table of docs/formats.md (`documented`), the tests of
+The rows drive `annotator export` and its help, the page, the table of docs/formats.md (its test makes it), the tests of
 round trips, and what imports and checks recognise (`recognising`). The readers of a format are functions of its module,
 which return `LabelledFrame`s or `PictureLabels`; `annotator.workflows.importing` places these on a project's frames.
 """
@@ -194,25 +194,3 @@ WRITERS: dict[ExportFormat, Format] = {format: FORMATS[format] for format in Exp
 def with_option(option: str) -> str:
     """Returns the names of the formats that have an option of exports, as `coco and yolo`."""
     return " and ".join(name for name, format in FORMATS.items() if option in format.options)
-
-
-def documented() -> str:
-    """Returns the table of docs/formats.md: what each format holds, and what tells its folders."""
-    head = ("format", "export", "boxes", "tracks", "scores", "states and sources", "map place", "attributes", "told by")
-    rows = [head, ("---",) * len(head), *(_documented(name, format) for name, format in FORMATS.items())]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
-
-
-def _documented(name: str, format: Format) -> tuple[str, ...]:
-    values = "all" if format.values is None else ", ".join(format.values) or "none"
-    if values == "all" and not format.of_frames:
-        values = "all, none of frames"
-    holds = (Lost.TRACK, Lost.SCORE, Lost.STATE, Lost.ORIGIN)
-    return (
-        name,
-        "yes" if format.summary else "no",
-        format.boxes,
-        *("no" if kind in format.loses else "yes" for kind in holds),
-        values,
-        ", ".join(f"`{mark}`" for mark in format.marks) or "the content of its files",
-    )

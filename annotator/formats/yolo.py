@@ -42,10 +42,11 @@ from pydantic import ValidationError
 
 from annotator.files import why_missing
 from annotator.formats.frame_names import PictureLabels, YoloBox, has_frames
-from annotator.formats.reading import FileRecord, OnFault, known_kind, raise_fault, read_text
+from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import shares_of
 from annotator.text import NAME_SHOWN, SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
 from annotator.types import Box2D, BoxKind
+from annotator.types.bases import FileRecord
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount, first_problem
 

@@ -1,62 +1,19 @@
 """Projects: the folder, its SQLite database, migrations and label events."""
 
 from annotator.project.adjustments import Basis
-from annotator.project.audit.events import Effort, Event
+from annotator.project.audit.events import Effort
 from annotator.project.audit.history import History, Reverted
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.changes import NewLabel, Origin
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
-from annotator.project.jobs import Run, Status, run_key
+from annotator.project.jobs import Status
 from annotator.project.labels import REVIEWED, StoredLabel
 from annotator.project.log import FramePart, new_action
 from annotator.project.models import StoredModel
-from annotator.project.project import (
-    ListedProject,
-    Project,
-    create_project,
-    list_projects,
-    open_project,
-)
-from annotator.project.proposals import Replaced, RunShare
-from annotator.project.recordings import Rescan, StoredRecording
+from annotator.project.project import ListedProject, Project, create_project, list_projects, open_project
+from annotator.project.proposals import RunShare
+from annotator.project.recordings import StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-
-__all__ = [
-    "REVIEWED",
-    "Basis",
-    "BoxRotation",
-    "Effort",
-    "Event",
-    "FramePart",
-    "History",
-    "ImageBoxes",
-    "ListedProject",
-    "NewLabel",
-    "Origin",
-    "Project",
-    "ProjectConfig",
-    "ProjectSettings",
-    "Receipt",
-    "Replaced",
-    "Rescan",
-    "Reverted",
-    "Run",
-    "RunShare",
-    "Statistics",
-    "Status",
-    "StoredFrame",
-    "StoredLabel",
-    "StoredModel",
-    "StoredRecording",
-    "ViewBoxes",
-    "ViewGeometry",
-    "WriteContext",
-    "create_project",
-    "list_projects",
-    "new_action",
-    "open_project",
-    "run_key",
-]

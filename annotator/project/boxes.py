@@ -16,6 +16,7 @@ from jaxtyping import UInt8
 from sqlalchemy import Connection, bindparam, select
 
 from annotator.files import open_file, read_file, write_atomic
+from annotator.image_bytes import encoded_image
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, ViewBoxesSet
 from annotator.project.database.schema import AnyRow, frames, image_labels, labels, view_labels
@@ -43,7 +44,7 @@ class Views:
 
     def store(self, image: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
         """Stores an image, a PNG file or (H, W, 3) uint8 RGB, once; returns its id, the SHA-256 (hex) of its PNG."""
-        content = image if isinstance(image, bytes) else png(image)
+        content = image if isinstance(image, bytes) else encoded_image(image)
         if not content.startswith(_PNG):
             raise ProjectError(f"{self.folder}: only PNG images can be stored; convert the image first")
         view_id = hashlib.sha256(content).hexdigest()
@@ -107,16 +108,6 @@ def _size_of(views: Views, view_id: str) -> tuple[int, int]:
         raise ProjectError(f"{path}: is damaged; {RESTORE}")
     width, height = struct.unpack(">II", head[16:24])
     return width, height
-
-
-def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """An image, (H, W, 3) uint8, RGB order, as the bytes of a PNG file; deterministic."""
-    import cv2
-
-    is_encoded, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    if not is_encoded:
-        raise ProjectError(f"an image of shape {rgb.shape} cannot be encoded as PNG")
-    return content.tobytes()
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from annotator.project.classes.attributes import AttributeName, Value
-from annotator.project.records import EXACT, BoxRecord, ProposalRecord, SaidRecord, ViewGeometry
+from annotator.project.records import BoxRecord, Exact, ProposalRecord, SaidRecord, ViewGeometry
 from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Suggestion
 from annotator.types.errors import ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -43,9 +43,7 @@ class Payload:
     kind: ClassVar[str]
 
 
-class _Checked(BaseModel, Payload):
-    model_config = EXACT
-
+class _Checked(Exact, Payload):
     kind: ClassVar[str]
 
 
@@ -75,7 +73,7 @@ class ViewBoxesRemoved(_Checked):
     view: ViewId
 
 
-class ProposedObject(BaseModel):
+class ProposedObject(Exact):
     """One proposal of an automatic pass.
 
     Attributes:
@@ -83,8 +81,6 @@ class ProposedObject(BaseModel):
         covered_by: uid of the reviewed label of the same object; if set, no label is created.
         track_id: the object's id over the recording, if the pass followed it from another frame.
     """
-
-    model_config = EXACT
 
     uid: Uid
     proposal: ProposalRecord
@@ -168,7 +164,7 @@ class LabelTracked(_Checked):
     track_id: TrackId | None
 
 
-class LinkedLabel(BaseModel):
+class LinkedLabel(Exact):
     """Result of linking for one label.
 
     Attributes:
@@ -176,8 +172,6 @@ class LinkedLabel(BaseModel):
         box: smoothed over its track; None keeps the label's box, as required for a reviewed label.
         attributes: values of its track that it lacks.
     """
-
-    model_config = EXACT
 
     uid: Uid
     track_id: TrackId | None = None

@@ -13,22 +13,14 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    JsonValue,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, JsonValue, ValidationError, model_serializer, model_validator
 from sqlalchemy import Connection, select
 
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.schema import class_changes
 from annotator.text import is_within
+from annotator.types.bases import Strict
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
 from annotator.types.messages import first_problem
 
@@ -87,7 +79,7 @@ def _require_different(names: list[str], problem: str) -> None:
         raise ValueError(f"{problem} {twice[0]!r}; each must have its own")
 
 
-class ProjectSettings(BaseModel):
+class ProjectSettings(Strict):
     """Defaults for options that are not given on the command line.
 
     Attributes:
@@ -99,8 +91,6 @@ class ProjectSettings(BaseModel):
             None: never.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     rotation: BoxRotation = BoxRotation.AUTO
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
     learn_every: int | None = Field(None, ge=1)
@@ -108,7 +98,7 @@ class ProjectSettings(BaseModel):
     backups_kept: int = Field(5, ge=1, le=1000)
 
 
-class ProjectConfig(BaseModel):
+class ProjectConfig(Strict):
     """The content of `project.json`.
 
     Attributes:
@@ -116,8 +106,6 @@ class ProjectConfig(BaseModel):
         classes: permitted class names of boxes, in the detectors' order.
         class_styles: colours and keys of classes; a class without an entry has those by default.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     format_version: int = Field(FORMAT_VERSION, ge=1)

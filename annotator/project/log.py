@@ -12,12 +12,7 @@ from sqlalchemy import Connection, bindparam, func, select
 from annotator.project.audit.events import Event, in_moment_of, read_events, rebuild
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.changes import (
-    Payload,
-    ProposalsReplaced,
-    TracksLinked,
-    ViewBoxesSet,
-)
+from annotator.project.changes import Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.database.schema import ALL_LABELS, events, frames, recordings
 from annotator.project.database.store import Store
 from annotator.project.recordings import of_rig

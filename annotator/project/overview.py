@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ScalarSelect, bindparam, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
@@ -17,6 +16,7 @@ from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, read_stored
 from annotator.project.project import Project
 from annotator.project.rows import values_of
+from annotator.types.bases import Strict
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
@@ -99,10 +99,8 @@ _HEAD = (
 # --- the classes ------------------------------------------------------------------------------------------------------
 
 
-class ClassRow(BaseModel):
+class ClassRow(Strict):
     """A class as JSON; the counts as in `ClassCounts`."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str
     labels: int
@@ -112,15 +110,13 @@ class ClassRow(BaseModel):
     key: str | None
 
 
-class ClassList(BaseModel):
+class ClassList(Strict):
     """The classes and attributes as JSON.
 
     Attributes:
         unknown: names of boxes that are no classes of the project.
         values: how many boxes and frames have a value, by attribute.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     classes: tuple[ClassRow, ...]
     attributes: tuple[Attribute, ...]

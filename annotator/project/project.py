@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from sqlalchemy import Connection
 
@@ -171,31 +170,26 @@ class Project:
     def __enter__(self) -> Project:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-@dataclass(frozen=True)
-class Changed:
-    """The new configuration, and the backup that was made before, if any."""
-
-    config: ProjectConfig
-    backup: Path | None
-
-
-def change_classes(project: Project, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> Changed:
+def change_classes(
+    project: Project, edit: Callable[[ProjectConfig], ClassEdit], author: str
+) -> tuple[ProjectConfig, Path | None]:
     """Changes the classes as `Project.change_classes`.
 
     Undo does not revert it. The opposite change does, except for what the backup is made for.
+
+    Returns:
+        the new configuration, and the backup that was made before, if any.
     """
     old = project.config
     made = edit(old)
     # boxes may also have names that are no classes of the project
     names = {*old.classes, *project.class_counts()} if made.change.classes else set[str]()
     backup = back_up_automatically(project.path, Reason.CLASSES).path if _loses(old, made, names) else None
-    return Changed(project.change_classes(edit, author), backup)
+    return project.change_classes(edit, author), backup
 
 
 def _loses(old: ProjectConfig, made: ClassEdit, names: set[str]) -> bool:
@@ -225,12 +219,7 @@ def create_project(
     return open_project(root / name, clock=clock)
 
 
-def open_project(
-    path: Path,
-    *,
-    clock: Clock = time.time_ns,
-    readable: Sequence[Path] | None = None,
-) -> Project:
+def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[Path] | None = None) -> Project:
     """Opens the project in the folder `path`; an older database is backed up, and upgraded to the newest version.
 
     Args:

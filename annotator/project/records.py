@@ -12,17 +12,21 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
+from annotator.types.bases import Strict
 from annotator.types.errors import RESTORE, ProjectError
 from annotator.types.label import Matrix3, Said
 
 ROTATION_TOLERANCE = 1e-6
 
-# NaN and infinity (a signal without a value) are written as strings, since JSON has no such numbers
-EXACT = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+class Exact(Strict):
+    """NaN and infinity (a signal without a value) are written as strings, since JSON has no such numbers."""
+
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
 
 Stored = TypeVar("Stored")
@@ -54,10 +58,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class BoxRecord(BaseModel):
+class BoxRecord(Exact):
     """An `OrientedBox`: centre and size in metres, columns of `rotation` = box axes, camera frame."""
-
-    model_config = EXACT
 
     center_m: tuple[Finite, Finite, Finite]
     rotation: Rotation3
@@ -79,10 +81,8 @@ class BoxRecord(BaseModel):
         return OrientedBox(pose, np.array(self.size_m))
 
 
-class ProposalRecord(BaseModel):
+class ProposalRecord(Exact):
     """A `Proposal` with its whole trace."""
-
-    model_config = EXACT
 
     label: str
     score: Finite
@@ -105,7 +105,7 @@ class ProposalRecord(BaseModel):
 OWN = "annotator"
 
 
-class SaidRecord(BaseModel):
+class SaidRecord(Exact):
     """What one source says of an object, in its own words.
 
     Attributes:
@@ -113,8 +113,6 @@ class SaidRecord(BaseModel):
         file_track_id: its id in the source's file, if other labels of the recording use that one.
         given: all values that the row has been given, with those that other sources of the object lend it.
     """
-
-    model_config = EXACT
 
     source: Annotated[str, Field(min_length=1, max_length=200)]
     label: Annotated[str, Field(min_length=1)]
@@ -136,7 +134,7 @@ class SaidRecord(BaseModel):
         return Said(self.source, self.label, self.box.box(), self.score, self.track_id, self.box_kind)
 
 
-class ViewGeometry(BaseModel):
+class ViewGeometry(Exact):
     """Pose and scale of a pseudo-view, as in `PseudoView`.
 
     Attributes:
@@ -146,8 +144,6 @@ class ViewGeometry(BaseModel):
         image_box: the box on the camera image whose frustum the view shows, if known; views with the same image box
             belong to the same object.
     """
-
-    model_config = EXACT
 
     axes: Rotation3
     metres_per_px: Positive

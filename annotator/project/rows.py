@@ -44,13 +44,15 @@ class Terms:
 
     Attributes:
         names: of the classes, by id; several may have the same.
+        ids: of the classes that rows have had, by name.
+        key: the names, for caches.
     """
 
     def __init__(self, connection: Connection) -> None:
         self._driver = driver_of(connection)
         self.names: dict[int, str] = dict(self._driver.execute("SELECT id, name FROM classes ORDER BY id DESC"))
-        self._ids = {name: number for number, name in self.names.items()}
-        self._key: Names = tuple(self.names.items())
+        self.ids = {name: number for number, name in self.names.items()}
+        self.key: Names = tuple(self.names.items())
         stored = self._driver.execute("SELECT recording_id, correction FROM adjustments").fetchall()
         self._corrections = {id: correction for id, correction in stored if moving(correction) is not None}
         shared = "SELECT 1 FROM frames WHERE cloud IS NOT NULL LIMIT 1"
@@ -59,20 +61,16 @@ class Terms:
 
     # --- classes ------------------------------------------------------------------------------------------------------
 
-    def known_id(self, name: str) -> int | None:
-        """The id of a class; None if no row has had it yet."""
-        return self._ids.get(name)
-
     def add(self, name: str) -> int:
         """Gives a class an id."""
         number = max(self.names, default=0) + 1
         self.names[number] = name
-        self._ids[name] = number
-        self._key = tuple(self.names.items())
+        self.ids[name] = number
+        self.key = tuple(self.names.items())
         return number
 
     def _coded(self, box: Box2D) -> Box2D:
-        return replace(box, label=str(self._ids[box.label]))
+        return replace(box, label=str(self.ids[box.label]))
 
     # --- clouds -------------------------------------------------------------------------------------------------------
 
@@ -95,11 +93,6 @@ class Terms:
 
     # --- reading ------------------------------------------------------------------------------------------------------
 
-    @property
-    def key(self) -> Names:
-        """The names, for caches."""
-        return self._key
-
     def box(self, content: str, frame_id: int | None) -> OrientedBox:
         """A 3D box, camera frame."""
         return box_of(content, self.place(frame_id))
@@ -110,11 +103,11 @@ class Terms:
 
     def said(self, content: str, frame_id: int | None) -> SaidRecord:
         """What the source of a box says."""
-        return said_of(content, self._key, self.place(frame_id))
+        return said_of(content, self.key, self.place(frame_id))
 
     def boxes_2d(self, content: str) -> tuple[Box2D, ...]:
         """2D boxes."""
-        return tuple(_named(box, self._key) for box in parsed(BOXES_2D.validate_json, content))
+        return tuple(_named(box, self.key) for box in parsed(BOXES_2D.validate_json, content))
 
     def geometry(self, content: str | None, frame_id: int | None) -> ViewGeometry | None:
         """The geometry of a pseudo-view."""
@@ -122,7 +115,7 @@ class Terms:
             return None
         geometry, T = parsed(ViewGeometry.model_validate_json, content), self.T_camera_cloud(frame_id)
         if geometry.image_box is not None:
-            geometry = geometry.model_copy(update={"image_box": _named(geometry.image_box, self._key)})
+            geometry = geometry.model_copy(update={"image_box": _named(geometry.image_box, self.key)})
         return geometry if T is None else moved_geometry(geometry, T)
 
     # --- writing; all classes must have ids ---------------------------------------------------------------------------
@@ -152,7 +145,7 @@ class Terms:
 
     def said_json(self, said: SaidRecord, frame_id: int | None) -> str:
         """What a source says as it is stored."""
-        T, coded = self._T_cloud_camera(frame_id), {"label": str(self._ids[said.label])}
+        T, coded = self._T_cloud_camera(frame_id), {"label": str(self.ids[said.label])}
         moved = {} if T is None else {"box": moved_box(said.box, T)}
         return said.model_copy(update=coded | moved).model_dump_json()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,35 +20,24 @@ from annotator.project.labels import certainty
 from annotator.project.log import Writer
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
 from annotator.project.rows import Row, Terms, said_in, said_with, values_json
-from annotator.types import OrientedBox, ReviewState, Source
+from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source
 from annotator.types.label import AttributeValue
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
 
 
-@runtime_checkable
-class Boxed(Protocol):
-    """A class name with a 3D box, such as a `Proposal` or a `Label`."""
+class Staying(NamedTuple):
+    """A label that an import does not replace; camera frame."""
 
-    @property
-    def label(self) -> str:
-        """Class name."""
-
-    @property
-    def box(self) -> OrientedBox:
-        """Camera frame."""
+    uid: str
+    label: str
+    box: OrientedBox
 
 
-class Known(Boxed, Protocol):
-    """A box with a uid, such as a `Label`."""
-
-    @property
-    def uid(self) -> str:
-        """Of the label."""
-
-
-def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Known]) -> list[str | None]:
+def covered_by(
+    proposals: Sequence[Proposal | Label | NewLabel], reviewed: Iterable[Label | Staying]
+) -> list[str | None]:
     """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
     covering: list[str | None] = [None] * len(proposals)
     labels = list(reviewed)
@@ -166,17 +155,11 @@ def bring(
         return done
 
 
-class _Staying(NamedTuple):
-    uid: str
-    label: str
-    box: OrientedBox
-
-
 def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     terms, waiting = write.terms, write.open_proposals()
     uids = {row["uid"] for row in waiting}
     staying = [
-        _Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
+        Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
         for row in write.labels()
         if row["uid"] not in uids and row["behind"] is None
     ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
 from annotator.project.classes.attributes import Attribute
@@ -28,12 +27,11 @@ from annotator.project.labels import REVIEWED
 from annotator.project.progress.report import Review, ReviewReader
 from annotator.project.recordings import KEPT
 from annotator.types import BoxKind, ReviewState, Source
+from annotator.types.bases import Strict
 
 
-class LabelCounts(BaseModel):
+class LabelCounts(Strict):
     """Counts of 3D labels; every state, source and kind of box is a key, even with count 0."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     total: int
     by_state: dict[ReviewState, int]
@@ -43,23 +41,19 @@ class LabelCounts(BaseModel):
     by_kind: dict[BoxKind, int]
 
 
-class SuggestedCounts(BaseModel):
+class SuggestedCounts(Strict):
     """Counts of the accepted and edited labels whose boxes a view detector suggested while they were drawn.
 
     Attributes:
         as_suggested: the operator accepted all boxes, and nobody has changed the 3D box since.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     as_suggested: int
     corrected: int
 
 
-class BoxCounts(BaseModel):
+class BoxCounts(Strict):
     """Counts of 2D boxes and of the labelled images (`pictures`), images labelled as empty included."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     pictures: int
     boxes: int

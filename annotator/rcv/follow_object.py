@@ -207,7 +207,9 @@ def _registration(
     look, small errors add up. So both are tried. Where neither is found well, the object may have moved further than
     registration reaches, so it is looked for around the predicted position, too.
     """
-    scale, tolerance_m = float(start.size_m.mean()), _tolerance_m(reviewed)
+    scale = float(start.size_m.mean())
+    # within it, a point is found again: not less than the distance of a sparse cloud's points
+    tolerance_m = max(TOLERANCE * float(reviewed.box.size_m.mean()), reviewed.spacing_m)
     looks = (reviewed.xyz_m, np.concatenate([last.xyz_m, reviewed.xyz_m]))
     tried: list[_Registered] = []
     for shift in (np.zeros(3), *SHIFT * scale * SHIFTS):
@@ -224,11 +226,6 @@ def _registration(
                 cost = JUMP_WEIGHT * float(np.linalg.norm(pose[1] - start.center_m)) / scale if shift.any() else 0.0
                 tried.append(_Registered(box, shares[0], shares[1], now.points, new_contact, cost))
     return max(tried, key=lambda one: one.agreement) if tried else None
-
-
-def _tolerance_m(reviewed: Look) -> float:
-    """The distance within which a point is found again: not less than that of a sparse cloud's points."""
-    return max(TOLERANCE * float(reviewed.box.size_m.mean()), reviewed.spacing_m)
 
 
 def _contact(local: Float64[np.ndarray, "n 3"], size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "6"]:

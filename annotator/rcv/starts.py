@@ -226,13 +226,15 @@ def _dropped(cold: ObjectState, reason: str) -> ObjectState:
 def _disagreement(
     camera: Camera, start_box: OrientedBox, after: ObjectState, config: RcvConfig
 ) -> tuple[str | None, float]:
-    """Why the result does not match the start box, or None; and their `shape_iou`, 0 if not computed."""
+    """Why the result does not match the start box, or None; and their IoU with aligned centres, 0 if not
+    computed."""
     box = after.box
     if box is None or after.stop is StopReason.LOST:
         return "the views do not show the object", 0.0
     if (reason := _implausible(start_box, box, after)) is not None:
         return reason, 0.0
-    if (similarity := shape_iou(start_box, box)) < MIN_IOU:
+    similarity = iou_3d(start_box, OrientedBox.from_parts(start_box.center_m, box.rotation, box.size_m))
+    if similarity < MIN_IOU:
         return f"with aligned centres, the IoU with the start box is {similarity:.2f}", similarity
     if (agreement := image_agreement(camera, after, box, config)) < MIN_IMAGE_IOU:
         return f"the IoU with the image box is {agreement:.2f}", similarity
@@ -255,8 +257,3 @@ def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState) -
     if max(ratio.max(), 1 / ratio.min()) > MAX_SIZE_RATIO:
         return f"a side is {ratio[np.argmax(np.abs(np.log(ratio)))]:.2f} times that of the start box"
     return None
-
-
-def shape_iou(a: OrientedBox, b: OrientedBox) -> float:
-    """IoU of two boxes with their centres aligned: their similarity in size and rotation."""
-    return iou_3d(a, OrientedBox.from_parts(a.center_m, b.rotation, b.size_m))

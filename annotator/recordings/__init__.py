@@ -2,5 +2,3 @@
 
 from annotator.recordings.open import detect_format, open_recording
 from annotator.recordings.recording import ReaderOptions, Recording, parse_options, stored_options
-
-__all__ = ["ReaderOptions", "Recording", "detect_format", "open_recording", "parse_options", "stored_options"]

@@ -24,7 +24,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file, read_file, read_text_file
@@ -36,6 +36,7 @@ from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
+from annotator.types.bases import FileRecord
 from annotator.types.checks import LATEST_NS, in_time, too_late
 from annotator.types.errors import FrameError, RecordingError
 
@@ -103,11 +104,7 @@ T_BASE_CAMERA = RigidTransform.from_matrix(np.array([[0.0, 0, 1, 0], [-1, 0, 0, 
 HEAD_BYTES, HEAD = 1024, (b'"openlabel"', b'"annotator"')
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class IntrinsicsRecord(_Record):
+class IntrinsicsRecord(FileRecord):
     """The camera of a document; `camera_matrix` is 3 x 4, row by row."""
 
     width_px: Side
@@ -125,7 +122,7 @@ class IntrinsicsRecord(_Record):
         return pinhole(K, self.width_px, self.height_px, distortion)
 
 
-class PoseRecord(_Record):
+class PoseRecord(FileRecord):
     """A pose; the quaternion is w x y z in rcv, x y z w in OpenLABEL."""
 
     translation: Vector
@@ -137,7 +134,7 @@ class PoseRecord(_Record):
         return RigidTransform.from_components(self.translation, rotation)
 
 
-class TransformRecord(_Record):
+class TransformRecord(FileRecord):
     """The pose of a document's base in the world."""
 
     transform_src_to_dst: PoseRecord
@@ -259,7 +256,7 @@ MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
 
 
-class ManifestFile(_Record):
+class ManifestFile(FileRecord):
     """What frames need of `dataset.json`; an id is a file name."""
 
     format: Literal["annotator-rcv"]
@@ -267,7 +264,7 @@ class ManifestFile(_Record):
     frames: tuple[Annotated[str, Field(pattern=r"^[^/\\\x00]+$")], ...]
 
 
-class CameraRecord(_Record):
+class CameraRecord(FileRecord):
     """The camera of a frame, pixels; `distortion` as `Camera`."""
 
     width_px: Side
@@ -279,7 +276,7 @@ class CameraRecord(_Record):
     distortion: tuple[Number, ...] = ()
 
 
-class FrameFile(_Record):
+class FrameFile(FileRecord):
     """What a frame needs of `labels/ID.json`."""
 
     image: str

@@ -16,16 +16,16 @@ import json
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.projection import SATURATED, camera_key
+from annotator.image_bytes import encoded_image
 from annotator.recordings import frame_times
 from annotator.recordings.rgbd_folder import FILE_NAME as CAMERA_FILE
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import RecordingError
 
-JPEG_QUALITY = 95
 # Fast compression; files are a few percent larger.
 PNG_COMPRESSION = 1
 # Readers take higher numbers for no measurement (`SATURATED`).
@@ -71,7 +71,7 @@ class FrameWriter:
                 _put(self.folder / CLOUDS / f"{key}.npz", _npz(frame.cloud))
             with (self.folder / frame_times.FILE_NAME).open("a", encoding="utf-8") as times:
                 times.write(frame_times.line(key, timestamp_ns))
-            _put(self.folder / COLOR / f"{key}.jpg", _jpeg(frame.rgb))
+            _put(self.folder / COLOR / f"{key}.jpg", encoded_image(frame.rgb, "jpg"))
         except OSError as error:
             raise RecordingError(
                 f"{self.folder}: frame {key} cannot be written ({error.strerror or error}); "
@@ -140,14 +140,6 @@ def _put(path: Path, content: bytes) -> None:
     unfinished = path.with_suffix(UNFINISHED)
     unfinished.write_bytes(content)
     unfinished.replace(path)
-
-
-def _jpeg(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    import cv2
-
-    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
-    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return bytes(data)
 
 
 def _png(depth_m: np.ndarray) -> bytes:

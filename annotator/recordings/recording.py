@@ -10,22 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from annotator.types import Frame
+from annotator.types.bases import Strict
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import ConfigError
 
 Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)], ...]
 
 
-class ReaderOptions(BaseModel):
+class ReaderOptions(Strict):
     """How a recording is read; None = the reader decides. `annotator.recordings.open.READERS` says who takes what.
 
     The descriptions are the help texts of the command line.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     columns: int | None = Field(None, ge=3, le=64, description="numbers per point in .bin files")
     scene: str | None = Field(None, min_length=1, description="scenes of a dataset; all = all of them")

@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt16
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import open_file, read_text_file
@@ -38,6 +38,7 @@ from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole,
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
+from annotator.types.bases import FileRecord, Strict
 from annotator.types.errors import FrameError, UnclearError
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
@@ -51,7 +52,7 @@ Rows = Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)]
 Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
-class IntrinsicFile(BaseModel):
+class IntrinsicFile(FileRecord):
     """`camera_intrinsic.json`, `depth_intrinsic.json`: Open3D's PinholeCameraIntrinsic, with optional keys.
 
     Attributes:
@@ -64,9 +65,6 @@ class IntrinsicFile(BaseModel):
             colour camera, metres, row by row; default none: the frames are the same.
     """
 
-    # Other keys of Open3D (class_name, version_major, ...) are ignored.
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
     width: Side
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
@@ -77,10 +75,8 @@ class IntrinsicFile(BaseModel):
     cloud_to_camera: Rows | None = None
 
 
-class GravityFile(BaseModel):
+class GravityFile(Strict):
     """`gravity.json`: the direction against gravity in the camera frame, any length but 0."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     up: tuple[Number, Number, Number]
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.files import new_folder
 from annotator.geometry.oriented_box import box_corners
+from annotator.image_bytes import encoded_image
 from annotator.synthetic.mesh import Mesh
 from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, silhouette
 from annotator.synthetic.scene import PERIOD_S, Actor, Scene, hands_scene, objects_scene, people_scene
@@ -63,7 +64,6 @@ def _silhouette_px(camera: Camera, T_camera_world: RigidTransform, mesh: Mesh) -
 VERSION = 1
 # The field of view of common RGB-D cameras: 525 px at a width of 640.
 FOCAL_PER_WIDTH = 525 / 640
-JPEG_QUALITY = 95
 
 PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {
     "people": people_scene,
@@ -142,9 +142,9 @@ def _write_frame(
     ideal = stage.render([*moment.rest, *(actor.mesh for actor in moment.actors)])
     objects, mask = _true_objects(stage.camera, scene.T_world_camera.inv(), moment.actors, ideal.track)
     sensor = Sensor()
-    _write_image(folder / "depth" / f"{key}.png", depth_image(ideal, sensor, random))
-    _write_image(folder / "color" / f"{key}.jpg", colour_image(ideal, sensor, random)[:, :, ::-1])
-    _write_image(folder / "truth" / "mask" / f"{key}.png", mask)
+    (folder / "depth" / f"{key}.png").write_bytes(encoded_image(depth_image(ideal, sensor, random)))
+    (folder / "color" / f"{key}.jpg").write_bytes(encoded_image(colour_image(ideal, sensor, random), "jpg"))
+    (folder / "truth" / "mask" / f"{key}.png").write_bytes(encoded_image(mask))
     return objects
 
 
@@ -164,14 +164,6 @@ def _entry(actor: Actor, box: OrientedBox, visible: float) -> dict[str, object]:
 def _rounded(values: np.ndarray) -> list[object]:
     """Rounded to a nanometre, so that the text does not depend on the last bits."""
     return list(np.round(values, 9).tolist())
-
-
-def _write_image(path: Path, image: np.ndarray) -> None:
-    import cv2
-
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
-    _, data = cv2.imencode(path.suffix, image, options)
-    path.write_bytes(data.tobytes())
 
 
 def _write_json(path: Path, content: object) -> None:

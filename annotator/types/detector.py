@@ -49,6 +49,13 @@ class Region:
         return max(self.width_px, self.height_px) / max(self.of.rgb.shape[:2])
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An `Image` of nothing but its pixels."""
+
+    rgb: np.ndarray
+
+
 class DetectorKind(StrEnum):
     """The two detectors of a project: one for camera images, one for pseudo-views."""
 

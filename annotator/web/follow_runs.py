@@ -123,8 +123,7 @@ class FollowRuns:
             running = self._runs.get(project, {}).get(operator)
             if running is not None and running.action == action:
                 del self._runs[project][operator]
-                shown = running.shown.model_copy(update={"state": "undone"})
-                self._hub.send({"type": "follow", "project": project.path.name, "run": shown.model_dump(mode="json")})
+                self._tell(project, running.shown.model_copy(update={"state": "undone"}))
 
     def close(self, project: Project | None = None) -> None:
         """Stops and forgets all runs, or those of one project."""
@@ -156,9 +155,10 @@ class FollowRuns:
         values = {"done": now.done, "total": now.total, "tracks": _tracks(now, self._public_message), **changes}
         with self._lock:
             running.shown = running.shown.model_copy(update=values)
-            self._hub.send(
-                {"type": "follow", "project": project.path.name, "run": running.shown.model_dump(mode="json")}
-            )
+            self._tell(project, running.shown)
+
+    def _tell(self, project: Project, run: FollowRunJson) -> None:
+        self._hub.send({"type": "follow", "project": project.path.name, "run": run.model_dump(mode="json")})
 
 
 def _tracks(state: Following, public_message: Callable[[str], str]) -> tuple[FollowedTrack, ...]:

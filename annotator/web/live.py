@@ -241,22 +241,18 @@ class LiveOptions:
     record: Path | None = None
 
 
-@dataclass(frozen=True)
-class LiveResult:
-    """The final figures of a session, and the summary of its recording in the project."""
-
-    figures: Figures
-    stored: Stored | None
-
-
 def run_live(
     project: Project,
     options: LiveOptions,
     settings: ServerSettings,
     *,
     report: Callable[[str], None],
-) -> LiveResult:
-    """Detects and shows frames until the source ends or is interrupted. The recording is kept even after an error."""
+) -> tuple[Figures, Stored | None]:
+    """Detects and shows frames until the source ends or is interrupted. The recording is kept even after an error.
+
+    Returns:
+        the final figures of the session, and the summary of its recording in the project.
+    """
     check_settings(settings)
     if options.record is not None:
         require_unused_path(project, options.record)
@@ -286,7 +282,7 @@ def run_live(
                 return pipeline.figures()
 
         if options.record is None:
-            return LiveResult(show(None), None)
+            return show(None), None
         with closing(Recorder(options.record, report)) as recorder:
             facts["recording"] = recorder.out.name
             stored = None
@@ -297,7 +293,7 @@ def run_live(
                     report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
                     stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm)
             recorder.require_complete()
-            return LiveResult(figures, stored)
+            return figures, stored
 
 
 def _few(report: Callable[[str], None]) -> Callable[[str], None]:

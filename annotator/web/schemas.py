@@ -16,6 +16,7 @@ from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
 from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
+from annotator.types.bases import Strict
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -44,10 +45,8 @@ def _rotation_matrix(rows: Matrix3) -> Matrix3:
 Axes = Annotated[Matrix3, AfterValidator(_rotation_matrix)]
 
 
-class Schema(BaseModel):
+class Schema(Strict):
     """Base of all schemas; unknown fields are refused, so that a misspelt one causes an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     @classmethod
     def of(cls, source: object, /, **more: Any) -> Self:

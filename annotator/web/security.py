@@ -372,7 +372,9 @@ def with_token(settings: ServerSettings, token_file: Path | None = None, *, no_t
     settings = replace(settings, token=given or secrets.token_urlsafe(32))
     check_settings(settings)
     if given or is_loopback(settings.host):
-        return replace(settings, cookie=_cookie(settings.projects_root, given or ""))
+        # the same after each start; another one for other projects, users and computers
+        of_token = f"{settings.projects_root.resolve()}\n{given or ''}".encode()
+        return replace(settings, cookie=hmac.new(_key(), of_token, "sha256").hexdigest())
     return settings
 
 
@@ -390,11 +392,6 @@ def _of_file(path: Path) -> str:
     if len(content) > MOST_BYTES or not text or len(text.split()) > 1:
         raise ConfigError(f"--token-file {path}: is not one line with a token; {make}")
     return text
-
-
-def _cookie(projects_root: Path, token: str) -> str:
-    """The cookie of a token, the same after each start; another one for other projects, users and computers."""
-    return hmac.new(_key(), f"{projects_root.resolve()}\n{token}".encode(), "sha256").hexdigest()
 
 
 def _key() -> bytes:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from pydantic import ValidationError
 
 from annotator.detection.config import Backend, DetectorConfig
@@ -28,13 +27,6 @@ Model = TypeVar("Model")
 AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
 # Key of a run's settings: where the 2D boxes come from that it lifted to 3D.
 LIFTED_FROM = "lifted from"
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """An `Image` of nothing but its pixels."""
-
-    rgb: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 import annotator
 from annotator.detection.backends.choose import chosen, open_network
@@ -36,6 +36,7 @@ from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import cache_dir
 from annotator.files import read_text_file, sha256_of
 from annotator.types import DetectorKind
+from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
 from annotator.types.messages import amount
 
@@ -69,7 +70,7 @@ class State(StrEnum):
     FAILED = "failed"
 
 
-class Line(BaseModel):
+class Line(Strict):
     """The result of one check.
 
     Attributes:
@@ -81,7 +82,7 @@ class Line(BaseModel):
         figures: measured values by name; the name includes the unit.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     section: str
     name: str
@@ -91,10 +92,8 @@ class Line(BaseModel):
     figures: dict[str, float] = Field(default_factory=dict)
 
 
-class Report(BaseModel):
+class Report(Strict):
     """All lines of a run, grouped by section."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     report_version: int = REPORT_VERSION
     annotator_version: str

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
-
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
@@ -14,19 +12,18 @@ from annotator.recordings.look_around import Scanned
 from annotator.recordings.recording import origin_of
 from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Frame
+from annotator.types.bases import Strict
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
-class FrameReport(BaseModel):
+class FrameReport(Strict):
     """The content of one frame; lengths in metres, sizes in pixels.
 
     Attributes:
         scanned, seen: points of the LiDAR's whole scan, and how many of them the image shows; None without a LiDAR.
         place: where the camera stands in map coordinates; None without such.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: str
     width_px: int
@@ -52,7 +49,7 @@ class FrameReport(BaseModel):
     has_mask: bool
 
 
-class RecordingReport(BaseModel):
+class RecordingReport(Strict):
     """The content of a recording.
 
     Attributes:
@@ -63,8 +60,6 @@ class RecordingReport(BaseModel):
         origin: of clouds in map coordinates without a camera (`clouds.virtual_camera`); None for others.
         topics: of a bag; empty for other formats.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: Path
     format: str

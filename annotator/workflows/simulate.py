@@ -244,32 +244,18 @@ def _import_boxes(project: Project, frame_id: int, objects: Sequence[TaughtObjec
 FITS_IOU = 0.5
 
 
-@dataclass(frozen=True)
-class Confirmed:
-    """What the simulated operator did.
+def confirm_whole_boxes(project: Project, recording_id: int) -> list[float]:
+    """Confirms whole boxes in the frames of a recording, once all are drawn; objects with a label are left out.
 
-    Attributes:
-        objects: drawn objects for which whole boxes were offered.
-        confirmed: objects of which one was confirmed.
-        actions: keys pressed: one for each further box looked at, and one to confirm.
-        mean_iou: of the confirmed boxes with the true ones; NaN without any.
+    Returns:
+        the IoU of each confirmed box with the true one.
     """
-
-    objects: int
-    confirmed: int
-    actions: int
-    mean_iou: float
-
-
-def confirm_whole_boxes(project: Project, recording_id: int) -> Confirmed:
-    """Confirms whole boxes in the frames of a recording, once all are drawn; objects with a label are left out."""
     source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
     recording = source.recording(recording_id)
     indices = {key: index for index, key in enumerate(recording.keys)}
     labelled = project.boxes.frames_with_images()
     frames = [one for one in project.frames.of([recording_id]) if one.index is not None and one.id in labelled]
     known = {(label.frame_id, label.image_box) for label in project.labels.select(recordings=[recording_id])}
-    objects = actions = 0
     ious: list[float] = []
     for stored in frames:
         frame = source.read(stored)
@@ -280,8 +266,6 @@ def confirm_whole_boxes(project: Project, recording_id: int) -> Confirmed:
                 continue
             offered = offers.of(frame, stored, image_box, detector)
             fits = [iou_3d(item.box, one.box) for one in offered]
-            objects += bool(fits)
-            actions += max(len(fits) - 1, 0)
             if fits and max(fits) >= FITS_IOU:
                 box = offered[fits.index(max(fits))].box
                 new.append(NewLabel(item.label, box, origin=Origin.DRAWN, image_box=image_box))
@@ -289,5 +273,4 @@ def confirm_whole_boxes(project: Project, recording_id: int) -> Confirmed:
         if new:
             revision = project.frames.get(stored.id).revision
             project.labels.create(stored.id, new, WriteContext(revision, AUTHOR, Source.MANUAL))
-    mean = sum(ious) / len(ious) if ious else float("nan")
-    return Confirmed(objects, len(ious), actions + len(ious), mean)
+    return ious

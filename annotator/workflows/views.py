@@ -23,17 +23,18 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 from scipy.optimize import linear_sum_assignment
 
 from annotator.files import TABLE_BYTES, new_folder, read_file
 from annotator.formats.coco import write_coco
-from annotator.formats.dataset_writing import encoded_image, writing
+from annotator.formats.dataset_writing import writing
 from annotator.formats.frame_names import PictureLabels
 from annotator.formats.reading import write_text
 from annotator.geometry.iou import box_iou
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.geometry.projection import in_frustum
+from annotator.image_bytes import encoded_image
 from annotator.project import Project, ViewBoxes, ViewGeometry
 from annotator.project.changes import (
     ImageBoxesSet,
@@ -55,13 +56,14 @@ from annotator.rcv.pseudo_view import Window, drawn_points, render_window, side_
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView, ReviewState
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 
 SIDECAR = "views.json"
 
 
-class ViewPlace(BaseModel):
+class ViewPlace(Strict):
     """The origin of a pseudo-view image.
 
     Attributes:
@@ -71,8 +73,6 @@ class ViewPlace(BaseModel):
         geometry: the view's position and axes in space; None if unknown.
         labelled: True if it was reviewed: without boxes it then shows no object.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_name: str
     recording: str | None
@@ -264,7 +264,7 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
     with new_folder(out, lambda _: False) as folder:
         for place, view in _places(project, step, config, broken):
             with writing(out):
-                (folder / place.file_name).write_bytes(encoded_image(view.rgb, "png"))
+                (folder / place.file_name).write_bytes(encoded_image(view.rgb))
             images.append(PictureLabels(place.file_name, (), (view.rgb.shape[1], view.rgb.shape[0])))
             places.append(place)
         if not images:

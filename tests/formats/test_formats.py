@@ -12,9 +12,9 @@ import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, FileNames
+from annotator.formats.dataset_writing import DatasetItem, FileNames, Format
 from annotator.formats.losses import Losses, Lost
-from annotator.formats.table import FORMATS, WRITERS, ExportFormat, documented
+from annotator.formats.table import FORMATS, WRITERS, ExportFormat
 from annotator.types import Camera, PointCloud, ReviewState, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
@@ -150,6 +150,28 @@ def test_what_a_format_loses_is_counted(tmp_path: Path, name: str) -> None:
     of_boxes = {"kitti": 8, "kitti-tracking": 10}.get(name, 0 if format.values is None else 12)
     assert counted.get(Lost.ATTRIBUTE, 0) == of_boxes + (0 if format.of_frames else 2)
     assert format.boxes != "upright" or Lost.TILT in counted
+
+
+def documented() -> str:
+    """The table of docs/formats.md: what each format holds, and what tells its folders."""
+    head = ("format", "export", "boxes", "tracks", "scores", "states and sources", "map place", "attributes", "told by")
+    rows = [head, ("---",) * len(head), *(_documented(name, format) for name, format in FORMATS.items())]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in rows)
+
+
+def _documented(name: str, format: Format) -> tuple[str, ...]:
+    values = "all" if format.values is None else ", ".join(format.values) or "none"
+    if values == "all" and not format.of_frames:
+        values = "all, none of frames"
+    holds = (Lost.TRACK, Lost.SCORE, Lost.STATE, Lost.ORIGIN)
+    return (
+        name,
+        "yes" if format.summary else "no",
+        format.boxes,
+        *("no" if kind in format.loses else "yes" for kind in holds),
+        values,
+        ", ".join(f"`{mark}`" for mark in format.marks) or "the content of its files",
+    )
 
 
 def test_the_table_names_all_formats_and_is_that_of_the_documentation() -> None:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import cycle
 from pathlib import Path
 
 import httpx
@@ -27,7 +28,7 @@ from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections,
 from annotator.web.security import ServerSettings
 from annotator.web.serve import Running
 from annotator.workflows.live.detection import Detected, Taken
-from annotator.workflows.live.open_source import Playback, Repeat
+from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.recorded.reading import load_truth
 
@@ -54,9 +55,8 @@ class TruthDetection:
 def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LivePage]]:
     """Serves a live page that runs until the block is left."""
     page = LivePage("hands", {"backend": "truth"})
-    pipeline = Pipeline(
-        Playback(open_recording(folder), rate=4.0, repeat=Repeat.BACK), TruthDetection(folder), page.show
-    )
+    playback = Playback(open_recording(folder), rate=4.0, order=cycle((0, 1, 2, 3, 4, 3, 2, 1)))
+    pipeline = Pipeline(playback, TruthDetection(folder), page.show)
     page.follow(pipeline)
     server = Running(settings, live_app(settings, page))
     thread = threading.Thread(target=server.serve_until_stopped)

@@ -243,7 +243,7 @@ def test_export_and_download(live: Live) -> None:
         assert len(archive.read("room-kitti/ImageSets/val.txt").split()) == 2
     folder = live.settings.projects_root / ".jobs" / done["id"]
     assert sorted(path.name for path in folder.iterdir()) == ["room-kitti.zip", "worker.log"]
-    formats = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()["formats"]}
+    formats = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()}
     assert "proposed" in formats["rcv"]["states"] and "proposed" not in formats["kitti"]["states"]
     assert [name for name, entry in formats.items() if entry["flat"]] == ["coco", "yolo"]
 

@@ -20,13 +20,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.backends.openvino_network import openvino
 from annotator.detection.backends.torch_network import raw_network
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, new_folder, read_file
+from annotator.types.bases import Strict
 from annotator.types.errors import DetectionError, FormatError
 
 # Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
@@ -168,10 +169,8 @@ class Export:
     parts: Mapping[str, bytes]
 
 
-class _Record(BaseModel):
+class _Record(Strict):
     """Content of `export.json`: the key of the export, the network's facts and the SHA-256 of each file by name."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: str
     facts: NetworkFacts

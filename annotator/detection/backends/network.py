@@ -12,9 +12,10 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from annotator.detection.config import Backend
+from annotator.types.bases import Strict
 
 # Backends that run a converted copy of the weights.
 ExportKind = Literal["openvino", "onnxruntime"]
@@ -25,7 +26,7 @@ Batch = UInt8[np.ndarray, "_ _ _ 3"]
 Answer = Float32[np.ndarray, "_ _ _"]
 
 
-class NetworkFacts(BaseModel):
+class NetworkFacts(Strict):
     """Properties of a network that pre- and post-processing need.
 
     Attributes:
@@ -33,8 +34,6 @@ class NetworkFacts(BaseModel):
         end2end: whether the network predicts each object once, so that no non-maximum suppression is needed.
         edge_spread: whether its last four rows are the spread of each edge (`torch_network.py`), pixels.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     labels: tuple[str, ...] = Field(min_length=1)
     stride: int = Field(ge=1)

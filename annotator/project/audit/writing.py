@@ -181,16 +181,13 @@ class Write:
         found = driver_of(self.connection).execute(query, (self.moment_id, self.frame_id))
         return {int(track_id) for (track_id,) in found}
 
-    def is_here(self, row: Row) -> bool:
-        """Whether a label was made in this frame, not in that of another camera of the moment."""
-        return bool(row["frame_id"] == self.frame_id)
-
     def open_proposals(self) -> list[Row]:
         """The rows of proposals made here that passes and imports may replace, with those behind them."""
         rows = {row["uid"]: row for row in self.labels()}
 
         def is_open(row: Row) -> bool:
-            is_proposed = row["state"] == ReviewState.PROPOSED.value and self.is_here(row)
+            # not in the frame of another camera of the moment
+            is_proposed = row["state"] == ReviewState.PROPOSED.value and row["frame_id"] == self.frame_id
             return is_proposed and not is_kept(row, self.terms, self.config.attributes)
 
         return [row for row in rows.values() if is_open(rows.get(row["behind"], row))]
@@ -222,7 +219,7 @@ class Write:
                 f"{self.where}: {name!r} is not a class of the project; {alternatives(name, self.config.classes)}; "
                 "use one of the project's classes, or add the missing ones to the project first"
             )
-        known = self.terms.known_id(name)
+        known = self.terms.ids.get(name)
         if known is None:
             known = self.terms.add(name)
             self._now["classes", known] = None

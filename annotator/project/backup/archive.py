@@ -14,11 +14,12 @@ from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from annotator.files import ARCHIVE_ERRORS, CHUNK_BYTES, link_out, open_file
 from annotator.project.config import CONFIG_FILE
 from annotator.project.database.store import DATABASE_FILE, explained
+from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount, first_problem
 
@@ -150,7 +151,7 @@ Progress = Callable[[int, int], None]
 """Called with (files done, files)."""
 
 
-class BackupManifest(BaseModel):
+class BackupManifest(FileRecord):
     """What a backup contains.
 
     Attributes:
@@ -164,8 +165,6 @@ class BackupManifest(BaseModel):
         models: the detectors in it.
         count: number of files, without this one.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     format: Literal["annotator-backup"] = "annotator-backup"
     version: int = Field(VERSION, ge=1)

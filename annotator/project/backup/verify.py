@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import gettempdir
 
-from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection
 
 from annotator.files import sha256_of, unfinished_folder
@@ -18,6 +17,7 @@ from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.database.store import DATABASE_FILE, explained, open_store
+from annotator.types.bases import Strict
 from annotator.types.errors import ProjectError
 from annotator.types.messages import first_few
 
@@ -25,10 +25,8 @@ MOST_NAMED = 3
 Rows = dict[object, tuple[object, ...]]
 
 
-class Verification(BaseModel):
+class Verification(Strict):
     """The result of a verification; `problems` is empty for a sound project."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     project: str
     deep: bool

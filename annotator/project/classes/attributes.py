@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer, model_validator
+from pydantic import AfterValidator, Field, model_serializer, model_validator
 
+from annotator.types.bases import Strict
 from annotator.types.label import MOST_TRACK, AttributeValue
 
 MOST_TEXT = 1000
@@ -64,10 +65,8 @@ class AttributeOf(StrEnum):
     FRAME = "frame"
 
 
-class _Sparse(BaseModel):
+class _Sparse(Strict):
     """A model that is written without fields that have their default."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
@@ -203,17 +202,15 @@ def value_text(value: AttributeValue) -> str:
 # --- what a change does to stored labels ------------------------------------------------------------------------------
 
 
-class Filled(BaseModel):
+class Filled(Strict):
     """A value for the boxes of some classes (none: of all) that have no value of an attribute."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     value: Value
     classes: tuple[str, ...] = ()
 
 
-class Relabelling(BaseModel):
+class Relabelling(Strict):
     """What happens to stored labels.
 
     Attributes:
@@ -222,8 +219,6 @@ class Relabelling(BaseModel):
         filled: values for boxes without one, the classes by their new names.
         fitted: attributes whose definition is narrower now; values that do not fit are removed.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: dict[str, str] = Field(default_factory=dict)
     removed: tuple[str, ...] = ()

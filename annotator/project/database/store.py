@@ -236,12 +236,7 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     return store
 
 
-def open_store(
-    path: Path,
-    *,
-    clock: Clock = time.time_ns,
-    before_upgrade: Callable[[], None] | None = None,
-) -> Store:
+def open_store(path: Path, *, clock: Clock = time.time_ns, before_upgrade: Callable[[], None] | None = None) -> Store:
     """Opens the database at `path` and upgrades an older one to the newest version.
 
     Args:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 from sqlalchemy import Connection, case, func, select
 
 from annotator.project.database.schema import events, frame_results, frames, image_labels, labels
@@ -19,16 +19,12 @@ from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
 from annotator.project.recordings import removed_recordings
 from annotator.types import ReviewState
-
-
-class _Result(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+from annotator.types.bases import Strict
 
 # --- the effort per box -----------------------------------------------------------------------------------------------
 
 
-class BoxEffort(_Result):
+class BoxEffort(Strict):
     """Mean effort per box; None where no effort was counted.
 
     Attributes:
@@ -65,7 +61,7 @@ def _mean_iou(boxes: Iterable[ReviewedBox]) -> float | None:
 LONGEST_PAUSE_S = 300.0
 
 
-class WorkOfDay(_Result):
+class WorkOfDay(Strict):
     """The work of one person on one day, in this computer's time zone.
 
     Attributes:
@@ -148,7 +144,7 @@ def _day_of_quarter(quarter: int) -> date:
 MOST_GROUPS, FEWEST_BOXES = 20, 10
 
 
-class PaceGroup(_Result):
+class PaceGroup(Strict):
     """Boxes that were labelled one after the other.
 
     Attributes:
@@ -167,7 +163,7 @@ class PaceGroup(_Result):
     iou_proposal_to_final: float | None
 
 
-class Pace(_Result):
+class Pace(Strict):
     """How the effort per box changed.
 
     Attributes:
@@ -219,7 +215,7 @@ def _time_ns(box: ReviewedBox) -> int:
 LATEST_FRAMES, PARTS, FEWEST_FRAMES = 100, 4, 10
 
 
-class Interval(_Result):
+class Interval(Strict):
     """An expected value and its range."""
 
     low: float
@@ -227,7 +223,7 @@ class Interval(_Result):
     high: float
 
 
-class Forecast(_Result):
+class Forecast(Strict):
     """The work that is left, at the rate of the latest work.
 
     Attributes:
@@ -325,7 +321,7 @@ def _sorted_frames(connection: Connection) -> tuple[set[int], int, int, list[int
 RANGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
 
 
-class Quality(_Result):
+class Quality(Strict):
     """Counts of reviewed boxes, and the quality of their proposals.
 
     Attributes:
@@ -353,7 +349,7 @@ class RangeQuality(Quality):
     to_m: float | None
 
 
-class ProposalQuality(_Result):
+class ProposalQuality(Strict):
     """Quality of the proposals; classes are those of the reviewed boxes, and distances without boxes are left out."""
 
     by_class: dict[str, Quality]
@@ -398,7 +394,7 @@ def _numbers(boxes: Sequence[ReviewedBox]) -> dict[str, int | float | None]:
 # --- all of it --------------------------------------------------------------------------------------------------------
 
 
-class Progress(_Result):
+class Progress(Strict):
     """The work on a project, for whoever leads it.
 
     Attributes:
@@ -412,7 +408,7 @@ class Progress(_Result):
     forecast: Forecast
 
 
-class Review(_Result):
+class Review(Strict):
     """Results of the review.
 
     Attributes:

@@ -111,11 +111,6 @@ COLOR_NAMES = ("colors", "colours", "rgb", "color")
 COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
 
 
-def parse_npy(data: bytes) -> RawCloud:
-    """Parses the points of an `.npy` file."""
-    return from_columns(_columns(read_array(io.BytesIO(data))))
-
-
 def parse_npz(data: bytes) -> RawCloud:
     """Parses the points, and the colours if there are any, of an `.npz` file."""
     try:
@@ -182,7 +177,7 @@ def _color_columns(colors: np.ndarray, points: int) -> dict[str, np.ndarray]:
 PARSERS: dict[str, Callable[[bytes], RawCloud]] = {
     ".ply": parse_ply,
     ".pcd": parse_pcd,
-    ".npy": parse_npy,
+    ".npy": lambda data: from_columns(_columns(read_array(io.BytesIO(data)))),
     ".npz": parse_npz,
     ".las": parse_las,
     ".laz": parse_las,

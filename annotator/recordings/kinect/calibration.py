@@ -18,13 +18,14 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt16
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import in_metres
 from annotator.recordings.kinect.matroska import Block
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
+from annotator.types.bases import FileRecord
 from annotator.types.messages import first_problem
 
 MM_PER_M = 1000.0
@@ -51,12 +52,7 @@ COLOUR_MODES: dict[Size, tuple[Size, Size]] = {
 }
 
 
-class _Part(BaseModel):
-    # Other fields of the file are ignored.
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class _Pose(_Part):
+class _Pose(FileRecord):
     Rotation: Annotated[tuple[Small, ...], Field(min_length=9, max_length=9)]
     Translation: Annotated[tuple[Small, ...], Field(min_length=3, max_length=3)]
 
@@ -66,12 +62,12 @@ class _Pose(_Part):
         return RigidTransform.from_components(np.array(self.Translation), rotation)
 
 
-class _Intrinsics(_Part):
+class _Intrinsics(FileRecord):
     ModelType: str
     ModelParameters: Annotated[tuple[Small, ...], Field(min_length=14)]
 
 
-class _CameraPart(_Part):
+class _CameraPart(FileRecord):
     Purpose: str
     Intrinsics: _Intrinsics
     Rt: _Pose
@@ -98,12 +94,12 @@ class _CameraPart(_Part):
         )
 
 
-class _InertialPart(_Part):
+class _InertialPart(FileRecord):
     SensorType: str
     Rt: _Pose
 
 
-class _Information(_Part):
+class _Information(FileRecord):
     Cameras: tuple[_CameraPart, ...]
     InertialSensors: tuple[_InertialPart, ...] = ()
 
@@ -117,7 +113,7 @@ class _Information(_Part):
         return next((sensor.Rt for sensor in self.InertialSensors if sensor.SensorType == ACCELEROMETER), None)
 
 
-class _File(_Part):
+class _File(FileRecord):
     CalibrationInformation: _Information
 
 

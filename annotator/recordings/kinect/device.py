@@ -39,6 +39,9 @@ FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
 # Timeout of one call, milliseconds; `stop` is checked between calls.
 WAIT_MS = 200
 COLOR_SIZE: Size = (1280, 720)
+# The narrow field of view, unbinned (hardware specification: "Depth camera supported operating modes").
+DEPTH_MODE, FPS = "NFOV_UNBINNED", "FPS_30"
+DEPTH_SIZE: Size = (640, 576)
 NS_PER_US = 1000
 NAME = "Azure Kinect"
 # Serial numbers have twelve digits; one or two digits are an index in the list of devices.
@@ -104,30 +107,6 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
     raise DeviceError(f"no {NAME} with the serial number {which} can be opened; connected: {', '.join(others)}")
 
 
-@dataclass(frozen=True)
-class Mode:
-    """A mode of the depth camera, with its names in pyk4a.
-
-    Attributes:
-        depth: member of `DepthMode`.
-        fps: member of `FPS`: the highest rate of the mode.
-        size: image size, pixels.
-    """
-
-    depth: str
-    fps: str
-    size: Size
-
-
-# Azure Kinect hardware specification: "Depth camera supported operating modes".
-MODES: dict[str, Mode] = {
-    "nfov": Mode("NFOV_UNBINNED", "FPS_30", (640, 576)),
-    "nfov_binned": Mode("NFOV_2X2BINNED", "FPS_30", (320, 288)),
-    "wfov_binned": Mode("WFOV_2X2BINNED", "FPS_30", (512, 512)),
-    "wfov": Mode("WFOV_UNBINNED", "FPS_15", (1024, 1024)),
-}
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceFrame:
     """A frame of the device.
@@ -148,24 +127,22 @@ class KinectDevice:
         calibration: calibration of both cameras.
     """
 
-    def __init__(self, which: str | None = None, mode: str = "nfov") -> None:
+    def __init__(self, which: str | None = None) -> None:
         """Opens a device and starts its cameras.
 
         Args:
             which: its serial number, or its index in the list of devices, from 0; None = the first.
-            mode: depth mode, one of `MODES`.
 
         Raises:
             DeviceError: pyk4a or the SDK is missing, there is no such device, another program uses it, or it does not
                 start.
         """
         self._k4a = load_pyk4a()
-        self._mode = MODES[mode]
         config = self._k4a.Config(
             color_resolution=self._k4a.ColorResolution.RES_720P,
             color_format=self._k4a.ImageFormat.COLOR_BGRA32,
-            depth_mode=self._k4a.DepthMode[self._mode.depth],
-            camera_fps=self._k4a.FPS[self._mode.fps],
+            depth_mode=self._k4a.DepthMode[DEPTH_MODE],
+            camera_fps=self._k4a.FPS[FPS],
             synchronized_images_only=True,
         )
         self._device, serial = open_device(self._k4a, config, which)
@@ -215,7 +192,7 @@ class KinectDevice:
     def _calibrated(self) -> KinectCalibration:
         try:
             raw = self._device.calibration_raw
-            return parse_calibration(str(raw).encode(), self._mode.size, COLOR_SIZE)
+            return parse_calibration(str(raw).encode(), DEPTH_SIZE, COLOR_SIZE)
         except (self._k4a.K4AException, ValueError) as error:
             raise DeviceError(
                 f"{self.name}: its calibration cannot be used ({error or 'not readable'}); reconnect it, or "
@@ -250,7 +227,7 @@ class KinectDevice:
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
         self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
-        depth, (width, height) = capture.depth, self._mode.size
+        depth, (width, height) = capture.depth, DEPTH_SIZE
         if depth.shape != (height, width) or depth.dtype != np.uint16:
             raise DeviceError(
                 f"{self.name}: its depth images are {depth.shape} {depth.dtype}, not {width} x {height} uint16"

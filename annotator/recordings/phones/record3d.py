@@ -28,7 +28,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fence import fenced
@@ -43,6 +43,7 @@ from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
+from annotator.types.bases import FileRecord
 from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 
@@ -186,7 +187,7 @@ S_TO_NS = 1e9
 LONGEST_NUMBER = 9
 
 
-class Metadata(BaseModel):
+class Metadata(FileRecord):
     """`metadata`; other keys (cameraType, initPose, ...) are ignored.
 
     Attributes:
@@ -197,8 +198,6 @@ class Metadata(BaseModel):
         poses: qx qy qz qw x y z of each image.
         frameTimestamps: seconds since the first image; missing in older files.
     """
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
 
     w: Side
     h: Side

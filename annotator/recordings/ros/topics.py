@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.plausible import are_plausible
@@ -28,6 +27,7 @@ from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, frame_id, message
 from annotator.recordings.ros.pictures import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
+from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, InputError, RecordingError
 from annotator.types.messages import amount
 
@@ -364,7 +364,7 @@ def _first_named(bag: Bag, name: str) -> Any:
     return None if topic is None or not len(topic) else first_message(topic)
 
 
-class TopicReport(BaseModel):
+class TopicReport(Strict):
     """A topic of a bag.
 
     Attributes:
@@ -374,8 +374,6 @@ class TopicReport(BaseModel):
         use: what it is used for; "" = not used, or not chosen yet.
         option: that can name it, such as "--points"; "" = none.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     type: str

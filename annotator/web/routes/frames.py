@@ -21,11 +21,11 @@ from annotator.project.changes import (
     LabelTracked,
     NewLabel,
     Payload,
+    TrackId,
 )
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Suggestion
 from annotator.types.errors import HistoryError
-from annotator.types.label import MOST_TRACK
 from annotator.web.context import AtProject, Ctx, InProject
 from annotator.web.errors import AnsweredError, error_response
 from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse
@@ -44,9 +44,6 @@ from annotator.web.schemas import (
     WithEffort,
 )
 from annotator.workflows.workbench.save_object import apply_changes
-
-TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
-
 
 DECIDED: dict[str, type[LabelAccepted | LabelRejected | LabelDeleted]] = {
     "accept": LabelAccepted,

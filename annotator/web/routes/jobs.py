@@ -25,7 +25,8 @@ from annotator.workflows.training.model_report import model_facts
 
 router = APIRouter(tags=["jobs"])
 
-JobId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
+# of a job, or of a file that was sent
+RandomId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 
 
 class JobList(BaseModel):
@@ -49,12 +50,6 @@ class FormatInfo(BaseModel):
     flat: bool
 
 
-class FormatList(BaseModel):
-    """All export formats, annotator's own first."""
-
-    formats: list[FormatInfo]
-
-
 @router.post("/api/projects/{name}/jobs", status_code=201)
 def begin(at: AtProject, body: Annotated[JobRequest, Body()]) -> Job:
     """Start a job (train, propose, lift, export, import or copy); it waits for earlier ones of its lane."""
@@ -71,30 +66,27 @@ def jobs(ctx: Ctx, operator: Operator) -> JobList:
 
 
 @router.post("/api/jobs/{id}/cancel")
-def cancel(id: JobId, ctx: Ctx, operator: Operator) -> Job:
+def cancel(id: RandomId, ctx: Ctx, operator: Operator) -> Job:
     """Stop a job; finished parts of its work are kept."""
     return ctx.jobs.cancel(id)
 
 
 @router.get("/api/jobs/{id}/download", response_class=FileResponse)
-def download(id: JobId, ctx: Ctx, operator: Operator) -> FileResponse:
+def download(id: RandomId, ctx: Ctx, operator: Operator) -> FileResponse:
     """The packed dataset of an export; the latest ones of each project are kept."""
     path = ctx.jobs.file(id)
     return FileResponse(path, media_type="application/zip", filename=path.name)
 
 
 @router.get("/api/export-formats")
-def formats(operator: Operator) -> FormatList:
-    """The formats that labels can be exported to."""
-    return FormatList(
-        formats=[
-            FormatInfo(name=name, summary=writer.summary, states=list(writer.states), flat=writer.flat)
-            for name, writer in WRITERS.items()
-        ]
-    )
+def formats(operator: Operator) -> list[FormatInfo]:
+    """The formats that labels can be exported to, annotator's own first."""
+    return [
+        FormatInfo(name=name, summary=writer.summary, states=list(writer.states), flat=writer.flat)
+        for name, writer in WRITERS.items()
+    ]
 
 
-UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 FileName = Query(alias="name", min_length=1, max_length=255)
 Content = Annotated[bytes, Body(media_type="application/octet-stream")]
 
@@ -134,7 +126,7 @@ def upload(at: AtProject, file: Annotated[str, FileName], content: Content) -> B
 
 
 @router.get("/api/projects/{name}/boxes-files/{id}")
-def look(at: AtProject, id: UploadId, recording: RowId | None = None) -> BoxesFile:
+def look(at: AtProject, id: RandomId, recording: RowId | None = None) -> BoxesFile:
     """A file that was sent, matched with one recording, or with all."""
     return _described(at.project, find_upload(at.project, id), recording)
 

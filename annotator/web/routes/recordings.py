@@ -97,12 +97,6 @@ class ListedRecording(RecordingInfo):
     removed_by: str | None
 
 
-class ListedRecordings(BaseModel):
-    """The recordings of a project, and those that were removed from it."""
-
-    recordings: list[ListedRecording]
-
-
 class AddedRecording(Schema):
     """Result for one added recording.
 
@@ -144,16 +138,14 @@ def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListin
 
 
 @router.get("/api/projects/{name}/recordings")
-def recordings(at: AtProject) -> ListedRecordings:
+def recordings(at: AtProject) -> list[ListedRecording]:
     """The recordings of a project, also those that were removed from it."""
     stored = at.project.recordings
     numbers = stored.label_counts()
-    return ListedRecordings(
-        recordings=[
-            ListedRecording(**dict(recording_info(each)), labels=numbers.get(each.id, 0), removed_by=each.removed_by)
-            for each in (*stored.all(), *stored.removed())
-        ]
-    )
+    return [
+        ListedRecording(**dict(recording_info(each)), labels=numbers.get(each.id, 0), removed_by=each.removed_by)
+        for each in (*stored.all(), *stored.removed())
+    ]
 
 
 @router.post("/api/projects/{name}/recordings", response_model=AddedRecordings, responses=MOVED)
@@ -201,7 +193,7 @@ def move(at: AtProject, recording: RowId, body: RecordingPath) -> RecordingInfo:
 
 
 @router.delete("/api/projects/{name}/recordings/{recording}")
-def remove(at: AtProject, recording: RowId) -> ListedRecordings:
+def remove(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
     with _told(at):
         at.project.recordings.remove(recording, at.operator)
@@ -209,7 +201,7 @@ def remove(at: AtProject, recording: RowId) -> ListedRecordings:
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/restore")
-def restore(at: AtProject, recording: RowId) -> ListedRecordings:
+def restore(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Bring a removed recording back, with its labels."""
     with _told(at):
         bring_back(at.project, recording)

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from annotator.geometry.outline import visible_edges
-from annotator.project.boxes import png
+from annotator.image_bytes import encoded_image
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter, waiting_sources
 from annotator.rcv.config import RcvConfig
@@ -62,12 +62,6 @@ class OrthoView(ViewJson):
     name: Literal["top", "front", "side"]
 
 
-class OrthoOut(Schema):
-    """The three views."""
-
-    views: list[OrthoView]
-
-
 class RefitIn(Schema):
     """A box and its class."""
 
@@ -100,11 +94,12 @@ class CopyIn(FrameChange):
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
-def ortho(at: AtFrame, body: OrthoIn) -> OrthoOut:
+def ortho(at: AtFrame, body: OrthoIn) -> list[OrthoView]:
     """Three views along the box's axes; points outside the box are dimmed."""
     drawn = ortho_views(at.open(), body.box.box(), body.size_px)
-    views = [OrthoView(name=item.name, **dict(drawn_view(at, item.view, png(item.view.rgb)))) for item in drawn]
-    return OrthoOut(views=views)
+    return [
+        OrthoView(name=item.name, **dict(drawn_view(at, item.view, encoded_image(item.view.rgb)))) for item in drawn
+    ]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
@@ -242,13 +237,12 @@ LOADING_WAIT_S = 0.1
 ViewBoxesIn = Annotated[list[Box2DJson | None], Field(max_length=4)]
 
 
-class DrawnIn(Schema):
+class DrawnIn(ImageBoxIn):
     """An object with the boxes drawn so far.
 
     `axes` are those of the second step's front view (`ViewJson`); null while no box is drawn on that step.
     """
 
-    image_box: Box2DJson
     boxes: ViewBoxesIn
     axes: Axes | None = None
 
@@ -322,12 +316,6 @@ class WholeBoxJson(Schema):
     outline: Outline
 
 
-class WholeOut(Schema):
-    """The whole boxes that are offered, best first."""
-
-    boxes: list[WholeBoxJson]
-
-
 class SuggestionsOut(Schema):
     """Boxes of the image detector, best first; empty without a detector, or if it failed (`problem`)."""
 
@@ -375,19 +363,17 @@ def _steps_json(at: InFrame, opened: OpenFrame, labelling: Labelling, ready: Rea
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
-def whole(at: AtFrame, body: ImageBoxIn) -> WholeOut:
-    """The whole boxes that are offered for an object whose silhouettes are drawn. Nothing is stored."""
+def whole(at: AtFrame, body: ImageBoxIn) -> list[WholeBoxJson]:
+    """The whole boxes that are offered for an object whose silhouettes are drawn, best first. Nothing is stored."""
     frame, caches = at.open().frame, at.ctx.caches
     detector = caches.detectors.readiness(at.project, DetectorKind.VIEW, LOADING_WAIT_S).detector
     stored = at.project.frames.get(at.frame_id)
     offers = caches.whole_boxes(at.project).of(frame, stored, body.image_box.box(), detector)
     outlines = visible_edges(frame.camera, [offer.box for offer in offers])
-    return WholeOut(
-        boxes=[
-            WholeBoxJson(box=Box3DJson.of(offer.box), outline=outline.round(2).tolist())
-            for offer, outline in zip(offers, outlines, strict=True)
-        ]
-    )
+    return [
+        WholeBoxJson(box=Box3DJson.of(offer.box), outline=outline.round(2).tolist())
+        for offer, outline in zip(offers, outlines, strict=True)
+    ]
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/label/suggestions", response_model_exclude_none=True)

@@ -41,12 +41,6 @@ class TrackBox(Schema):
     state: ReviewState
 
 
-class TrackOut(Schema):
-    """All boxes of an object, in the order of the recording."""
-
-    boxes: list[TrackBox]
-
-
 class CopyNextIn(FrameChange):
     """A label, reviewed or not."""
 
@@ -103,13 +97,11 @@ class InterpolateOut(Schema):
 
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")
-def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> TrackOut:
-    """All boxes of an object. The pictures of its contact sheet are drawn in the meantime."""
+def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBox]:
+    """All boxes of an object, in the order of the recording. Its contact sheet is drawn in the meantime."""
     boxes = boxes_of(at.project, recording_id, track_id)
     at.ctx.caches.sheets.prepare(at.project, recording_id, boxes)
-    return TrackOut(
-        boxes=[TrackBox.of(frame, frame=frame.id, uid=label.uid, state=label.state) for frame, label in boxes]
-    )
+    return [TrackBox.of(frame, frame=frame.id, uid=label.uid, state=label.state) for frame, label in boxes]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)

@@ -233,7 +233,7 @@ class Scene:
                 float(placement.size_m[0]),
                 float(placement.size_m[1]),
                 format="png",
-                wxyz=_wxyz(placement.R_camera_view),
+                wxyz=Rotation.from_matrix(placement.R_camera_view).as_quat(scalar_first=True),
                 position=placement.center_m,
             )
         if not placements:
@@ -287,7 +287,3 @@ def _with_alpha(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
     """A view's image with translucent empty pixels, so that the points and the arrow behind it are visible."""
     alpha = np.where((rgb == BACKGROUND).all(axis=2), EMPTY_ALPHA, 255).astype(np.uint8)
     return np.dstack([rgb, alpha])
-
-
-def _wxyz(rotation: np.ndarray) -> np.ndarray:
-    return Rotation.from_matrix(rotation).as_quat(scalar_first=True)

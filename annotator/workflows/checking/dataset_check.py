@@ -14,12 +14,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv import MANIFEST
 from annotator.formats.units import Angles
 from annotator.geometry.oriented_box import contains
 from annotator.types import Frame, OrientedBox, ReviewState
+from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
@@ -86,10 +86,8 @@ LEAST_BOXES = 6
 Progress = Callable[[int, int], None]
 
 
-class DatasetFacts(BaseModel):
+class DatasetFacts(Strict):
     """A checked dataset."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: str
     format: str
@@ -300,10 +298,8 @@ def _spellings(names: set[str]) -> Iterator[list[str]]:
     return (group for group in groups.values() if len(group) > 1)
 
 
-class DatasetReport(BaseModel):
+class DatasetReport(Strict):
     """The findings by file and line, and the number of each severity and rule, including those that are not listed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     datasets: tuple[DatasetFacts, ...]
     findings: tuple[Finding, ...]

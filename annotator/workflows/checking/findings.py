@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from pydantic import BaseModel, ConfigDict
-
+from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError
 
 
@@ -123,7 +122,7 @@ TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later 
 MOST_A_FILE = 20
 
 
-class Finding(BaseModel):
+class Finding(Strict):
     """One finding.
 
     Attributes:
@@ -131,8 +130,6 @@ class Finding(BaseModel):
         line: 1-based line number; None if the file has no lines.
         frame: key of the frame; None for a whole dataset.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rule: str
     severity: Severity

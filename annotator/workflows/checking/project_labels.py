@@ -24,13 +24,14 @@ from enum import StrEnum
 from itertools import product
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, RootModel, ValidationError
+from pydantic import RootModel, ValidationError
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, OrientedBox, ReviewState
+from annotator.types.bases import Strict
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
@@ -152,10 +153,8 @@ class Kind(StrEnum):
     ATTRIBUTE = "attribute"
 
 
-class WarningRow(BaseModel):
+class WarningRow(Strict):
     """One warning: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Kind
     frame: int
@@ -165,7 +164,7 @@ class WarningRow(BaseModel):
     message: str
 
 
-class CheckReport(BaseModel):
+class CheckReport(Strict):
     """All warnings.
 
     Attributes:
@@ -173,8 +172,6 @@ class CheckReport(BaseModel):
         unreadable: recordings that are missing, and frames whose points could not be counted, as `key: reason`.
         uncounted: frames whose points were not counted because the time was used up; the next check continues.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     warnings: tuple[WarningRow, ...]
     labels: int

@@ -4,15 +4,3 @@ from annotator.formats.table import WRITERS, ExportFormat
 from annotator.workflows.exporting.choose import ExportFilter, Split, SplitBy, parse_shares
 from annotator.workflows.exporting.export import export_project
 from annotator.workflows.exporting.job import ExportOptions, ExportReport
-
-__all__ = [
-    "WRITERS",
-    "ExportFilter",
-    "ExportFormat",
-    "ExportOptions",
-    "ExportReport",
-    "Split",
-    "SplitBy",
-    "export_project",
-    "parse_shares",
-]

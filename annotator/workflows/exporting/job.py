@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
 from annotator.formats.attributes import Values
 from annotator.formats.dataset_writing import DatasetItem
@@ -21,6 +21,7 @@ from annotator.recordings import Recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.look_around import LookAround, Scanned
 from annotator.types import Frame
+from annotator.types.bases import Strict
 from annotator.types.errors import FrameError
 from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
@@ -45,7 +46,7 @@ class ExportOptions:
     vertices: bool = False
 
 
-class ExportReport(BaseModel):
+class ExportReport(Strict):
     """The result of an export.
 
     Attributes:
@@ -60,14 +61,12 @@ class ExportReport(BaseModel):
         notes: other remarks, one line each.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     format: str
     out: Path
     frames: int
     objects: int
     objects_by_class: dict[str, int]
-    splits: dict[str, int] = {}
+    splits: dict[str, int] = Field(default_factory=dict)
     losses: tuple[Loss, ...] = ()
     unreadable: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

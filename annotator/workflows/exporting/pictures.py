@@ -15,18 +15,12 @@ import numpy as np
 
 from annotator.files import new_folder
 from annotator.formats.attributes import NO_VALUES, Values
-from annotator.formats.dataset_writing import (
-    DatasetItem,
-    FileNames,
-    count_lost,
-    encoded_image,
-    write_frames,
-    writing,
-)
+from annotator.formats.dataset_writing import DatasetItem, FileNames, count_lost, write_frames, writing
 from annotator.formats.frame_names import FrameOrigin, PictureLabels
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.outline import clip_to_image
+from annotator.image_bytes import encoded_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes

@@ -15,22 +15,3 @@ from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.placing import Importer, without_effect
 from annotator.workflows.importing.readers import read_labels
 from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview_boxes
-
-__all__ = [
-    "Become",
-    "BoxFormat",
-    "FlatFormat",
-    "ImportReport",
-    "Importer",
-    "LabelSet",
-    "Note",
-    "Preview",
-    "format_of",
-    "import_image_boxes",
-    "import_labels",
-    "import_proposals",
-    "import_view_boxes",
-    "preview_boxes",
-    "read_labels",
-    "without_effect",
-]

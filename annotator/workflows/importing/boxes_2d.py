@@ -30,13 +30,7 @@ from annotator.workflows.importing.pictures import (
     checked_views,
     read_pictures,
 )
-from annotator.workflows.importing.placing import (
-    AUTHOR,
-    NO_NAMES,
-    PROGRAM,
-    Importer,
-    how_to_map,
-)
+from annotator.workflows.importing.placing import AUTHOR, NO_NAMES, PROGRAM, Importer, how_to_map
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.values import ImageValues
 from annotator.workflows.views import ViewPlace, read_places, view_followers

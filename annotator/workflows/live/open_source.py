@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable, Sequence
-from enum import StrEnum
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -67,15 +66,6 @@ MAX_GAP_S = 1.0
 PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
 
 
-class Repeat(StrEnum):
-    """What follows the last frame."""
-
-    NO = "no"
-    AGAIN = "again"
-    BACK = "back"
-    """Backwards to the first frame and forwards again, so that motion has no jump."""
-
-
 class Playback:
     """A `Source` that plays a recording. A frame is left out if the next one is due or nearly due.
 
@@ -90,12 +80,13 @@ class Playback:
         recording: Recording,
         *,
         rate: float | None = None,
-        repeat: Repeat = Repeat.NO,
+        order: Iterable[int] | None = None,
         read: Callable[[str], Frame] | None = None,
     ) -> None:
         """
         Args:
             rate: frames per second; None = as recorded; infinite = as fast as frames can be read.
+            order: indices of the frames to play, which may be endless; None = each once.
             read: reads a frame by its key; None = as the recording's files give it.
         """
         if rate is not None and not rate > 0:
@@ -107,9 +98,7 @@ class Playback:
         times_ns: Sequence[int | None] | None = None if rate is not None else getattr(recording, "times_ns", None)
         # on an arbitrary clock, if all are recorded
         self._times_s = None if times_ns is None or None in times_ns else [1e-9 * (each or 0) for each in times_ns]
-        frames = range(len(recording))
-        back = frames[-2:0:-1] if repeat is Repeat.BACK else ()
-        self._order = iter(frames) if repeat is Repeat.NO else itertools.cycle([*frames, *back])
+        self._order = iter(range(len(recording)) if order is None else order)
         self._next = next(self._order, None)
         self._due_s: float | None = None
         self._broken_in_a_row = 0
@@ -206,7 +195,8 @@ def open_source(
     opened = _opened(project, Path(name), name)
     if to_record:
         require_recordable(opened.recording)
-    return Playback(opened.recording, rate=rate, repeat=Repeat.AGAIN if loop else Repeat.NO, read=opened.read)
+    order = itertools.cycle(range(len(opened.recording))) if loop else None
+    return Playback(opened.recording, rate=rate, order=order, read=opened.read)
 
 
 def _opened(project: Project, path: Path, name: str) -> OpenedRecording:

@@ -26,13 +26,7 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
-from annotator.workflows.proposing.tasks import (
-    FrameAnswer,
-    FrameSpec,
-    GivenDetectors,
-    Task,
-    pickle_exactly,
-)
+from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
 from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
@@ -154,15 +148,12 @@ def annotate(
     config: RcvConfig,
     *,
     recordings: Sequence[int] | None = None,
-    rotation: BoxRotation | None = None,
     limit: int | None = None,
     progress: Progress | None = None,
 ) -> AnnotateSummary:
     """Runs `annotate_with` in this process."""
     engine = InlineEngine(GivenDetectors(detectors))
-    return annotate_with(
-        project, engine, config, recordings=recordings, rotation=rotation, limit=limit, progress=progress
-    )
+    return annotate_with(project, engine, config, recordings=recordings, limit=limit, progress=progress)
 
 
 def annotate_with(

@@ -18,9 +18,9 @@ import threading
 import traceback
 from contextlib import suppress
 from enum import StrEnum
-from pathlib import Path
 from typing import BinaryIO
 
+from annotator.detection.backends.choose import driver_devices, has_cuda
 from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.pool import Died, Report, WorkerPool, fault_of
@@ -188,18 +188,10 @@ def local_engine(
 
 
 def cuda_devices() -> tuple[str, ...]:
-    """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`.
-
-    Torch takes seconds to import, so it is imported only if the system has an NVIDIA device.
-    """
-    if not any(Path("/dev").glob("nvidia[0-9]*")):
-        return ()
-    from annotator.detection.ultralytics_api import api
-
-    count = int(api().torch.cuda.device_count())
-    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
-    names = [str(number) for number in range(count)] if visible is None else [n.strip() for n in visible.split(",")]
-    return tuple(names[:count])
+    """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`."""
+    count, visible = driver_devices() if has_cuda() else 0, os.environ.get("CUDA_VISIBLE_DEVICES")
+    names = map(str, range(count)) if visible is None else (name.strip() for name in visible.split(","))
+    return tuple(names)[:count]
 
 
 # With fewer frames, this process finishes before workers would have loaded the detectors.

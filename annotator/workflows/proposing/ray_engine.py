@@ -16,14 +16,7 @@ from annotator.types.messages import amount
 from annotator.workflows.detectors import TrainedDetectors
 from annotator.workflows.proposing.engines import cuda_devices, environment, make_runner
 from annotator.workflows.proposing.pool import TASKS_PER_WORKER, Died, Fault, Report, WorkerPool, fault_of
-from annotator.workflows.proposing.tasks import (
-    Answer,
-    DetectorSource,
-    Identity,
-    PackedDetectors,
-    Storage,
-    Task,
-)
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, PackedDetectors, Storage, Task
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.
@@ -133,7 +126,7 @@ class RayEngine(WorkerPool):
                     f"{amount(limit, 'worker')} of {amount(threads, 'thread')}; "
                     "use fewer --workers or --threads, or add machines to the cluster"
                 )
-            super().__init__(self._make_worker, workers or limit)
+            super().__init__(lambda number, report: RayWorker(number, report, self._make_actor), workers or limit)
             packed = PackedDetectors.of(source) if isinstance(source, TrainedDetectors) else source
             packed_ref = self._ray.put(packed)
         except BaseException:
@@ -148,9 +141,6 @@ class RayEngine(WorkerPool):
             runtime_env={"env_vars": {**SWITCHES, **environment(threads)}},
         )
         self._make_actor: Callable[[], Any] = lambda: remote.remote(packed_ref, threads, storage)
-
-    def _make_worker(self, number: int, report: Report) -> RayWorker:
-        return RayWorker(number, report, self._make_actor)
 
     def close(self) -> None:
         """Ends the actors, and a cluster started here."""

@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -110,13 +110,9 @@ def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
     return RigidTransform(matrix, normalize=False)
 
 
-def _reduced(transform: RigidTransform) -> tuple[Any, ...]:
-    return transform_of, (np.asarray(transform.as_matrix(), np.float64),)
-
-
 def pickle_exactly() -> None:
     """Makes pickling of poses exact in this process: scipy's own pickle recomputes rotations inexactly."""
-    copyreg.pickle(RigidTransform, _reduced)
+    copyreg.pickle(RigidTransform, lambda T: (transform_of, (np.asarray(T.as_matrix(), np.float64),)))
 
 
 CACHE_MB = 4000
@@ -151,18 +147,13 @@ class Storage:
     def open(self, recording: StoredRecording, project: str) -> OpenedRecording:
         """Opens a recording at the workers' path or URL."""
         place = self.place(recording.path)
-        if not is_url(place):
+        if "://" not in place:
             return open_stored(replace(recording, path=Path(place)), project)
         from annotator.recordings.mirror import open_mirror
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
         mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
         return OpenedRecording(mirror, recording.up, recording.correction)
-
-
-def is_url(place: str) -> bool:
-    """Returns True for a URL, False for a path."""
-    return "://" in place
 
 
 def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:

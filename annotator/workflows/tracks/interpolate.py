@@ -77,7 +77,6 @@ def interpolate(
     first: str | None = None,
     last: str | None = None,
     fit: FitBox | None = None,
-    effort: Effort | None = None,
 ) -> Interpolated:
     """Proposes boxes of a track in the frames between its key frames, as one action.
 
@@ -90,7 +89,7 @@ def interpolate(
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
-    return _filled(Timeline(project, recording_id), track_id, author, first, last, fit, effort)
+    return _filled(Timeline(project, recording_id), track_id, author, first, last, fit)
 
 
 def _filled(
@@ -100,7 +99,7 @@ def _filled(
     first: str | None,
     last: str | None,
     fit: FitBox | None,
-    effort: Effort | None,
+    effort: Effort | None = None,
 ) -> Interpolated:
     project, frames, times = timeline.project, timeline.frames, timeline.times.tolist()
     changes: list[tuple[StoredFrame, list[Payload]]] = []

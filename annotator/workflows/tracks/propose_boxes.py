@@ -7,16 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from annotator.project import (
-    REVIEWED,
-    Effort,
-    FramePart,
-    Project,
-    Receipt,
-    StoredFrame,
-    StoredLabel,
-    WriteContext,
-)
+from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel, WriteContext
 from annotator.project.changes import LabelAttributesSet, LabelDeleted, NewLabel, Payload
 from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.sources import covered_by

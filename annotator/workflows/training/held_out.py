@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict
 
 from annotator.detection.dataset import is_held_out
 from annotator.detection.trained import read_trained
@@ -25,6 +24,7 @@ from annotator.project import Project
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Label, OrientedBox
+from annotator.types.bases import Strict
 from annotator.types.errors import FrameError
 from annotator.workflows.detectors import UsedModel, load_detector
 from annotator.workflows.frame_source import FrameSource
@@ -41,16 +41,14 @@ MIN_POINTS = 20
 JITTER_PX, MIN_SIDE_PX = 2.0, 2.0
 
 
-class Rival(BaseModel):
+class Rival(Strict):
     """A view detector that was compared: its name for people, and its mean IoU on the held-out objects."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     mean_iou: float
 
 
-class Decision(BaseModel):
+class Decision(Strict):
     """How held-out frames decided about a new view detector; stored beside its weights.
 
     Attributes:
@@ -59,8 +57,6 @@ class Decision(BaseModel):
         outcome: which detector the project used from then on, and why, in words.
         reviewed: number of the project's reviewed boxes when the training began.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     objects: int
     frames: int

@@ -21,8 +21,8 @@ from annotator.formats.reading import read_model
 from annotator.image_bytes import read_image
 from annotator.project import StoredModel
 from annotator.types import Box2D, Detector
+from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FormatError
-from annotator.workflows.detectors import Picture
 from annotator.workflows.training.held_out import DECISION_NAME, Decision
 
 FOLDER = "validation"

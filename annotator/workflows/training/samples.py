@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import aligned_box, contains
@@ -29,8 +29,9 @@ from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
+from annotator.types.bases import Strict
+from annotator.types.detector import Picture
 from annotator.types.errors import DetectionError, FrameError
-from annotator.workflows.detectors import Picture
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
@@ -41,10 +42,8 @@ Skip = Callable[[StoredFrame, FrameError], None]
 """Called with a labelled frame that cannot be read and is left out."""
 
 
-class SampleConfig(BaseModel):
+class SampleConfig(Strict):
     """How many pseudo-views are generated for training."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")

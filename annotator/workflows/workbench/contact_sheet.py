@@ -19,8 +19,8 @@ from jaxtyping import Bool, Float, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import every_nth, thin
+from annotator.image_bytes import encoded_image
 from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
-from annotator.project.boxes import png
 from annotator.project.changes import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
@@ -229,7 +229,7 @@ class SheetPictures:
         pose, adjusted = box.pose.tobytes(), project.adjustments.newest(stored.recording_id)
         # not its path: another project can take its place
         key = project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
-        return self._pictures.get(key, lambda: png(picture(self._frames.look(project, stored), box)))
+        return self._pictures.get(key, lambda: encoded_image(picture(self._frames.look(project, stored), box)))
 
     def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]]) -> None:
         """Draws pictures of a track in the background, in place of those of the recording's former one."""

@@ -45,7 +45,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import drawn_objects, taught_by_drags
-from annotator.workflows.workbench.frame_cache import Memo, OpenFrame
+from annotator.workflows.workbench.frame_cache import Memo, OpenFrame, Views
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
 
@@ -124,7 +124,6 @@ def _around(
     return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-Views = tuple[PseudoView, PseudoView]
 Boxes = Sequence[Box2D | None]
 Axes = Float64[np.ndarray, "3 3"]
 Fit = Callable[[Sequence[Span]], FoundBox]

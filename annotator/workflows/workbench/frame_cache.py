@@ -18,8 +18,8 @@ from jaxtyping import Bool, Int64
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import in_frustum
+from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
-from annotator.project.boxes import png
 from annotator.project.overview import FramePage, neighbours
 from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
@@ -124,7 +124,7 @@ class OpenFrame:
     def picture(self, view: PseudoView) -> bytes:
         """Returns the PNG file of a view from `views`; encoded once."""
         # the result holds the view, so that no other view gets its id
-        return self.once(("picture", id(view)), lambda: (view, png(view.rgb)))[1]
+        return self.once(("picture", id(view)), lambda: (view, encoded_image(view.rgb)))[1]
 
     def image_detections(self, detector: Detector) -> list[Box2D]:
         """Returns a detector's boxes on the image; detected once."""

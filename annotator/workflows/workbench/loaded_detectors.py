@@ -15,16 +15,9 @@ import numpy as np
 
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image, Suggestion
+from annotator.types.detector import Picture
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import (
-    Names,
-    Picture,
-    UsedModel,
-    detector_title,
-    load_detector,
-    used_model,
-    view_model,
-)
+from annotator.workflows.detectors import Names, UsedModel, detector_title, load_detector, used_model, view_model
 from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")

@@ -10,7 +10,7 @@ import numpy as np
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, FramePart, Origin, Project, Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, LabelChange, LabelEdited, NewLabel, Payload, ViewBoxesSet
-from annotator.project.overview import FramePage, neighbours, read_page
+from annotator.project.overview import FramePage, read_page
 from annotator.project.progress.reviewed import draft_id
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
@@ -324,7 +324,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if frame.finalised:
         raise ConfigError(f"frame {frame.key} is finalised; reopen it first")
     if source_id is None:
-        source_id = neighbours(project, frame)[0]
+        source_id = page.previous
         if source_id is None:
             raise ConfigError(f"frame {frame.key} is the first of its recording; there is no previous frame to copy")
     if source_id == frame_id:

@@ -49,10 +49,13 @@ def short_timeouts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kinect_device, "NEXT_FRAME_WITHIN_S", 0.1)
 
 
-def test_frames_of_a_device_have_the_same_content_as_those_of_a_recording(script: Script) -> None:
+def test_frames_of_a_device_have_the_same_content_as_those_of_a_recording(
+    script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kinect_device, "DEPTH_SIZE", (320, 288))
     script.captures = ["timeout", capture(0), capture(1, depth=False), capture(2)]
     script.felt = [(990_000 + 100 * n, AT_REST) for n in range(50)]
-    device = KinectDevice(mode="nfov_binned")
+    device = KinectDevice()
     first, second = device.next_frame(GO_ON), device.next_frame(GO_ON)
     assert first is not None and second is not None
     frame = first.frame

@@ -6,8 +6,9 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import cycle
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,7 +36,7 @@ from annotator.workflows.live.detection import (
     RegionDetection,
     Taken,
 )
-from annotator.workflows.live.open_source import Playback, Repeat
+from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
 
 NEVER = threading.Event()
@@ -148,14 +149,14 @@ class Clock(threading.Event):
 
 
 @pytest.mark.parametrize(
-    ("repeat", "order"),
-    [(Repeat.NO, [0, 1, 2]), (Repeat.AGAIN, [0, 1, 2, 0, 1, 2, 0]), (Repeat.BACK, [0, 1, 2, 1, 0, 1, 2])],
+    ("order", "expected"),
+    [(None, [0, 1, 2]), (cycle(range(3)), [0, 1, 2, 0, 1, 2, 0]), (cycle((0, 1, 2, 1)), [0, 1, 2, 1, 0, 1, 2])],
 )
-def test_playback_ends_repeats_or_reverses_after_the_last_frame(frame: Frame, repeat: Repeat, order: list[int]) -> None:
+def test_playback_ends_after_the_last_frame_or_goes_on_as_it_is_told(
+    frame: Frame, order: Iterable[int] | None, expected: list[int]
+) -> None:
     recording = FakeRecording(frame, (None,) * 3)
-    assert [taken.frame.index for taken in played(Playback(recording, rate=math.inf, repeat=repeat), 7)] == order
-    one = FakeRecording(frame, (None,))
-    assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
+    assert [taken.frame.index for taken in played(Playback(recording, rate=math.inf, order=order), 7)] == expected
 
 
 def test_a_stopped_reader_does_not_wait_for_the_next_frame(frame: Frame) -> None:
@@ -168,7 +169,7 @@ def test_a_stopped_reader_does_not_wait_for_the_next_frame(frame: Frame) -> None
 
 
 def test_playback_of_an_unreadable_recording_ends_with_an_error(frame: Frame) -> None:
-    playback = Playback(FakeRecording(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
+    playback = Playback(FakeRecording(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, order=cycle(range(2)))
     with pytest.raises(FrameError):
         playback.read(NEVER)
     with pytest.raises(RecordingError, match=r"none of its frames can be read \(2 tried\)"):
@@ -307,7 +308,7 @@ def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> No
     with pytest.raises(DeviceError, match="unplugged"):
         made.wait(PATIENCE_S)
     gone.close.assert_called_once()
-    endless = Playback(FakeRecording(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
+    endless = Playback(FakeRecording(frame, (None,) * 2), rate=50.0, order=cycle(range(2)))
     made = Pipeline(endless, FakeDetection(), fails)
     made.start()
     with pytest.raises(ValueError, match="no display"):
@@ -318,7 +319,9 @@ def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> No
 
 def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
     shown = Shown()
-    made = Pipeline(Playback(FakeRecording(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN), FakeDetection(), shown)
+    made = Pipeline(
+        Playback(FakeRecording(frame, (None,) * 2), rate=50.0, order=cycle(range(2))), FakeDetection(), shown
+    )
     made.start()
     while len(shown) < 2:
         time.sleep(0.001)

@@ -112,7 +112,8 @@ def test_other_settings_or_detectors_process_all_frames_again(
     annotate(people, knowing("people"), FAST, limit=2)
     options = {"config": FAST, "rotation": None, "fingerprint": "", **change}
     detectors = Wrapped(knowing("people"), options["fingerprint"]).pair(knowing("people"))
-    again = annotate(people, detectors, options["config"], rotation=options["rotation"], limit=2)
+    engine = InlineEngine(GivenDetectors(detectors))
+    again = annotate_with(people, engine, options["config"], rotation=options["rotation"], limit=2)
     assert (again.done, again.skipped) == (2, 0)
     first = people.frames.of()[0]
     assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
@@ -122,7 +123,8 @@ def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Know
     up = open_recording(hands.recordings.all()[0].path).frame(0).up
     level = {}
     for rotation in (None, BoxRotation.UPRIGHT):  # the project's own setting is free
-        annotate(hands, knowing("hands"), CONFIG, rotation=rotation, limit=1)
+        engine = InlineEngine(GivenDetectors(knowing("hands")))
+        annotate_with(hands, engine, CONFIG, rotation=rotation, limit=1)
         boxes = [label.box for label in hands.labels.of_frame(hands.frames.of()[0].id)]
         assert boxes
         level[rotation] = all(np.abs(box.rotation.T @ up).max() > 1 - 1e-6 for box in boxes)

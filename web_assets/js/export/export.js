@@ -40,8 +40,8 @@ async function begin(
   /** @type {(() => void)[]} */ stop,
   /** @type {() => boolean} */ isOver,
 ) {
-  /** @type {Api.FormatList} */
-  const { formats } = await app.api.get("/api/export-formats");
+  /** @type {Api.FormatInfo[]} */
+  const formats = await app.api.get("/api/export-formats");
   if (isOver()) return;
   const asked = createExportForm(app, formats, show);
   const start = h("button", { type: "submit", class: "primary", "data-testid": "export-start" }, "Export");

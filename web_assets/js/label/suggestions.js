@@ -38,12 +38,8 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
       if (own.signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
       const { changes } = draft;
       const path = app.path("frames", draft.frame, "label", "whole");
-      /** @type {Api.WholeOut} */
-      const { boxes } = await app.api.post(
-        path,
-        { image_box: plainBox(draft.item.image_box) },
-        { signal: own.signal },
-      );
+      /** @type {Api.WholeBoxJson[]} */
+      const boxes = await app.api.post(path, { image_box: plainBox(draft.item.image_box) }, { signal: own.signal });
       if (own.signal.aborted || draft.changes !== changes) return;
       draft.whole = { boxes, shown: 0, changes, since: performance.now() };
       onOffered();

@@ -61,8 +61,8 @@ export function createOrthoViews(
     fetched = mine;
     try {
       preload.stop();
-      /** @type {Api.OrthoOut} */
-      const { views } =
+      /** @type {Api.OrthoView[]} */
+      const views =
         preload.take(frame, box) ??
         (await app.api.post(
           app.path("frames", frame, "ortho"),

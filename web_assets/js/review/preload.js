@@ -11,7 +11,7 @@ import { SIZE_PX } from "./ortho_views.js";
 const ON_SCREEN = 32;
 
 export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, /** @type {Queue} */ queue) {
-  /** @type {{ frame: number, box: Box3D, views: Api.OrthoOut } | null} */
+  /** @type {{ frame: number, box: Box3D, views: Api.OrthoView[] } | null} */
   let ahead = null;
   /** @type {AbortController | null} */
   let request = null;
@@ -44,10 +44,10 @@ export function createPreload(/** @type {App} */ app, /** @type {Desk} */ desk, 
       if (state !== known) show(state.image.url);
       if (!box || (ahead && ahead.frame === next.frame && sameBox(ahead.box, box))) return;
       const path = app.path("frames", next.frame, "ortho");
-      /** @type {Api.OrthoOut} */
+      /** @type {Api.OrthoView[]} */
       const views = await app.api.post(path, { box, size_px: SIZE_PX }, { signal });
       ahead = { frame: next.frame, box, views };
-      for (const { url } of views.views) show(url);
+      for (const { url } of views) show(url);
       // the server keeps what it has drawn
       if (state !== known) await app.api.lines(app.path("frames", next.frame, "sheet"), () => {}, { signal });
     } catch {

@@ -72,8 +72,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
 
   /** The boxes of a track that can be shown. */
   async function read(/** @type {number} */ recording, /** @type {number} */ track) {
-    /** @type {Api.TrackOut} */
-    const { boxes } = await app.api.get(app.path("recordings", recording, "tracks", track));
+    /** @type {Api.TrackBox[]} */
+    const boxes = await app.api.get(app.path("recordings", recording, "tracks", track));
     return boxes.filter(({ index, state }) => index !== null && state !== "rejected");
   }
 

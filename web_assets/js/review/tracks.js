@@ -81,8 +81,8 @@ export function createTracks(
     if (known.key === key) return draw(label, id);
     known = { key, boxes: [] };
     try {
-      /** @type {Api.TrackOut} */
-      const { boxes } = await app.api.get(path(id));
+      /** @type {Api.TrackBox[]} */
+      const boxes = await app.api.get(path(id));
       if (known.key !== key) return;
       known.boxes = boxes;
       draw(label, id);
@@ -125,8 +125,8 @@ export function createTracks(
       return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
     try {
       const index = currentFrame(app).frame.index ?? 0;
-      /** @type {Api.TrackOut} */
-      const { boxes } = await app.api.get(path(label.track_id));
+      /** @type {Api.TrackBox[]} */
+      const boxes = await app.api.get(path(label.track_id));
       const others = boxes.filter(
         (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
       );

@@ -220,9 +220,9 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
   const list = h("ul", { class: "recordings", role: "status" });
   const path = (/** @type {(string | number)[]} */ ...parts) => projectPath(project, "recordings", ...parts);
 
-  async function show(/** @type {Promise<Api.ListedRecordings>} */ answer) {
+  async function show(/** @type {Promise<Api.ListedRecording[]>} */ answer) {
     try {
-      const { recordings } = await answer;
+      const recordings = await answer;
       list.replaceChildren(...recordings.map(row));
       if (!recordings.length) list.append(h("li", { class: "muted" }, "No recording yet"));
     } catch (error) {
