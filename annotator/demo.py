@@ -141,11 +141,7 @@ def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
         watch.end("label")
         trained = train(
             project,
-            TrainPlan(
-                image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.IMAGE]}),
-                view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.VIEW]}),
-                samples=SampleConfig(views=320),
-            ),
+            _training(),
             progress=lambda role, step: progress(f"train the {role} detector", step.epochs_done, step.epochs),
         )
         watch.end("train")
@@ -157,6 +153,14 @@ def run_trained(root: Path, plan: Plan, progress: Progress) -> TrainedResult:
         dataset = _exported(project, root, plan, progress)
         watch.end("score and export")
     return TrainedResult(drawn, trained, annotated, scores, dataset, watch.seconds)
+
+
+def _training() -> TrainPlan:
+    return TrainPlan(
+        image=IMAGE_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.IMAGE]}),
+        view=VIEW_DEFAULTS.model_copy(update={"pictures_seen": SHOWN[DetectorKind.VIEW]}),
+        samples=SampleConfig(views=320),
+    )
 
 
 # The operator accepts a proposal with at least this IoU, and adjusts a worse one.

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from store_samples import by_hand, by_machine, proposal_at
 
-from annotator.project import Project, Run, RunShare, Status, StoredModel, StoredRecording, open_project
+from annotator.project import Project, RunShare, Status, StoredModel, StoredRecording, open_project
 from annotator.project.jobs import Run
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
