@@ -149,6 +149,15 @@ def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
     assert np.abs(small[52, 20].astype(int) - BOX_COLOR).max() < 80
 
 
+@pytest.fixture
+def interrupted() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupted")
 def test_sigterm_interrupts_once_and_not_after_the_end_of_a_session() -> None:
     before = signal.getsignal(signal.SIGTERM)
     for is_ending in (False, True):
