@@ -433,6 +433,7 @@ def test_the_view_draws_a_cloud_forwards_keys_selects_and_outlives_its_server(
     assert bench(live, view)._scene.content.frame.index == 1
 
     benches = live.server.app.state.viewports
-    assert len(benches._open) == 1
+    # a slow page may have asked for a second one, which it lets go
+    until(view, lambda: len(benches._open) == 1)
     view.goto("about:blank")
     until(view, lambda: len(benches._open) == 0)
