@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -174,7 +174,11 @@ def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], ta
     with store.write() as connection:
         for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
-            for row in _rows(source, table, lost):
+            rows: Iterable[Row] = _rows(source, table, lost)
+            if table == "frames":
+                # first those that name a moment: a scan may have found the cloud of an earlier one later
+                rows = sorted(rows, key=lambda row: row.get("moment_id") != row.get("id"))
+            for row in rows:
                 kept = {key: value for key, value in row.items() if key in known}
                 if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
                     lost[table] += 1
