@@ -19,6 +19,8 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
 from annotator.project.changes import ProposalsReplaced
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.database.schema import columns_of
 from annotator.project.recordings import SharedCloud
 from annotator.types.errors import ProjectError
@@ -243,3 +245,19 @@ def test_a_frame_that_has_joined_the_moment_of_a_later_one_is_kept(project: Proj
     assert not repaired.lost and len(stored_state(repaired.path)["labels"]) == 1
     with open_project(copy_project(project.path, tmp_path, "copy", labels=False)) as copy:
         assert [frame.moment_id for frame in copy.frames.of()] == [1, 2, 1, 2]
+
+
+def test_changes_of_classes_come_before_all_events_of_a_copy_without_labels(
+    project: Project, frame: int, tmp_path: Path
+) -> None:
+    side = Attribute(name="side", kind=AttributeKind.CHOICE, choices=("left", "right"))
+    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    for n in range(9):
+        project.labels.create(frame, [NewLabel("hand", box_at(n))], by_hand(n))
+    project.change_classes(lambda config: edit.rename_attribute(config, "side", "hand_side"), "ann")
+    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    with open_project(copy_project(project.path, tmp_path, "copy", labels=False)) as copy:
+        made = copy.labels.create(frame, [NewLabel("hand", box_at(), attributes={"side": "left"})], by_hand())
+        copy.labels.set_attributes(frame, made.uids[0], {"side": "right"}, by_hand(1))
+        copy.history.undo("ann")
+        assert copy.labels.get(made.uids[0]).label.attributes == {"side": "left"}
