@@ -157,7 +157,8 @@ def waiting_sources(store: Store) -> dict[str, int]:
 
 
 def _sources(row: AnyRow) -> tuple[str, ...]:
-    further: list[tuple[float | None, str]] = json.loads(row.further)
+    # most objects have none, and to read so short a text takes as long as to read the row
+    further: list[tuple[float | None, str]] = json.loads(row.further) if row.further != "[]" else []
     further.sort(key=lambda each: -1.0 if each[0] is None else -each[0])
     return row.of_source or OWN, *(name for _, name in further)
 

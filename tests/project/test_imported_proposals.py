@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from functools import partial
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 from store_samples import box_at, by_hand, by_machine, proposal_at, revised
 
 from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
+from annotator.project.changes import LabelEdited
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
 from annotator.project.labels import StoredLabel
+from annotator.project.recordings import SharedCloud
+from annotator.project.records import BoxRecord
 from annotator.project.review import By, waiting, waiting_sources
 from annotator.project.sources import Brought
-from annotator.types import Correction, ReviewState, Source
+from annotator.types import Box2D, Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
 
 
@@ -329,6 +334,27 @@ def test_another_source_is_shown_in_finalised_frames_and_removed_recordings(
     project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
     project.recordings.rescan(recording.id, [str(n) for n in range(5)])
     assert shown(project) == [("two", 0.1, [])]
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_what_is_behind_a_label_of_a_removed_camera_comes_back_with_it(project: Project, tmp_path: Path) -> None:
+    cloud = {"0": SharedCloud("0", RigidTransform.identity())}
+    for name in ("one", "two"):
+        options = json.dumps({"camera": name})
+        project.recordings.add(tmp_path, "rgbd", name, ["0"], True, options=options, clouds=cloud)
+    here, there = (frame.id for frame in project.frames.of())
+    bring(project, here, "one", box(0.0, 0.9))
+    bring(project, here, "two", box(0.1, 0.5))
+    (label,) = project.labels.of_frame(here)
+    drawn = LabelEdited(
+        uid=label.uid, label="hand", box=BoxRecord.of(label.box), image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0)
+    )
+    project.log.append(there, [drawn], revised(project, there))
+    project.recordings.remove(2, "ann")
+    bring(project, here, "three", box(5.0))
+    assert shown(project) == [("three", 5.0, [])]
+    project.recordings.rescan(2, ["0"], clouds=cloud)
+    assert [[each.source for each in stored.said] for stored in project.labels.select()] == [["three"], ["one", "two"]]
     assert verify(project.path, deep=True).problems == ()
 
 

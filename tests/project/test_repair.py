@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy.spatial.transform import RigidTransform
 from store_samples import box_at, by_hand, damage, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
@@ -18,7 +19,10 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
 from annotator.project.changes import ProposalsReplaced
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.database.schema import columns_of
+from annotator.project.recordings import SharedCloud
 from annotator.types.errors import ProjectError
 
 # The place of the box in a row of a label without its id.
@@ -227,3 +231,33 @@ def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
     assert repaired.events
     assert len(stored_state(repaired.path)["labels"]) == whole
     assert database.stat().st_size == size - 2 * 4096
+
+
+def test_a_frame_that_has_joined_the_moment_of_a_later_one_is_kept(project: Project, tmp_path: Path) -> None:
+    clouds = {key: SharedCloud(key, RigidTransform.identity()) for key in ("a", "b")}
+    for number, known in enumerate(({"b": clouds["b"]}, clouds)):
+        options = json.dumps({"camera": f"c{number}"})
+        project.recordings.add(tmp_path, "rgbd", "rig", ["a", "b"], True, options=options, clouds=known)
+    project.recordings.rescan(1, ["a", "b"], clouds=clouds)
+    assert [frame.moment_id for frame in project.frames.of()] == [3, 2, 3, 2]
+    project.labels.create(1, [NewLabel("hand", box_at())], by_hand())
+    repaired = repair(project.path)
+    assert not repaired.lost and len(stored_state(repaired.path)["labels"]) == 1
+    with open_project(copy_project(project.path, tmp_path, "copy", labels=False)) as copy:
+        assert [frame.moment_id for frame in copy.frames.of()] == [1, 2, 1, 2]
+
+
+def test_changes_of_classes_come_before_all_events_of_a_copy_without_labels(
+    project: Project, frame: int, tmp_path: Path
+) -> None:
+    side = Attribute(name="side", kind=AttributeKind.CHOICE, choices=("left", "right"))
+    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    for n in range(9):
+        project.labels.create(frame, [NewLabel("hand", box_at(n))], by_hand(n))
+    project.change_classes(lambda config: edit.rename_attribute(config, "side", "hand_side"), "ann")
+    project.change_classes(lambda config: edit.put_attribute(config, side), "ann")
+    with open_project(copy_project(project.path, tmp_path, "copy", labels=False)) as copy:
+        made = copy.labels.create(frame, [NewLabel("hand", box_at(), attributes={"side": "left"})], by_hand())
+        copy.labels.set_attributes(frame, made.uids[0], {"side": "right"}, by_hand(1))
+        copy.history.undo("ann")
+        assert copy.labels.get(made.uids[0]).label.attributes == {"side": "left"}

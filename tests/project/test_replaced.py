@@ -83,10 +83,13 @@ def test_a_database_that_is_written_over_is_noticed(
     with open_project(backup) as other:
         if labels == 2:  # as many transactions as in the project, but another one
             _label(other, frame)
+    reader = open_project(project.path)
     with closing(sqlite3.connect(project.path / "project.db")) as connection:
         connection.execute(f"PRAGMA wal_checkpoint({checkpoint})")
     # as `cp` does: the file stays the same, and so does the `-wal` beside it
     shutil.copyfile(backup / "project.db", project.path / "project.db")
+    with closing(reader), pytest.raises(ReplacedError, match="written over"):
+        reader.labels.of_frame(frame)
     with pytest.raises(ReplacedError, match="written over"):
         project.labels.create(frame, [NewLabel("hand", box_at())], by_hand(2))
     assert not project.is_current

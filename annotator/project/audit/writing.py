@@ -190,7 +190,14 @@ class Write:
             is_proposed = row["state"] == ReviewState.PROPOSED.value and row["frame_id"] == self.frame_id
             return is_proposed and not is_kept(row, self.terms, self.config.attributes)
 
-        return [row for row in rows.values() if is_open(rows.get(row["behind"], row))]
+        def shown(row: Row) -> Row:
+            uid = row["behind"]
+            if uid is None or uid in rows or ("labels", uid) in self._now:
+                return rows.get(uid, row)
+            # of another camera, whose recording is removed; itself, where a change of the classes has removed that one
+            return read_row(self.connection, "labels", uid) or row
+
+        return [row for row in rows.values() if is_open(shown(row))]
 
     def new_uid(self) -> str:
         """The uid of a label that is not there yet."""

@@ -6,7 +6,7 @@ import shutil
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,6 +54,8 @@ from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 AUTHOR, KIND = "annotator project repair", "repaired"
 # Tables that no event changes, in the order of their references.
 _PLAIN = ("recordings", "runs", "frames", "frame_results", "models", "class_changes")
+# Columns that are as before any event.
+_UNCHANGED = {"frames": {"revision": 0, "finalised": 0, "attributes": None}}
 
 Row = dict[str, Any]
 
@@ -150,7 +152,8 @@ def remove_labels(database: Path) -> None:
     empty = database.with_name(f"{database.name}.unlabelled")
     with explained(database), closing(create_store(empty)) as new, reading(database) as source:
         # changes of classes: detectors that were trained before a class was renamed need them
-        _copy_plain(source, new, Counter(), ("recordings", "frames", "models", "class_changes"))
+        before_all = _UNCHANGED | {"class_changes": {"event_id": 0}}  # the copy counts its events anew
+        _copy_plain(source, new, Counter(), ("recordings", "frames", "models", "class_changes"), before_all)
         with new.write() as connection:
             of_present = "recording_id IN (SELECT id FROM recordings WHERE removed_ns IS NULL)"
             _keep(connection, "frames", "moment_id", f"position IS NOT NULL AND {of_present}")
@@ -170,17 +173,25 @@ def _keep(connection: Connection, table: str, first_of: str, kept: str) -> None:
     connection.exec_driver_sql(f"DELETE FROM {table} WHERE NOT ({kept})")
 
 
-def _copy_plain(source: sqlite3.Connection, store: Store, lost: Counter[str], tables: Sequence[str]) -> None:
+def _copy_plain(
+    source: sqlite3.Connection,
+    store: Store,
+    lost: Counter[str],
+    tables: Sequence[str],
+    values: Mapping[str, Row] = _UNCHANGED,
+) -> None:
     with store.write() as connection:
         for table in tables:
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
-            for row in _rows(source, table, lost):
-                kept = {key: value for key, value in row.items() if key in known}
+            rows: Iterable[Row] = _rows(source, table, lost)
+            if table == "frames":
+                # first those that name a moment: a scan may have found the cloud of an earlier one later
+                rows = sorted(rows, key=lambda row: row.get("moment_id") != row.get("id"))
+            for row in rows:
+                kept = {key: value for key, value in row.items() if key in known} | values.get(table, {})
                 if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
                     lost[table] += 1
                     continue
-                if table == "frames":
-                    kept |= {"revision": 0, "finalised": 0, "attributes": None}
                 columns = ", ".join(f'"{key}"' for key in kept)
                 marks = ", ".join("?" * len(kept))
                 try:

@@ -184,6 +184,7 @@ class DatabaseFile:
         if not self.is_writable:
             return
         self._stamp = stamp_of(self.place)
+        self.written(_token(self.place, "mode=ro") or "")
         for suffix in (WAL, SHARED_MEMORY):
             path = self.place.with_name(self.place.name + suffix)
             self._identities[path] = self._identity(path)

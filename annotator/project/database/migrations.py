@@ -139,7 +139,7 @@ CREATE TABLE recordings (
     UNIQUE (path, options)
 )
 """
-# A frame is what one camera sees of a moment, that is of one cloud. moment_id: the first frame of the moment.
+# A frame is what one camera sees of a moment, that is of one cloud. moment_id: that of a frame of the moment.
 # cloud: the name of a cloud that several cameras may share; NULL = this camera alone has it. pose: T_cloud_recorded, a
 # matrix of 4 x 4 as JSON, from the frame of the camera (without corrections) to that of the cloud, in which the boxes
 # of the moment are stored; NULL = they are the same. position: index in the latest scan; NULL if that scan did not find
