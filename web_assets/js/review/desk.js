@@ -434,10 +434,6 @@ export function createDesk(/** @type {App} */ app) {
         .catch((error) => {
           app.toast(error);
           notify("frame");
-        })
-        .catch((error) => {
-          app.toast(error);
-          notify("frame");
         });
     },
 
