@@ -307,6 +307,10 @@ def _logged(what: str) -> Iterator[None]:
         LOG.exception("viewport: %s failed", what)
 
 
+class ViewportClosedError(NotFoundError):
+    """There is no such viewport: it is closed, or another operator's. The page opens a new one."""
+
+
 class Viewports:
     """The open viewports: limits their number per operator, and closes unused ones. Thread-safe."""
 
@@ -332,7 +336,7 @@ class Viewports:
         with self._lock:
             viewport = self._open.get(id)
         if viewport is None or viewport.operator != operator:
-            raise NotFoundError(f"3D viewport {id} is closed; reload the page to open a new one")
+            raise ViewportClosedError(f"3D viewport {id} is closed; reload the page to open a new one")
         return viewport
 
     def close_one(self, id: str, operator: str) -> None:
