@@ -30,7 +30,7 @@ from annotator.web.security import Guard, ServerSettings, check_settings
 from annotator.web.serve import Running
 from annotator.web.viewport.drawing import SceneContent, ShownBox
 from annotator.web.viewport.scene import Scene
-from annotator.web.viewport.viewports import ViserPage, forward_http, forward_socket
+from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import open_source

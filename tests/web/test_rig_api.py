@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from room_api import rig_settings, state
+from live_server import PATIENCE_S
+from room_api import change, label_object, rig_settings, state
 
 from annotator.web.security import ServerSettings
 
@@ -42,3 +44,21 @@ def test_a_camera_whose_folder_is_gone_does_not_hide_the_frame(live: Live, tmp_p
     assert answer.status_code == 200, answer.text
     stored = live.context.project("room").recordings.all()
     assert {one.path for one in stored} == {(tmp_path / "clouds" / "moved").resolve()}
+
+
+def test_a_page_shows_the_labels_that_its_camera_sees_and_hears_of_changes_in_another(live: Live) -> None:
+    add_all(live, camera="all")
+    project = live.context.project("room")
+    with live.listen() as page:
+        uid = label_object(project, 1, -10.0)
+        assert [[label["uid"] for label in state(live.client, frame)["labels"]] for frame in range(1, 5)] == [
+            [uid], [uid], [], [],
+        ]  # fmt: skip
+        assert change(live.client, 1, {"kind": "reject", "uid": uid}, frame=2).status_code == 200
+        heard: dict[int, int] = {}
+        while heard.get(1) != 2:
+            message = json.loads(page.recv(PATIENCE_S))
+            if message["type"] == "frame":
+                heard[message["frame"]] = message["revision"]
+    assert change(live.client, 1, {"kind": "accept", "uid": uid}, frame=1).status_code == 409
+    assert [label["state"] for label in state(live.client, 1)["labels"]] == ["rejected"]

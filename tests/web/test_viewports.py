@@ -22,7 +22,8 @@ from websockets.sync.client import ClientConnection, connect
 from annotator.project.audit.writing import WriteContext
 from annotator.project.changes import NewLabel
 from annotator.types import OrientedBox, ReviewState
-from annotator.web.viewport.viewports import MOST_PER_OPERATOR, MOST_SILENT, Viewports, start_viser
+from annotator.web.viewport.viewports import MOST_PER_OPERATOR, Viewports
+from annotator.web.viewport.viser_page import MOST_SILENT, start_viser
 
 PROTOCOL = f"viser-v{viser.__version__}"
 

@@ -124,7 +124,7 @@ export function createViewport(/** @type {Pick<App, "api" | "effort" | "events" 
       while (wanted !== null && !isHeld) await step(wanted);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      if (error.status === 404 && bench !== null) {
+      if (error.kind === "ViewportClosedError") {
         // the server was restarted, or has closed the viewport because too many were open
         forget();
         again();

@@ -400,7 +400,7 @@ class JobRunner:
         with self._lock:
             if was_stopped and job_id in self._aside - self._stopping and not self._closed:
                 self._waiting.append(task)
-                self._update(job_id, state=JobState.QUEUED, stage="", done=0.0, total=0.0, eta_s=None)
+                self._update(job_id, state=JobState.QUEUED, stage="", done=0.0, total=0.0, eta_s=None, curves=())
                 return
         end: dict[str, Any] = {"state": JobState.FAILED}
         match last:

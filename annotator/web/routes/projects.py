@@ -1,6 +1,5 @@
-"""Projects: list, create, read, change, rename, remove; their classes and attributes, and values of labels and frames.
-
-A job copies them.
+"""Projects: list, create, read, change, rename, remove (a job copies them); their classes and attributes, and values of
+labels and frames.
 """
 
 from __future__ import annotations

@@ -46,12 +46,6 @@ class Memo:
         self._lock = threading.Lock()
         self._results: OrderedDict[Hashable, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
-    def __contains__(self, key: Hashable) -> bool:
-        """Whether a result is kept, or is being computed."""
-        with self._lock:
-            lock, result = self._results.get(key, (None, []))
-        return bool(result) or (lock is not None and lock.locked())
-
     def get(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result; an error is raised to each caller, and the next one tries again."""
         with self._lock:
