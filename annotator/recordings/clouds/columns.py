@@ -290,14 +290,16 @@ def text_columns(
         raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
     require_memory(points=count, more_bytes=count * len(names) * 8)
     filled = (line for line in enumerate(body.splitlines(), first_line) if line[1].strip())
+    # numpy would skip lines without a value
     lines = [
-        (number, line if pick is None else b" ".join(pick(line.split()))) for number, line in islice(filled, count)
+        (number, line if pick is None else b" ".join(pick(line.split())) or b"?")
+        for number, line in islice(filled, count)
     ]
     if len(lines) < count:
         raise ValueError(f"declares {count} points but has {len(lines)}")
     try:
         table = np.loadtxt(
-            [line for _, line in lines], ndmin=2, usecols=range(len(names)), comments=None, encoding="latin-1"
+            [line for _, line in lines], ndmin=2, usecols=range(len(names)), comments=None, encoding="ascii"
         )
     except ValueError:
         table = np.array([_numbers(line, number, row, len(names)) for row, (number, line) in enumerate(lines, 1)])
