@@ -109,7 +109,7 @@ FALSE_HEADERS = [
     (
         "a.ply",
         b"ply\nformat ascii 1.0\n" + LISTED + b"end_header\n0 1 2 3\n9 4 5 6\n",
-        "line 9 has 1 values instead of 3",
+        "line 10 has 1 values instead of 3",
     ),
     ("a.pcd", pcd(PLAIN, "binary", bytes(120), HUGE), "declares"),
     ("a.pcd", pcd(PLAIN, "ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3), "line 13 has 2 values instead of 3"),
