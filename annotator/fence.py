@@ -1,8 +1,8 @@
 """The fence around libraries that trust what they read: a process of its own, with limits of memory and time.
 
 Decoders of LAZ (lazrs), MATLAB files (scipy), LZFSE and Feather (pyarrow) crash on some damaged files, or allocate what
-a header declares. So they run in another process, which is kept for further files, started again after a crash, and
-ends with this one.
+a header declares; that of H.264 video has one log for all threads. So they run in another process, which is kept for
+further files, started again after a crash, and ends with this one.
 """
 
 from __future__ import annotations

@@ -313,9 +313,10 @@ def _clear_leftovers(out: Path) -> None:
 
     Does nothing while another process fills a folder that is to become `out`.
     """
-    parts, olds = ([*out.parent.glob(f".{glob.escape(out.name)}.{kind}")] for kind in ("*.unfinished", "old-????????"))
-    if [part for part in parts if not remove_abandoned(part)]:
+    if not all(remove_abandoned(part) for part in _unfinished(out.parent, out.name)):
         return
+    # mkdtemp appends eight characters
+    olds = [*out.parent.glob(f".{glob.escape(out.name)}.old-????????")]
     filled = [old for old in olds if any(old.iterdir())]
     if filled and not out.exists():
         newest = max(filled, key=lambda old: old.stat().st_mtime_ns)
@@ -334,7 +335,7 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
     Also removes folders that killed processes have left for the same name.
     """
     root.mkdir(parents=True, exist_ok=True)
-    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
+    for left in _unfinished(root, name):
         remove_abandoned(left)
     while True:
         folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
@@ -349,6 +350,12 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
             if lock is not None:
                 os.close(lock)
+
+
+def _unfinished(root: Path, name: str) -> list[Path]:
+    found = root.glob(f".{glob.escape(name)}.*.unfinished")
+    # those of other names, such as NAME.v2, have more dots
+    return [folder for folder in found if folder.name.count(".") == name.count(".") + 3]
 
 
 def remove_abandoned(folder: Path) -> bool:

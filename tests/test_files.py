@@ -87,7 +87,7 @@ def test_what_a_killed_process_left_is_put_right(tmp_path: Path, caplog: pytest.
         (tmp_path / name).mkdir()
         if content:
             (tmp_path / name / content).touch()
-    others = (".out[1].part-mine", ".out1.01234567.unfinished", ".other.old-01234567")
+    others = (".out[1].part-mine", ".out[1].v2.01234567.unfinished", ".out1.01234567.unfinished", ".other.old-01234567")
     for name in others:
         (tmp_path / name).mkdir()
     with pytest.raises(FormatError, match="exists and is not empty"), new_folder(out, lambda _: False):

@@ -1,8 +1,7 @@
 """Reads a point cloud file of any supported format.
 
 NumPy arrays (`.npy`; `.npz` with an array of points and optionally one of colours) are n x 3 (x y z), n x 4 (with
-reflectance), n x 6 (with colours), or have named fields. Nothing is unpickled. Headers are checked against the file's
-size before memory is allocated. Format: NEP 1 and `numpy.lib.format`.
+reflectance), n x 6 (with colours), or have named fields. Nothing is unpickled. Format: NEP 1 and `numpy.lib.format`.
 
 LAS and LAZ are read by laspy and lazrs (the extra `las`). Format: ASPRS, "LAS Specification 1.4", R15. Coordinates are
 integers with a scale and an offset, usually map coordinates in metres (`cloud_folder` moves the origin). Intensity and

@@ -289,18 +289,18 @@ def text_columns(
     if count * len(names) * 2 > len(body) + 1:
         raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
     require_memory(points=count, more_bytes=count * len(names) * 8)
-    filled = (line for line in enumerate(body.splitlines(), first_line) if line[1].strip())
-    lines = [
-        (number, line if pick is None else b" ".join(pick(line.split()))) for number, line in islice(filled, count)
-    ]
+    lines = list(islice(filter(bytes.strip, body.splitlines()), count))
     if len(lines) < count:
         raise ValueError(f"declares {count} points but has {len(lines)}")
+    if pick is not None:
+        # numpy would skip lines without a value
+        lines = [b" ".join(pick(line.split())) or b"?" for line in lines]
     try:
-        table = np.loadtxt(
-            [line for _, line in lines], ndmin=2, usecols=range(len(names)), comments=None, encoding="latin-1"
-        )
+        table = np.loadtxt(lines, ndmin=2, usecols=range(len(names)), comments=None, encoding="ascii")
     except ValueError:
-        table = np.array([_numbers(line, number, row, len(names)) for row, (number, line) in enumerate(lines, 1)])
+        numbers = [number for number, line in enumerate(body.splitlines(), first_line) if line.strip()]
+        places = zip(lines, numbers, strict=False)
+        table = np.array([_numbers(*place, row, len(names)) for row, place in enumerate(places, 1)])
     return {name: table[:, column] for column, name in enumerate(names)}
 
 

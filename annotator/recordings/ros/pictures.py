@@ -10,22 +10,23 @@ are a little-endian word, the first one in its highest bits.
 
 Each message of a video topic (`foxglove.CompressedVideo`) has the bytes of one picture, without pictures that depend
 on later ones. PyAV decodes it from the last key frame on. The decoder of H.264 replaces a lost picture by another one,
-and all up to the next key frame are made up: it only logs that.
+and all up to the next key frame are made up: it only logs that. The log is one for all threads of a process, and a
+decoder of another thread that logs can stop them all, so it runs in the `fence`.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from threading import Lock
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
+from annotator.fence import fenced
 from annotator.frame_limits import most_pixels, require_pixels
 from annotator.geometry.projection import in_metres
 from annotator.image_bytes import decode_image
@@ -245,7 +246,6 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
 NAL_UNIT, KEY_SLICE = re.compile(rb"\x00\x00\x01(.)", re.DOTALL), 5
 # What the decoder of H.264 logs where pictures are missing.
 LOST = ("Frame num gap", "reference picture missing", "Missing reference picture")
-LOGGING = Lock()
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 # Encoders put a key frame every few seconds.
 MOST_BACK = 600
@@ -253,8 +253,6 @@ MOST_BACK = 600
 
 def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"]:
     """Returns the picture of message `i`, whose decoded `content` is given, RGB order."""
-    import av
-
     form = str(content.format).lower()
     if form not in CODECS:
         raise ValueError(f"has the unknown video format {form!r}; known are {', '.join(CODECS)}")
@@ -267,12 +265,24 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
     if not is_key_frame(form, packets[-1]):
         raise ValueError(f"has no key frame among the {len(packets)} pictures before it")
     packets.reverse()
+    return np.asarray(fenced(f"{__name__}:decode_last", CODECS[form], packets))
+
+
+def decode_last(codec: str, packets: list[bytes]) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the picture of the last packet, in this process, whose decoders then log everything.
+
+    Raises:
+        ValueError: it is damaged, or a picture before it is lost.
+    """
+    import av.logging
+
+    av.logging.set_level(av.logging.DEBUG)
     pictures = []
-    with _logged() as logged:
-        try:
-            decoder: Any = av.CodecContext.create(CODECS[form], "r")
+    try:
+        with av.logging.Capture() as logged:
+            decoder: Any = av.CodecContext.create(codec, "r")
             decoder.options = {
-                "err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT,
+                "err_detect": STRICTEST if codec == "hevc" else STRICT,
                 "max_pixels": str(most_pixels()),
             }
             for number, packet in enumerate([*packets, None], 1):
@@ -284,30 +294,14 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
                     pictures = [picture]
                     if picture.is_corrupt:
                         raise ValueError("a picture is incomplete")
-        except (av.FFmpegError, ValueError) as error:
-            raise ValueError(f"its video cannot be decoded ({error})") from error
+    except (av.FFmpegError, ValueError) as error:
+        raise ValueError(f"its video cannot be decoded ({error})") from error
     if any(words in text for _, _, text in logged for words in LOST):
         raise ValueError("a picture of its video is lost since the last key frame, and those after it depend on it")
     # of a message without a picture, an earlier one would be shown
     if not pictures or pictures[-1].pts != len(packets):
         raise ValueError("its video has no picture here")
     return np.asarray(pictures[-1].to_ndarray(format="rgb24"))
-
-
-@contextmanager
-def _logged() -> Iterator[list[tuple[int, str, str]]]:
-    """Yields a list, into which goes what the decoders of this thread log within the block."""
-    import av.logging
-
-    # the level is that of all threads
-    with LOGGING:
-        before = av.logging.get_level()
-        av.logging.set_level(av.logging.DEBUG)
-        try:
-            with av.logging.Capture() as logged:
-                yield logged
-        finally:
-            av.logging.set_level(before)
 
 
 def is_key_frame(form: str, data: bytes) -> bool:

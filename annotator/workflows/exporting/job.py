@@ -72,7 +72,7 @@ class ExportReport(Strict):
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ExportJob:
     """One export.
 
@@ -81,7 +81,8 @@ class ExportJob:
         overwrite: replace an older export of the same format at `out`.
         progress: called with (frames written, frames to write).
         losses: counted by the writer.
-        unreadable: why frames were left out so far, by `RECORDING/KEY`.
+        unreadable: `RECORDING/KEY: reason` of the frames that were left out so far.
+        fault: the error of the first of these.
         choose: the filter that selected `chosen`.
     """
 
@@ -94,28 +95,29 @@ class ExportJob:
     progress: Callable[[int, int], None] | None = None
     losses: Losses = field(default_factory=Losses)
     choose: ExportFilter = field(default_factory=ExportFilter)
-    unreadable: dict[str, FrameError] = field(default_factory=dict)
+    unreadable: list[str] = field(default_factory=list)
+    fault: FrameError | None = None
 
     @cached_property
     def source(self) -> FrameSource:
         return FrameSource(self.project)
 
     def read(self, chosen: Chosen) -> Frame | None:
-        """Reads a frame; None if it cannot be read and such frames are left out.
-
-        Raises:
-            FrameError: it cannot be read, and must be; or none of the frames can.
-        """
+        """Reads a frame; None if it cannot be read and such frames are left out."""
         try:
             return self.source.read(chosen.stored)
         except FrameError as error:
-            self.unreadable[f"{chosen.recording}/{chosen.stored.key}"] = error
             if not self.choose.skip_unreadable:
                 raise
-            if len(self.unreadable) == len(self.chosen):
-                raise next(iter(self.unreadable.values())) from None
+            self.fault = self.fault or error
+            self.unreadable.append(f"{chosen.recording}/{chosen.stored.key}: {error}")
             self.losses.add(Lost.UNREADABLE)
             return None
+
+    def require_some(self, written: int) -> None:
+        """Raises the error of the first frame that cannot be read if nothing was written without these frames."""
+        if self.fault is not None and not written:
+            raise self.fault
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -130,6 +132,7 @@ class ExportJob:
                 yield self._item(chosen, frame)
             if self.progress is not None:
                 self.progress(number, len(self.chosen))
+        self.require_some(len(self.chosen) - len(self.unreadable))
 
     def _item(self, chosen: Chosen, frame: Frame) -> DatasetItem:
         recording = self.source.recording(chosen.stored.recording_id)
@@ -171,7 +174,7 @@ class ExportJob:
             objects_by_class={name: objects_by_class.get(name, 0) for name in self.classes},
             splits=dict(Counter(part for part in parts if part is not None)),
             losses=self.losses.report(),
-            unreadable=tuple(f"{name}: {error}" for name, error in self.unreadable.items()),
+            unreadable=tuple(self.unreadable),
             notes=notes,
         )
 

@@ -89,6 +89,7 @@ class _Tally:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
             if job.progress is not None:
                 job.progress(number, len(job.chosen))
+        job.require_some(len(self.parts_written))
         with_frame = {v.view_id for c in job.chosen if isinstance(c, ChosenPictures) for v in c.views}
         for view in loose_views(job.project, job.choose, job.options.pictures):
             if view.view_id in with_frame:

@@ -477,8 +477,9 @@ def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
         rows: Sequence[KittiLabel] = read_kitti_file(file)
     else:
         found = _of_tracking(recording, key, file, None)
-        if found.error is not None:
-            raise found.error.with_traceback(None)
+        # the unit of the angles does not matter for areas
+        for fault in found.of_file:
+            raise fault.with_traceback(None)
         rows = found.rows
     return [row for row in rows if row.label == DONT_CARE]
 

@@ -262,6 +262,19 @@ def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path, monke
         import_view_boxes(people, folder, tmp_path / "pictures", BoxKind.SILHOUETTE, FlatFormat.YOLO)
 
 
+def test_views_are_exported_without_the_images_of_unreadable_frames(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    recording = own_copy("people")
+    project = make_project(recording)
+    labelled(project)
+    for file in (recording / "depth").iterdir():
+        file.write_bytes(b"")
+    choose = ExportFilter(skip_unreadable=True)
+    report = exported(project, tmp_path / "out", ExportFormat.COCO, options=BOTH, choose=choose)
+    assert (report.frames, len(report.unreadable)) == (3, 3)
+
+
 def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:

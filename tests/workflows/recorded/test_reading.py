@@ -15,8 +15,8 @@ from scipy.spatial.transform import RigidTransform
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
 from annotator.recordings.kitti import KittiTracking
-from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
+from annotator.types.errors import FormatError, RecordingError, UnitError
+from annotator.workflows.recorded.reading import dont_care_rows, has_truth, load_mask, load_truth
 
 WIDTH, HEIGHT = 8, 6
 BOX = {"label": "wall", "center": [0, 0, 1], "size": [2, 2, 0.1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
@@ -93,6 +93,11 @@ def test_tracking_labels_have_the_transform_of_each_frame(wall: Path) -> None:
         load_truth(drive, 1, replace(frame, T_camera_label=far))
     (wall / "label_02.txt").write_text(row.format(0, 7) * 2)
     assert len(load_truth(drive, 0, frame)) == 2
+    in_degrees = row.format(0, 7).replace("0.3", "170")
+    (wall / "label_02.txt").write_text(in_degrees + "0 -1 DontCare -1 -1 -10 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10\n")
+    with pytest.raises(UnitError, match="is no angle in radians"):
+        load_truth(drive, 0, frame)
+    assert [area.right for area in dont_care_rows(drive, "0")] == [9]
 
 
 @pytest.mark.parametrize("folder", ["mask", "truth/mask"])
