@@ -475,7 +475,7 @@ CHECKS: tuple[Check, ...] = (
     base_detector,
     backends,
 )
-# Time after which a check counts as hanging, seconds. Compiling the kernels alone takes half a minute.
+# Time after which a check counts as hanging, seconds: more than ten times what all take on two cores.
 LIMIT_S = 180.0
 
 
