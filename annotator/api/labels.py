@@ -144,6 +144,7 @@ def generate_recording(
         preset: hands (two hands in the air) or people (who stand and walk in a furnished room).
 
     Raises:
+        ConfigError: an unknown preset, or a number out of its range.
         FormatError: the folder is not empty, or cannot be created.
     """
     write_generated(Path(path), preset, frames, seed, width_px, height_px)

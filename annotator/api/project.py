@@ -15,7 +15,7 @@ from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
-from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import (
@@ -149,12 +149,26 @@ class Project:
         return self.stored.labels.of_frame(frame.id)
 
     @overload
-    def detect(self, frames: Frame, **options: Any) -> FrameProposals: ...
+    def detect(
+        self,
+        frames: Frame,
+        *,
+        image_boxes: Sequence[Box2D] | None = ...,
+        image_detector: ImageDetector | None = ...,
+        image_kind: BoxKind | str | None = ...,
+    ) -> FrameProposals: ...
 
     @overload
-    def detect(self, frames: Sequence[Frame], **options: Any) -> list[FrameProposals]: ...
+    def detect(
+        self,
+        frames: Sequence[Frame],
+        *,
+        image_boxes: Sequence[Sequence[Box2D]] | None = ...,
+        image_detector: ImageDetector | None = ...,
+        image_kind: BoxKind | str | None = ...,
+    ) -> list[FrameProposals]: ...
 
-    def detect(  # type: ignore[misc]  # the overloads leave the options to it
+    def detect(
         self,
         frames: Frame | Sequence[Frame],
         *,

@@ -63,14 +63,32 @@ def as_detector(given: Any) -> Detector:
 
 
 @overload
-def propose(frames: Frame, **options: Any) -> FrameProposals: ...
+def propose(
+    frames: Frame,
+    *,
+    view_detector: ViewDetector,
+    image_boxes: Sequence[Box2D] | None = ...,
+    image_detector: ImageDetector | None = ...,
+    rotation: Rotation = ...,
+    box_kind: BoxKind | str | None = ...,
+    settings: Mapping[str, Any] | None = ...,
+) -> FrameProposals: ...
 
 
 @overload
-def propose(frames: Sequence[Frame], **options: Any) -> list[FrameProposals]: ...
+def propose(
+    frames: Sequence[Frame],
+    *,
+    view_detector: ViewDetector,
+    image_boxes: Sequence[Sequence[Box2D]] | None = ...,
+    image_detector: ImageDetector | None = ...,
+    rotation: Rotation = ...,
+    box_kind: BoxKind | str | None = ...,
+    settings: Mapping[str, Any] | None = ...,
+) -> list[FrameProposals]: ...
 
 
-def propose(  # type: ignore[misc]  # the overloads leave the options to it
+def propose(
     frames: Frame | Sequence[Frame],
     *,
     view_detector: ViewDetector,

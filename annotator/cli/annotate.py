@@ -69,9 +69,8 @@ def run_annotate(
 
     If a frame fails, the reason is stored and the next call tries the frame again; the exit code is then 1.
 
-    Every threshold of the recursion is a setting. Options override the file of --config, the file overrides
-    settings.rcv in the project's project.json (which training and simulated drawing also use), and project.json
-    overrides the defaults.
+    Options override the file of --config, the file overrides settings.rcv in the project's project.json (which training
+    and simulated drawing also use), and project.json overrides the defaults.
 
     Args:
         axes: method that finds the projection axes; default: the project's setting.

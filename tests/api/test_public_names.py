@@ -9,7 +9,9 @@ import re
 import subprocess
 import sys
 from importlib.util import find_spec
+from inspect import signature
 from pathlib import Path
+from typing import get_overloads
 
 import numpy as np
 import pytest
@@ -45,6 +47,12 @@ def test_type_checkers_see_the_same_names() -> None:
     exported = {x.asname for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for x in node.names}
     assert exported == NAMES
     assert (ROOT / "annotator/py.typed").is_file()
+
+
+def test_type_checkers_see_the_options_of_functions_for_one_frame_or_several() -> None:
+    for function in (annotator.propose, annotator.Project.detect):
+        seen = [list(signature(each).parameters) for each in get_overloads(function)]
+        assert seen == [list(signature(function).parameters)] * 2
 
 
 def test_the_guide_has_a_row_for_every_name() -> None:

@@ -253,12 +253,19 @@ def test_wrong_output_and_a_broken_backend_are_failed_lines(monkeypatch: pytest.
     monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: False)
     found = lines(doctor.backends, tmp_path)
     assert [name for name, each in found.items() if each.state is State.OK] == [
-        *("openvino-bf16", "openvino", "torch, a little")
+        *("openvino", "openvino-bf16", "torch, a little")
     ]
     assert found["torch, moved"].figures["boxes_px"] == pytest.approx(5, rel=0.01)
     assert "no such operation" in found["onnxruntime"].found
     monkeypatch.setitem(changes, "openvino", lambda answer: answer + np.float32(0.1))
-    assert lines(doctor.backends, tmp_path)["openvino"].state is State.FAILED
+
+    def broken() -> bool:
+        raise DetectionError("OpenVINO cannot be loaded")
+
+    monkeypatch.setattr(openvino_network, "computes_bfloat16", broken)
+    found = lines(doctor.backends, tmp_path)
+    assert found["openvino"].state is found["openvino-bf16"].state is State.FAILED
+    assert found["torch, a little"].state is State.OK
 
 
 @pytest.mark.slow

@@ -170,7 +170,7 @@ class Slot(Generic[Item]):
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._item: Item | None = None
-        self._closed = False
+        self._awaited = self._closed = False
         self.dropped = 0
         self.taken_s = 0.0
 
@@ -186,16 +186,20 @@ class Slot(Generic[Item]):
     def take(self) -> Item | None:
         """Waits for an item and takes it; returns None once the slot is closed and empty."""
         with self._changed:
+            self._awaited = True
+            self._changed.notify_all()
             self._changed.wait_for(lambda: self._item is not None or self._closed)
             item, self._item = self._item, None
-            self.taken_s = time.perf_counter()
+            self._awaited, self.taken_s = False, time.perf_counter()
             self._changed.notify_all()
             return item
 
-    def wait_until_empty(self) -> None:
-        """Waits until the item is taken, or the slot is closed."""
+    def wait_until_wanted(self, after_s: float) -> None:
+        """Waits until the item was taken `after_s` seconds ago, the next one is waited for, or the slot is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._item is None or self._closed)
+            left_s = self.taken_s + after_s - time.perf_counter()
+            self._changed.wait_for(lambda: self._awaited or self._closed, max(left_s, 0.0))
 
     def close(self, *, empty: bool = False) -> None:
         """Accepts no more items. The present one can still be taken, unless `empty` is set."""
@@ -383,10 +387,10 @@ class Pipeline:
 
     def _wait_for_demand(self) -> None:
         """Returns when the next frame should be read, such that it is ready when detection ends."""
-        self._taken.wait_until_empty()
+        after_s = 0.0
         if self._durations_s and self._reads_s:
-            ends_s = self._taken.taken_s + statistics.median(self._durations_s)
-            self._stop.wait(max(ends_s - statistics.median(self._reads_s) - SPARE_S - time.perf_counter(), 0.0))
+            after_s = statistics.median(self._durations_s) - statistics.median(self._reads_s) - SPARE_S
+        self._taken.wait_until_wanted(after_s)
 
     def _detect(self) -> None:
         try:

@@ -37,7 +37,7 @@ from annotator.workflows.live.detection import (
     Taken,
 )
 from annotator.workflows.live.open_source import Playback
-from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, Slot, summary_line
 
 NEVER = threading.Event()
 # A limit for waits, which only a failure should reach.
@@ -278,6 +278,20 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_shown(frame: Frame) 
     assert (made.figures().broken, made.figures().read) == (1, 3)
     assert "frame 1 is broken" in lines[0]
     assert shown[-1] == "3"
+
+
+def test_a_frame_is_read_some_time_after_the_last_one_was_taken_or_when_one_is_waited_for() -> None:
+    slot: Slot[int] = Slot()
+    slot.put(1)
+    slot.take()
+    slot.wait_until_wanted(0.05)
+    assert time.perf_counter() >= slot.taken_s + 0.05
+    taker = threading.Thread(target=slot.take, daemon=True)
+    taker.start()
+    slot.wait_until_wanted(2 * PATIENCE_S)
+    assert time.perf_counter() < slot.taken_s + PATIENCE_S
+    slot.put(2)
+    taker.join()
 
 
 def test_a_pause_at_the_moment_of_a_stop_does_not_block(frame: Frame) -> None:
