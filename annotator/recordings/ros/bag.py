@@ -10,10 +10,9 @@ PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -37,20 +36,22 @@ class Topic:
 
     Attributes:
         name, type: of the topic; the type as `package/Name` (`sensor_msgs/Image`, `foxglove/RawImage`).
-        sources: file and channel of each publisher.
-        log_ns: (n,) times of recording.
-        source, number: (n,) which of the sources has the message, and its number there.
+        files: of the bag.
+        messages: (n,) of the type `MESSAGE`.
     """
 
     name: str
     type: str
-    sources: tuple[tuple[BagFile, Channel], ...]
-    log_ns: Int64[np.ndarray, "n"]
-    source: Int64[np.ndarray, "n"]
-    number: Int64[np.ndarray, "n"]
+    files: tuple[BagFile, ...]
+    messages: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.log_ns)
+        return len(self.messages)
+
+    @cached_property
+    def log_ns(self) -> Int64[np.ndarray, "n"]:
+        """The times of recording."""
+        return np.ascontiguousarray(self.messages["log_ns"])
 
     @property
     def rate_hz(self) -> float | None:
@@ -62,22 +63,15 @@ class Topic:
         return 1e9 / period_ns if period_ns > 0 else None
 
     @property
-    def is_slow(self) -> bool:
-        """True if reading takes so long that it is worth several threads."""
-        return any(file.is_slow for file, _ in self.sources)
+    def own_files(self) -> list[BagFile]:
+        """The files with its messages."""
+        return [self.files[number] for number in np.unique(self.messages["file"])]
 
     def read(self, i: int, most: int | None = None) -> tuple[Channel, bytes]:
         """Reads message `i` (or its first `most` bytes), with its channel."""
-        file, channel = self.sources[int(self.source[i])]
-        return channel, file.read(channel, int(self.number[i]), most)
-
-    @contextmanager
-    def many(self) -> Iterator[None]:
-        """Makes the reading of many messages faster, by this thread and within the block."""
-        with ExitStack() as files:
-            for file in {id(file): file for file, _ in self.sources}.values():
-                files.enter_context(file.many())
-            yield
+        message = self.messages[i]
+        file = self.files[message["file"]]
+        return file.channels[int(message["channel"])], file.read(message, most)
 
     def nearest(self, log_ns: int) -> int:
         """Returns the number of the message whose log time is nearest; the topic must have messages."""
@@ -110,32 +104,33 @@ class Bag:
 def join(path: Path, files: Sequence[BagFile]) -> Bag:
     """Joins the files of a bag."""
     notes = [note for file in files for note in file.notes]
-    by_topic: dict[str, dict[str, list[tuple[BagFile, Channel]]]] = {}
-    for file in files:
-        for channel in file.channels:
-            by_type = by_topic.setdefault(channel.topic, {})
-            by_type.setdefault(short_type(channel.type), []).append((file, channel))
+    # by name and type: a topic with messages of two types is two topics
+    sources: dict[str, dict[str, list[tuple[int, int]]]] = {}
+    for at, file in enumerate(files):
+        for number, channel in file.channels.items():
+            sources.setdefault(channel.topic, {}).setdefault(short_type(channel.type), []).append((at, number))
     topics = {}
-    for name, by_type in by_topic.items():
-        for kind, sources in by_type.items():
-            # a topic with messages of two types is two topics
+    for name, by_type in sources.items():
+        for kind, channels in by_type.items():
             shown = name if len(by_type) == 1 else f"{name} ({kind})"
-            topics[shown] = _topic(shown, kind, sources)
-        if len(by_type) > 1:
-            notes.append(f"the topic {name} has messages of several types: {', '.join(sorted(by_type))}")
-        for sources in by_type.values():
-            publishers = {channel.publisher for _, channel in sources if len(channel.log_ns)}
+            topics[shown] = Topic(shown, kind, tuple(files), _messages(files, channels))
+            used = [(at, number) for at, number in channels if number in files[at].messages["channel"]]
+            publishers = {files[at].channels[number].publisher for at, number in used}
             if len(publishers) > 1 and not name.startswith("/tf"):
                 notes.append(f"the topic {name} has {len(publishers)} publishers ({', '.join(sorted(publishers))})")
+        if len(by_type) > 1:
+            notes.append(f"the topic {name} has messages of several types: {', '.join(sorted(by_type))}")
     return Bag(path, topics, tuple(notes))
 
 
-def _topic(name: str, kind: str, sources: list[tuple[BagFile, Channel]]) -> Topic:
-    log_ns = np.concatenate([channel.log_ns for _, channel in sources])
-    source = np.repeat(np.arange(len(sources)), [len(channel.log_ns) for _, channel in sources])
-    number = np.concatenate([np.arange(len(channel.log_ns)) for _, channel in sources])
-    order = np.argsort(log_ns, kind="stable")
-    return Topic(name, kind, tuple(sources), log_ns[order], source[order], number[order])
+def _messages(files: Sequence[BagFile], channels: Sequence[tuple[int, int]]) -> np.ndarray:
+    """Returns the messages of some channels, each given by its file and its number there, by log time."""
+    parts = []
+    for at, number in channels:
+        parts.append(files[at].messages[files[at].messages["channel"] == number])
+        parts[-1]["file"] = at
+    messages = np.concatenate(parts)
+    return messages[np.argsort(messages["log_ns"], kind="stable")]
 
 
 def short_type(name: str) -> str:

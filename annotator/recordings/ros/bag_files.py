@@ -12,17 +12,17 @@ from __future__ import annotations
 import bz2
 import sqlite3
 import sys
-from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
+from io import BufferedReader, BytesIO, RawIOBase
 from pathlib import Path
 from threading import Lock, local
 from typing import Any
 from zlib import crc32
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Integer
 
 from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory, require_memory
@@ -30,36 +30,45 @@ from annotator.types.errors import MissingExtraError
 from annotator.types.messages import amount
 
 # Contents that are kept, of all files together: the messages of a frame are often in the same chunks.
-MOST_KEPT_BYTES = 1 << 26
+MOST_KEPT, MOST_KEPT_BYTES = 16, 1 << 26
 PIECE = 1 << 16
 # Compressed bytes of a message that contain its head: the largest block of zstd.
 HEAD_OF_MESSAGE = 1 << 18
+# A message's channel, time of recording and place; chunk -1 = outside of chunks. `file` is set when files are joined.
+MESSAGE = np.dtype([(name, np.int64) for name in ("file", "channel", "log_ns", "chunk", "offset")])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Channel:
     """What one publisher sent on a topic, in one file.
 
     Attributes:
-        topic: its name.
         type: message type as the file has it: `sensor_msgs/Image`, `sensor_msgs/msg/Image`, `foxglove.RawImage`.
         encoding: of the messages: ros1, cdr, protobuf or json.
         schema_encoding, schema: definition of the type: ros1msg, ros2msg, ros2idl, protobuf or jsonschema; "" = none.
         publisher: the publisher's name; "" if unknown.
-        number: of the channel in its file.
-        log_ns, chunk, offset: of each message: time of recording and place in the file; chunk -1 = outside chunks.
     """
 
     topic: str
     type: str
     encoding: str
-    schema_encoding: str
-    schema: bytes
-    publisher: str
-    number: int
-    log_ns: Int64[np.ndarray, "n"]
-    chunk: Int64[np.ndarray, "n"]
-    offset: Int64[np.ndarray, "n"]
+    schema_encoding: str = ""
+    schema: bytes = b""
+    publisher: str = ""
+
+
+def listed(
+    channel: int | np.ndarray,
+    log_ns: Integer[np.ndarray, "n"],
+    chunk: int | np.ndarray,
+    offset: Integer[np.ndarray, "n"],
+) -> np.ndarray:
+    """Returns messages, of the type `MESSAGE`."""
+    found = np.zeros(len(log_ns), MESSAGE)
+    found["channel"], found["chunk"], found["offset"] = channel, chunk, offset
+    # times beyond 2262 are damaged
+    found["log_ns"] = np.minimum(log_ns, 2**63 - 1)
+    return found
 
 
 class BagFile:
@@ -67,47 +76,26 @@ class BagFile:
 
     Attributes:
         path: the file.
-        channels: its channels.
+        channels: its channels by number.
+        messages: all of them, of the type `MESSAGE`.
         notes: what is damaged or missing, as sentences.
         is_slow: reading takes so long that it is worth several threads.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.channels: tuple[Channel, ...] = ()
+        self.channels: dict[int, Channel] = {}
+        self.messages = np.empty(0, MESSAGE)
         self.notes: tuple[str, ...] = ()
         self.is_slow = False
 
-    def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        """Reads message `i` of a channel, or its first `most` bytes or a few more."""
+    def read(self, message: np.void, most: int | None = None) -> bytes:
+        """Reads one of `messages`, or its first `most` bytes or a few more."""
         raise NotImplementedError
 
     def many(self) -> AbstractContextManager[None]:
         """Makes the reading of many messages faster, by this thread and within the block."""
         return nullcontext()
-
-
-class Messages:
-    """Collects the messages of a file while its records are listed."""
-
-    def __init__(self) -> None:
-        self._parts: dict[int, list[tuple[np.ndarray, int, np.ndarray]]] = {}
-        self.first_chunk: dict[int, int] = {}
-
-    def add(self, number: int, log_ns: np.ndarray, chunk: int, offset: np.ndarray) -> None:
-        """Adds messages of channel `number`: times and offsets in a chunk."""
-        # times beyond 2262 are damaged
-        log_ns, offset = (np.minimum(values, 2**63 - 1).astype(np.int64) for values in (log_ns, offset))
-        self._parts.setdefault(number, []).append((log_ns, chunk, offset))
-        self.first_chunk.setdefault(number, chunk)
-
-    def arrays(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns log_ns, chunk and offset of a channel's messages."""
-        if number not in self._parts:
-            return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.int64)
-        times, chunks, offsets = zip(*self._parts[number], strict=True)
-        chunk = np.repeat(np.array(chunks, np.int64), [len(time) for time in times])
-        return np.concatenate(times), chunk, np.concatenate(offsets)
 
 
 @dataclass(frozen=True)
@@ -128,26 +116,97 @@ class Chunk:
     checksum: int = 0
 
 
-class _Kept:
-    """The contents of chunks that were read last, for all threads; a bag may have hundreds of files."""
+class _Stored(RawIOBase):
+    """The stored bytes of a chunk. The file is not kept open: a bag may have hundreds."""
 
-    def __init__(self) -> None:
-        self._contents: OrderedDict[tuple[ChunkedFile, int], tuple[bytes, bool]] = OrderedDict()
+    def __init__(self, path: Path, chunk: Chunk) -> None:
+        self._path, self._at, self._end = path, chunk.at, chunk.at + chunk.size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        with open_file(self._path, buffering=0) as file:
+            file.seek(self._at)
+            data = file.read(min(len(buffer), self._end - self._at))
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
+
+
+def _decompressing(compression: str, stored: Any) -> Any:
+    """Returns the stream of what is stored in another one."""
+    if compression in ("", "none"):
+        return stored
+    if compression == "bz2":
+        return bz2.BZ2File(stored)
+    try:
+        if compression == "lz4":
+            from lz4.frame import LZ4FrameFile
+
+            return LZ4FrameFile(stored)
+        if compression == "zstd":
+            # the standard library's, if this Python has it
+            if sys.version_info >= (3, 14):
+                from compression.zstd import ZstdFile
+            else:
+                from backports.zstd import ZstdFile
+
+            return ZstdFile(stored)
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "ros") from error
+    raise ValueError(f"the compression {compression!r} is unknown")
+
+
+class Content:
+    """What is stored in a stream, decompressed as far as it was needed; several threads may read it.
+
+    Attributes:
+        data: what was decompressed.
+        problem: why there is no more; "" if nothing is wrong.
+    """
+
+    def __init__(self, compression: str, stored: Any, full_size: int | None = None, checksum: int = 0) -> None:
+        self.data, self.problem = bytearray(), ""
+        self._stream, self._full_size, self._checksum = _decompressing(compression, stored), full_size, checksum
         self._lock = Lock()
 
-    def get(self, file: ChunkedFile, number: int) -> tuple[bytes, bool]:
-        """Returns the content of a chunk as far as it is kept, and whether that is all of it."""
+    def read(self, start: int, end: int) -> bytes:
+        """Returns the bytes from `start` to `end`, or as far as they are sound."""
         with self._lock:
-            return self._contents.get((file, number), (b"", False))
+            while len(self.data) < end and not self.problem:
+                try:
+                    piece = self._stream.read1(min(end - len(self.data), PIECE))
+                except Exception as error:  # each library has its own
+                    self.problem = f"a chunk is damaged ({error})"
+                    break
+                if not piece:
+                    break
+                self.data += piece
+                if self._checksum and len(self.data) == self._full_size and crc32(self.data) != self._checksum:
+                    self.problem = "the checksum of a chunk is wrong"
+                    self.data.clear()
+            return bytes(memoryview(self.data)[start:end])
 
-    def keep(self, file: ChunkedFile, number: int, content: bytes, is_all: bool) -> None:
-        """Keeps the content of a chunk, and forgets the oldest ones beyond the limits."""
+
+class _Kept:
+    """The contents that were read last, of all files, for all threads."""
+
+    def __init__(self) -> None:
+        self._contents: dict[tuple[ChunkedFile, int], Content] = {}
+        self._lock = Lock()
+
+    def content(self, file: ChunkedFile, number: int) -> Content:
+        """Returns the content of a chunk; the oldest ones beyond the limits are forgotten."""
         with self._lock:
-            self._contents[file, number] = content, is_all
-            self._contents.move_to_end((file, number))
-            total = sum(len(content) for content, _ in self._contents.values())
-            while len(self._contents) > 1 and total > MOST_KEPT_BYTES:
-                total -= len(self._contents.popitem(last=False)[1][0])
+            content = self._contents.pop((file, number), None) or file.opened(number)
+            self._contents[file, number] = content
+            while len(self._contents) > 1 and (
+                len(self._contents) > MOST_KEPT
+                or sum(len(each.data) for each in self._contents.values()) > MOST_KEPT_BYTES
+            ):
+                del self._contents[next(iter(self._contents))]
+            return content
 
 
 KEPT = _Kept()
@@ -160,116 +219,43 @@ class ChunkedFile(BagFile):
         super().__init__(path)
         self.chunks: list[Chunk] = []
 
+    def opened(self, number: int) -> Content:
+        """Returns the content of a chunk, of which nothing was read yet."""
+        chunk = self.chunks[number]
+        stored = BufferedReader(_Stored(self.path, chunk), PIECE)
+        return Content(chunk.compression, stored, chunk.full_size, chunk.checksum)
+
     def content(self, number: int, start: int, size: int) -> bytes:
         """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself."""
-        require_memory(more_bytes=size)
-        if number < 0:
-            return self._stored(start, size)
-        chunk = self.chunks[number]
+        chunk = self.chunks[number] if number >= 0 else Chunk(0, self.path.stat().st_size, "")
         if chunk.compression in ("", "none"):
-            return self._stored(chunk.at + start, min(size, chunk.size - start))
-        longest = frame_memory() if chunk.full_size is None else chunk.full_size
-        end = min(start + size, longest)
-        content, is_all = KEPT.get(self, number)
-        if len(content) < end and not is_all:
-            # more than is asked for, so that a chunk of many messages is not decompressed for each of them
-            most = min(max(end, 2 * len(content), PIECE), longest)
-            require_memory(more_bytes=most)
-            content, problem = unpack(chunk.compression, self._pieces(chunk), most)
-            if problem and len(content) < end:
-                raise ValueError(problem)
-            is_all = len(content) < most or len(content) == chunk.full_size
-            if chunk.checksum and len(content) == chunk.full_size and crc32(content) != chunk.checksum:
-                raise ValueError("the checksum of a chunk is wrong")
-            KEPT.keep(self, number, content, is_all)
-        return content[start : start + size]
-
-    def sound(self, number: int) -> bytes:
-        """Returns a chunk's content as far as it can be read; nothing of an unknown compression."""
-        chunk = self.chunks[number]
-        try:
-            return unpack(
-                chunk.compression, self._pieces(chunk), min(chunk.full_size or frame_memory(), frame_memory())
-            )[0]
-        except ValueError:
-            return b""
-
-    def _pieces(self, chunk: Chunk) -> Iterator[bytes]:
-        with open_file(self.path) as file:
-            file.seek(chunk.at)
-            left = chunk.size
-            while left > 0 and (piece := file.read(min(PIECE, left))):
-                left -= len(piece)
-                yield piece
-
-    def _stored(self, at: int, size: int) -> bytes:
-        with open_file(self.path) as file:
-            file.seek(at)
-            return file.read(max(size, 0))
-
-
-def unpack(compression: str, pieces: Iterable[bytes], most: int) -> tuple[bytes, str]:
-    """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing)."""
-    stream, parts, length = _decompressor(compression), [], 0
-    for piece in pieces:
-        try:
-            parts.append(stream.decompress(piece, most - length))
-            length += len(parts[-1])
-            while length < most and not stream.eof and not stream.needs_input:
-                parts.append(stream.decompress(b"", most - length))
-                length += len(parts[-1])
-        except Exception as error:  # each library has its own
-            return b"".join(parts), f"a chunk is damaged ({error})"
-        if length >= most or stream.eof:
-            break
-    is_cut = length < most and not stream.eof
-    return b"".join(parts), f"a chunk ends after {length} of {most} bytes" if is_cut else ""
+            require_memory(more_bytes=size)
+            with open_file(self.path) as file:
+                file.seek(chunk.at + start)
+                return file.read(max(min(size, chunk.size - start), 0))
+        end = start + size if chunk.full_size is None else min(start + size, chunk.full_size)
+        require_memory(more_bytes=end)
+        content = KEPT.content(self, number)
+        data = content.read(start, end)
+        if len(data) < end - start and content.problem:
+            raise ValueError(content.problem)
+        return data
 
 
 def unpacked_message(data: bytes, most: int | None = None) -> bytes:
     """Decompresses a zstd message of a ROS 2 bag in compression mode "message", or its first `most` bytes."""
-    content, problem = unpack("zstd", [data], frame_memory() if most is None else most)
-    if not content or (most is None and problem):
+    content = Content("zstd", BytesIO(data))
+    unpacked = content.read(0, frame_memory() if most is None else most)
+    if not unpacked or (most is None and content.problem):
         raise ValueError("a message is not compressed with zstd, or damaged")
-    return content
-
-
-class _Plain:
-    """What an uncompressed chunk is "decompressed" with."""
-
-    eof, needs_input = False, True
-
-    def decompress(self, data: bytes, most: int) -> bytes:
-        return data[:most]
-
-
-def _decompressor(compression: str) -> Any:
-    if compression in ("", "none"):
-        return _Plain()
-    if compression == "bz2":
-        return bz2.BZ2Decompressor()
-    try:
-        if compression == "lz4":
-            from lz4.frame import LZ4FrameDecompressor
-
-            return LZ4FrameDecompressor()
-        if compression == "zstd":
-            # the standard library's, if this Python has it
-            if sys.version_info >= (3, 14):
-                from compression.zstd import ZstdDecompressor
-            else:
-                from backports.zstd import ZstdDecompressor
-
-            return ZstdDecompressor()
-    except ImportError as error:
-        raise MissingExtraError("rosbags", "ros") from error
-    raise ValueError(f"the compression {compression!r} is unknown")
+    return unpacked
 
 
 # --- ROS 1 -----------------------------------------------------------------------------------------------------------
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE_OP, CONNECTION_OP = 2, 7
+# Fields of a record's header, with their lengths before them.
+IS_MESSAGE, IS_CONNECTION, OF_CONNECTION = b"\4\0\0\0op=\2", b"\4\0\0\0op=\7", b"\t\0\0\0conn="
 # Bytes that hold a message's header: it has 43 in every known writer.
 ROS1_HEADER = 1 << 10
 
@@ -290,16 +276,12 @@ class Ros1File(ChunkedFile):
                 numbers = {at: number for number, at in enumerate(reader.chunks)}
                 for chunk in reader.chunks.values():
                     self.chunks.append(Chunk(chunk.datapos, chunk.datasize, compressions[chunk.decompressor]))
-                for connection in reader.connections:
-                    index = reader.indexes[connection.id]
-                    places = np.array([(each.time, numbers[each.chunk_pos], each.offset) for each in index], np.int64)
-                    self.channels += (
-                        Channel(
-                            connection.topic, connection.msgtype, "ros1", "ros1msg", connection.msgdef.data.encode(),
-                            connection.ext.callerid or "", connection.id,
-                            *np.ascontiguousarray(places.reshape(-1, 3).T),
-                        ),
-                    )  # fmt: skip
+                parts = [self.messages]
+                for one in reader.connections:
+                    schema, publisher = one.msgdef.data.encode(), one.ext.callerid or ""
+                    self.channels[one.id] = Channel(one.topic, one.msgtype, "ros1", "ros1msg", schema, publisher)
+                    index = [(each.time, numbers[each.chunk_pos], each.offset) for each in reader.indexes[one.id]]
+                    parts.append(listed(one.id, *np.array(index, np.int64).reshape(-1, 3).T))
         except OSError:
             raise
         # of a damaged bag, rosbags raises any exception
@@ -308,40 +290,26 @@ class Ros1File(ChunkedFile):
             raise ValueError(
                 f"has no index, or is damaged ({problem[:100]}); run rosbag reindex {path.name}"
             ) from error
+        self.messages = np.concatenate(parts)
         self.is_slow = any(chunk.compression == "bz2" for chunk in self.chunks)
 
-    def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        chunk, at = int(channel.chunk[i]), int(channel.offset[i])
+    def read(self, message: np.void, most: int | None = None) -> bytes:
+        chunk, at = int(message["chunk"]), int(message["offset"])
         while True:
-            head = self.content(chunk, at, ROS1_HEADER + (most or 0))
-            length = int.from_bytes(head[:4], "little")
-            fields, size = _ros1_fields(head[4 : 4 + length]), int.from_bytes(head[4 + length : 8 + length], "little")
-            start = at + 8 + length
-            if len(head) < 8 + length:
-                raise ValueError("a message's header is damaged or truncated")
+            data = self.content(chunk, at, ROS1_HEADER + (most or 0))
+            end = 4 + int.from_bytes(data[:4], "little")
+            header, size = data[4:end], int.from_bytes(data[end : end + 4], "little")
             # a connection may stand before its first message
-            if fields.get(b"op") != bytes([CONNECTION_OP]):
+            if len(data) < end + 4 or IS_CONNECTION not in header:
                 break
-            at = start + size
-        if fields.get(b"op") != bytes([MESSAGE_OP]) or fields.get(b"conn") != channel.number.to_bytes(4, "little"):
+            at += end + 4 + size
+        if IS_MESSAGE not in header or OF_CONNECTION + int(message["channel"]).to_bytes(4, "little") not in header:
             raise ValueError("the index points to something that is not this message")
         wanted = size if most is None else min(size, most)
-        data = self.content(chunk, start, wanted)
+        data = self.content(chunk, at + end + 4, wanted)
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {size} bytes")
         return data
-
-
-def _ros1_fields(data: bytes) -> dict[bytes, bytes]:
-    """Returns the named fields of a record's header, up to the first damaged one."""
-    fields: dict[bytes, bytes] = {}
-    at = 0
-    while at + 4 <= len(data):
-        size = int.from_bytes(data[at : at + 4], "little")
-        name, _, value = data[at + 4 : at + 4 + size].partition(b"=")
-        fields[name] = value
-        at += 4 + size
-    return fields
 
 
 # --- SQLite ----------------------------------------------------------------------------------------------------------
@@ -360,13 +328,10 @@ class SqliteFile(BagFile):
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         super().__init__(path)
         self._are_compressed = are_compressed
-        self._messages = Messages()
         self._kept = local()
         # SQLite keeps what was not yet merged into a file beside it
         self._is_immutable = not path.with_name(path.name + "-wal").exists()
-        with open_file(path) as file:
-            if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
-                raise ValueError("is not an SQLite file")
+        check_file(path)
         with self._connected() as connection:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
@@ -379,24 +344,17 @@ class SqliteFile(BagFile):
                     str(name): (str(encoding), str(text).encode())
                     for name, encoding, text in connection.execute(f"SELECT {columns} FROM message_definitions")
                 }
-            topics = connection.execute(
+            for number, name, kind, encoding in connection.execute(
                 "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
-            ).fetchall()
-            problem = self._list_messages(connection)
-        self.notes = (f"{path.name} {problem}",) if problem else ()
-        self.channels = tuple(
-            Channel(
-                str(name), str(kind), str(encoding), *definitions.get(kind, ("", b"")), "", int(number),
-                *self._messages.arrays(int(number)),
-            )
-            for number, name, kind, encoding in topics
-        )  # fmt: skip
+            ):
+                self.channels[int(number)] = Channel(str(name), str(kind), str(encoding), *definitions.get(kind, ()))
+            self._list_messages(connection)
 
-    def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
+    def read(self, message: np.void, most: int | None = None) -> bytes:
         wanted = HEAD_OF_MESSAGE if self._are_compressed and most is not None else most
         with (
             self._connected() as connection,
-            connection.blobopen("messages", "data", int(channel.offset[i]), readonly=True) as blob,
+            connection.blobopen("messages", "data", int(message["offset"]), readonly=True) as blob,
         ):
             # -1 = to the end
             data = blob.read(-1 if wanted is None else wanted)
@@ -412,23 +370,24 @@ class SqliteFile(BagFile):
             finally:
                 self._kept.connection = None
 
-    def _list_messages(self, connection: sqlite3.Connection) -> str:
-        """Adds all messages; returns what is wrong with the file, "" if nothing."""
-        count = 0
+    def _list_messages(self, connection: sqlite3.Connection) -> None:
+        """Lists all messages, as far as the file is sound."""
+        parts, count, problem = [self.messages], 0, ""
         try:
             rows = connection.execute("SELECT topic_id, timestamp, id FROM messages")
-            while part := rows.fetchmany(ROWS_AT_ONCE):
-                table = np.array(part, np.int64)
-                for number in np.unique(table[:, 0]).tolist():
-                    of_topic = table[table[:, 0] == number]
-                    self._messages.add(number, of_topic[:, 1], -1, of_topic[:, 2])
+            # pages of a damaged file may lead to each other in circles
+            while (part := rows.fetchmany(ROWS_AT_ONCE)) and not problem:
+                channel, log_ns, row = np.array(part, np.int64).T
+                parts.append(listed(channel, log_ns, -1, row))
                 count += len(part)
-                # pages of a damaged file may lead to each other in circles
                 if count > self.path.stat().st_size:
-                    return "is damaged: it lists more messages than it has bytes"
+                    problem = "it lists more messages than it has bytes"
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
-            return f"is damaged after {amount(count, 'message')} ({error}); the others are not used"
-        return ""
+            problem = str(error)
+        if problem:
+            after = f"after {amount(count, 'message')} ({problem}); the others are not used"
+            self.notes = (f"{self.path.name} is damaged {after}",)
+        self.messages = np.concatenate(parts)
 
     @contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:

@@ -10,14 +10,16 @@ from __future__ import annotations
 import os
 import struct
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from annotator.files import TABLE_BYTES, open_file
-from annotator.recordings.ros.bag_files import HEAD_OF_MESSAGE, Channel, Chunk, ChunkedFile, Messages, unpacked_message
-from annotator.types.messages import amount
+from annotator.frame_limits import frame_memory
+from annotator.recordings.ros.bag_files import HEAD_OF_MESSAGE, Channel, Chunk, ChunkedFile, listed, unpacked_message
+from annotator.types.messages import amount, first_few
 
 # Damaged places of a file that are named.
 MOST_NAMED = 8
@@ -35,7 +37,7 @@ LONGEST_NAME = 64
 
 
 class McapFile(ChunkedFile):
-    """An MCAP file, of ROS 2 or not. The summary at its end names the chunks; without it, the file is walked through.
+    """An MCAP file, of ROS 2 or not. After a damaged place, it is read from the next chunk that its summary names.
 
     Args:
         are_compressed: each message is compressed with zstd (a mode of ROS 2).
@@ -44,57 +46,57 @@ class McapFile(ChunkedFile):
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         super().__init__(path)
         self._are_compressed = are_compressed
-        self._messages = Messages()
+        self._parts = [self.messages]
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
+        # id of the schema, topic, encoding
         self._described: dict[int, tuple[int, str, str]] = {}
-        notes: list[str] = []
+        damaged: list[str] = []
         with open_file(path) as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(0)
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise ValueError("is not an MCAP file")
-            ranges = _ranges(file, size)
-            for start, end in ranges or [(len(MCAP_MAGIC), size)]:
+            size = file.seek(0, os.SEEK_END)
+            starts = _chunk_starts(file, size)
+            for start, end in pairwise(sorted({len(MCAP_MAGIC), *starts, size})):
                 at, is_closed = self._list(file, start, end)
-                if ranges and at < end:
-                    notes.append(f"is damaged at byte {at}; {amount(end - at, 'byte is', 'bytes are')} lost")
-        if len(notes) > MOST_NAMED:
-            notes = [*notes[:MOST_NAMED], f"is damaged at {amount(len(notes) - MOST_NAMED, 'more place')}"]
-        if not ranges and not is_closed:
+                if starts and at < end and not is_closed:
+                    damaged.append(f"byte {at} ({amount(end - at, 'byte is', 'bytes are')} lost)")
+        self.messages = np.concatenate(self._parts)
+        for number, first in zip(*np.unique(self.messages["channel"], return_index=True), strict=True):
+            chunk = int(self.messages["chunk"][first])
+            if int(number) not in self._described and chunk >= 0:
+                self._search(chunk, describe=True)
+        for number, (schema, topic, encoding) in sorted(self._described.items()):
+            kind, schema_encoding, definition = self._schemas.get(schema, ("unknown", "", b""))
+            self.channels[number] = Channel(topic, kind, encoding, schema_encoding, definition)
+        notes = [f"is damaged at {first_few(damaged, MOST_NAMED)}"] if damaged else []
+        if not starts and not is_closed:
             notes.append(
                 f"was not closed by its recorder, or is damaged: it is read up to byte {min(at, size)} of {size} "
                 "(mcap recover may restore more)"
             )
-        for number, chunk in self._messages.first_chunk.items():
-            if number not in self._described and chunk >= 0:
-                self._search(chunk, only_described=True)
-        lost = self._messages.first_chunk.keys() - self._described.keys()
+        lost = {*self.messages["channel"].tolist()} - self.channels.keys()
         if lost:
             notes.append(f"has messages of {amount(len(lost), 'topic')} that it does not describe; they are not used")
-        self.channels = tuple(self._channel(number) for number in sorted(self._described))
         self.notes = tuple(f"{path.name} {note}" for note in notes)
 
-    def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        chunk, at = int(channel.chunk[i]), int(channel.offset[i])
-        if not self._are_compressed:
-            return self._as_stored(channel, chunk, at, most)
-        return unpacked_message(self._as_stored(channel, chunk, at, most and HEAD_OF_MESSAGE), most)
-
-    def _as_stored(self, channel: Channel, chunk: int, at: int, most: int | None) -> bytes:
-        """Returns a message as it is stored, or its first `most` bytes."""
-        before = RECORD.size + MESSAGE_HEAD.size
-        head = self.content(chunk, at, before + (most or 0))
-        if len(head) < before:
+    def read(self, message: np.void, most: int | None = None) -> bytes:
+        before, most_stored = (
+            RECORD.size + MESSAGE_HEAD.size,
+            most and (HEAD_OF_MESSAGE if self._are_compressed else most),
+        )
+        chunk, at = int(message["chunk"]), int(message["offset"])
+        data = self.content(chunk, at, before + (most_stored or 0))
+        if len(data) < before:
             raise ValueError("a message's header is truncated")
-        kind, size = RECORD.unpack_from(head)
-        number = MESSAGE_HEAD.unpack_from(head, RECORD.size)[0]
-        if kind != MESSAGE or size < MESSAGE_HEAD.size or number != channel.number:
+        kind, size = RECORD.unpack_from(data)
+        number = MESSAGE_HEAD.unpack_from(data, RECORD.size)[0]
+        if kind != MESSAGE or size < MESSAGE_HEAD.size or number != message["channel"]:
             raise ValueError("the index points to something that is not this message")
-        wanted = size - MESSAGE_HEAD.size if most is None else min(size - MESSAGE_HEAD.size, most)
-        data = self.content(chunk, at + before, wanted) if most is None else head[before : before + wanted]
+        wanted = size - MESSAGE_HEAD.size if most is None else min(size - MESSAGE_HEAD.size, most_stored)
+        data = data[before : before + wanted] if most else self.content(chunk, at + before, wanted)
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {wanted} bytes")
-        return data
+        return unpacked_message(data, most) if self._are_compressed else data
 
     def _list(self, file: BinaryIO, at: int, end: int, chunk: int = -1, describe: bool = False) -> tuple[int, bool]:
         """Adds what the records of a part of the file say, or of a chunk's content, up to the first damaged one.
@@ -124,7 +126,11 @@ class McapFile(ChunkedFile):
             elif kind == CHUNK and chunk < 0:
                 open_chunk = self._add_chunk(file, at, end)
             elif kind == INDEX and chunk < 0 and self.chunks:
-                self._add_index(file.read(min(length, TABLE_BYTES)))
+                data = file.read(min(length, TABLE_BYTES))
+                count = max(len(data) - 6, 0) // ENTRY.itemsize
+                self._add(
+                    int.from_bytes(data[:2], "little"), len(self.chunks) - 1, np.frombuffer(data, ENTRY, count, 6)
+                )
                 open_chunk = -1
             elif kind in (SCHEMA, CHANNEL):
                 self._describe(kind, file.read(min(length, TABLE_BYTES)))
@@ -133,14 +139,19 @@ class McapFile(ChunkedFile):
         if open_chunk >= 0:
             self._search(open_chunk)
         for number, entries in loose.items():
-            table = np.array(entries, ENTRY)
-            self._messages.add(number, table["log_ns"], chunk, table["offset"])
+            self._add(number, chunk, np.array(entries, ENTRY))
         return at, is_closed
 
-    def _search(self, chunk: int, only_described: bool = False) -> None:
+    def _add(self, number: int, chunk: int, entries: np.ndarray) -> None:
+        self._parts.append(listed(number, entries["log_ns"], chunk, entries["offset"]))
+
+    def _search(self, chunk: int, describe: bool = False) -> None:
         """Adds messages, schemas and channels of a chunk without an index, as far as it is sound."""
-        content = self.sound(chunk)
-        self._list(BytesIO(content), 0, len(content), chunk, only_described)
+        try:
+            content = self.opened(chunk).read(0, min(self.chunks[chunk].full_size or 0, frame_memory()))
+        except ValueError:  # compressed in an unknown way
+            return
+        self._list(BytesIO(content), 0, len(content), chunk, describe)
 
     def _add_chunk(self, file: BinaryIO, at: int, end: int) -> int:
         """Adds the chunk whose record is at `at`; returns its number, or -1 if its head is damaged."""
@@ -157,71 +168,42 @@ class McapFile(ChunkedFile):
         self.chunks.append(Chunk(start, stored, compression, full_size, checksum))
         return len(self.chunks) - 1
 
-    def _add_index(self, data: bytes) -> None:
-        body = data[6:]
-        entries = np.frombuffer(body[: len(body) // ENTRY.itemsize * ENTRY.itemsize], ENTRY)
-        if len(entries):
-            number = int.from_bytes(data[:2], "little")
-            self._messages.add(number, entries["log_ns"], len(self.chunks) - 1, entries["offset"])
-
     def _describe(self, kind: int, data: bytes) -> None:
         """Adds a schema or a channel; damaged ones are left out."""
         number = int.from_bytes(data[:2], "little")
         try:
-            if kind == SCHEMA:
-                name, at = _text(data, 2)
-                encoding, at = _text(data, at)
-                length = int.from_bytes(data[at : at + 4], "little")
-                self._schemas.setdefault(number, (name, encoding, data[at + 4 : at + 4 + length]))
-            else:
-                topic, at = _text(data, 4)
-                encoding, at = _text(data, at)
-                self._described.setdefault(number, (int.from_bytes(data[2:4], "little"), topic, encoding))
+            first, at = _text(data, 2 if kind == SCHEMA else 4)
+            encoding, at = _text(data, at)
         except ValueError:
             return
-
-    def _channel(self, number: int) -> Channel:
-        schema, topic, encoding = self._described[number]
-        kind, schema_encoding, definition = self._schemas.get(schema, ("unknown", "", b""))
-        return Channel(topic, kind, encoding, schema_encoding, definition, "", number, *self._messages.arrays(number))
+        if kind == CHANNEL:
+            self._described.setdefault(number, (int.from_bytes(data[2:4], "little"), first, encoding))
+        else:
+            length = int.from_bytes(data[at : at + 4], "little")
+            self._schemas.setdefault(number, (first, encoding, data[at + 4 : at + 4 + length]))
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
     """Returns the text at `at`, and where it ends; raises ValueError if it is cut or not UTF-8."""
-    length = int.from_bytes(data[at : at + 4], "little")
-    end = at + 4 + length
+    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
     if at + 4 > len(data) or end > len(data):
         raise ValueError("a text is cut")
     return data[at + 4 : end].decode(), end
 
 
-def _ranges(file: BinaryIO, size: int) -> list[tuple[int, int]]:
-    """Returns the parts of a file by its summary: each chunk with its indices, what is between, the summary itself.
-
-    Empty without a sound summary, or if it lists no chunks.
-    """
-    file.seek(max(size - FOOTER_BYTES, 0))
+def _chunk_starts(file: BinaryIO, size: int) -> list[int]:
+    """Returns where the chunks begin by the summary of a file; none without a sound one."""
+    end = size - FOOTER_BYTES
+    file.seek(max(end, 0))
     footer = file.read()
     if len(footer) < FOOTER_BYTES or footer[-len(MCAP_MAGIC) :] != MCAP_MAGIC or footer[0] != FOOTER:
         return []
-    summary, end = int.from_bytes(footer[RECORD.size : RECORD.size + 8], "little"), size - FOOTER_BYTES
-    ranges, at = [], summary
+    at = int.from_bytes(footer[RECORD.size : RECORD.size + 8], "little")
+    starts = []
     while len(MCAP_MAGIC) < at < end:
         file.seek(at)
         kind, length = RECORD.unpack(file.read(RECORD.size))
         if kind == CHUNK_INDEX and length >= 40:
-            head = file.read(min(length, TABLE_BYTES))
-            start, chunk_bytes = struct.unpack_from("<QQ", head, 16)
-            offsets = int.from_bytes(head[32:36], "little")
-            index_bytes = int.from_bytes(head[36 + offsets : 44 + offsets], "little")
-            if not len(MCAP_MAGIC) < start < start + chunk_bytes + index_bytes <= summary:
-                return []
-            ranges.append((start, start + chunk_bytes + index_bytes))
+            starts.append(int.from_bytes(file.read(24)[16:], "little"))
         at += RECORD.size + length
-    if not ranges or at != end:
-        return []
-    parts, at = [], len(MCAP_MAGIC)
-    for start, after in [*sorted(ranges), (summary, end)]:
-        parts += [(at, start)] * (start > at) + [(start, after)]
-        at = after
-    return parts
+    return [start for start in starts if len(MCAP_MAGIC) < start < end] if at == end else []

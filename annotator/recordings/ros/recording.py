@@ -9,7 +9,6 @@ option `no_motion` is given.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -157,7 +156,7 @@ class RosBag(KeyedFrames):
     def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
         number = int(self.pairs.image[i])
         log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
-        content, partner = self._contents(image.topic, number, int(self.pairs.cloud[i]))
+        content, partner = _content(image.topic, number), _content(self.chosen.partner, int(self.pairs.cloud[i]))
         camera = self.camera(log_ns)
         rgb = self._picture(image.topic, number, content, camera)
         camera_frame = self.camera_frame or frame_id(content)
@@ -186,15 +185,6 @@ class RosBag(KeyedFrames):
         if topic not in self.levels:
             self.levels[topic] = levels_of(lambda number: message(topic, number), self.pairs.image[:FIRST].tolist())
         return self.levels[topic]
-
-    def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:
-        """Returns the messages of an image and of its partner."""
-        partner = self.chosen.partner
-        if not partner.is_slow:
-            return _content(image, number), _content(partner, partner_number)
-        with ThreadPoolExecutor(1) as pool:
-            reading = pool.submit(_content, partner, partner_number)
-            return _content(image, number), reading.result()
 
     def _cloud(self, content: Any) -> RawCloud:
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
