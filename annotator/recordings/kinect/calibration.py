@@ -179,30 +179,29 @@ def blocks_near(blocks: Sequence[Block], time_ns: int) -> list[Block]:
     return [block for block in near if abs(block.time_ns - time_ns) <= WITHIN_NS]
 
 
-def parse_samples(data: bytes, is_laced: bool) -> np.ndarray:
-    """Returns the samples in a block's content, of the type `SAMPLE`; none if its size does not fit.
+def parse_samples(data: bytes, is_laced: bool) -> Float64[np.ndarray, "n 4"]:
+    """Returns the samples in a block's content: time, ns, and acceleration, m/s^2; none if its size does not fit.
 
     Laced samples are at the end, after their number minus one and, in two of the three kinds of lacing, their sizes.
     """
-    count = data[0] + 1 if is_laced and data else 1
-    content = data[len(data) - count * SAMPLE.itemsize :] if len(data) >= count * SAMPLE.itemsize else b""
-    if not is_laced and len(data) != SAMPLE.itemsize:
-        content = b""
-    return np.frombuffer(content, SAMPLE)
+    size = (data[0] + 1 if is_laced and data else 1) * SAMPLE.itemsize
+    fits = len(data) >= size if is_laced else len(data) == size
+    samples = np.frombuffer(data[len(data) - size :] if fits else b"", SAMPLE)
+    return np.c_[samples["time_ns"], samples["acceleration_mps2"]].astype(np.float64)
 
 
-def up_at_rest(samples: np.ndarray, time_ns: int) -> Float64[np.ndarray, "3"] | None:
+def up_at_rest(samples: Float64[np.ndarray, "n 4"], time_ns: int) -> Float64[np.ndarray, "3"] | None:
     """Returns the unit vector against gravity in the sensor's axes; None if the device moves or no sample is near.
 
     At rest, the sensor measures only the force that supports the device.
 
     Args:
-        samples: of the type `SAMPLE`.
-        time_ns: time on the device's clock.
+        samples: time, ns, and acceleration, m/s^2.
+        time_ns: time on the same clock.
     """
-    away = np.abs(samples["time_ns"].astype(np.float64) - time_ns)
+    away = np.abs(samples[:, 0] - time_ns)
     nearest = np.argsort(away, kind="stable")[:MOST_SAMPLES]
-    near = samples["acceleration_mps2"][nearest[away[nearest] <= WITHIN_NS]].astype(np.float64)
+    near = samples[nearest[away[nearest] <= WITHIN_NS], 1:]
     if len(near) == 0 or not np.isfinite(near).all():
         return None
     mean = near.mean(axis=0)

@@ -22,7 +22,6 @@ from jaxtyping import Float64, UInt8
 
 from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.calibration import (
-    SAMPLE,
     WITHIN_NS,
     KinectCalibration,
     Size,
@@ -260,10 +259,7 @@ class KinectDevice:
         rotation = self.calibration.color_from_accelerometer
         if rotation is None or not self._accelerations:
             return None
-        samples = np.zeros(len(self._accelerations), SAMPLE)
-        samples["time_ns"] = [at for at, _ in self._accelerations]
-        samples["acceleration_mps2"] = [acceleration for _, acceleration in self._accelerations]
-        up = up_at_rest(samples, time_ns)
+        up = up_at_rest(np.array([(at, *felt) for at, felt in self._accelerations], float), time_ns)
         return None if up is None else np.asarray(rotation.apply(up))
 
 

@@ -68,12 +68,10 @@ def message(topic: Topic, i: int) -> Any:
 def stamp_ns(content: Any) -> int:
     """Returns the time in a message's header, nanoseconds; 0 = not set."""
     time = content.header.stamp if hasattr(content, "header") else content.timestamp
-    if hasattr(time, "nanosec"):
-        stamp = int(time.sec) * SECOND + int(time.nanosec)
-    elif hasattr(time, "nanos"):
-        stamp = int(time.seconds) * SECOND + int(time.nanos)
-    else:
-        stamp = int(time.sec) * SECOND + int(time.nsec)
+    # ROS, protobuf, JSON
+    names = (("sec", "nanosec"), ("seconds", "nanos"), ("sec", "nsec"))
+    sec, nanosec = next(pair for pair in names if hasattr(time, pair[1]) or pair is names[-1])
+    stamp = int(getattr(time, sec)) * SECOND + int(getattr(time, nanosec))
     if not 0 <= stamp <= LATEST_NS:
         raise ValueError(f"has the impossible time {stamp} ns")
     return stamp
@@ -374,18 +372,16 @@ def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[fl
     """
     columns, rows = np.meshgrid(np.linspace(0, width - 1, GRID), np.linspace(0, height - 1, GRID))
     seen = np.stack([(columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1]], axis=1)
-    coefficients = np.concatenate([D, np.zeros(5)])[:5]
-    ideal = seen + (_brown_conrady(seen) @ coefficients)
-    solution, *_ = np.linalg.lstsq(_brown_conrady(ideal).reshape(-1, 5), (seen - ideal).reshape(-1), rcond=None)
+    ideal = seen + (_moves(seen) @ np.concatenate([D, np.zeros(5)])[:5]).reshape(-1, 2)
+    solution, *_ = np.linalg.lstsq(_moves(ideal), (seen - ideal).reshape(-1), rcond=None)
     return tuple(solution.tolist())
 
 
-def _brown_conrady(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2 5"]:
-    """Returns by how much each coefficient (k1 k2 p1 p2 k3) moves normalised points."""
-    x, y = xy.T
-    r2 = (xy**2).sum(axis=1)[:, None]
-    tangential = [
-        np.stack([2 * x * y, r2[:, 0] + 2 * y * y], axis=1),
-        np.stack([r2[:, 0] + 2 * x * x, 2 * x * y], axis=1),
-    ]
-    return np.stack([xy * r2, xy * r2**2, *tangential, xy * r2**3], axis=2)
+def _moves(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 5"]:
+    """Returns by how much each coefficient (k1 k2 p1 p2 k3) moves x and y of normalised points."""
+    import cv2
+
+    points = np.c_[xy, np.ones(len(xy))]
+    jacobian = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.zeros(5))[1]
+    # after rotation, translation, focal lengths and principal point
+    return np.asarray(jacobian[:, 10:15])

@@ -244,6 +244,7 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
 
 # The first byte of each NAL unit; of H.264, its lower bits are 5 for a slice of a key frame.
 NAL_UNIT, KEY_SLICE = re.compile(rb"\x00\x00\x01(.)", re.DOTALL), 5
+AV1_DELIMITER = b"\x12\0"
 # What the decoder of H.264 logs where pictures are missing.
 LOST = ("Frame num gap", "reference picture missing", "Missing reference picture")
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
@@ -310,29 +311,9 @@ def is_key_frame(form: str, data: bytes) -> bool:
         # 2 bits marker, 2 profile, in profile 3 one more, then: shows an existing frame, is no key frame
         return bool(data) and data[0] >> 6 == 2 and not data[0] & (0x06 if data[0] & 0x30 == 0x30 else 0x0C)
     if form == "av1":
-        return _has_sequence_header(data)
+        # each key frame needs a sequence header (AV1 specification, 5.3), before all but a delimiter
+        return data.removeprefix(AV1_DELIMITER)[:1] in (b"\x08", b"\x0a", b"\x0c", b"\x0e")
     heads = [unit[1][0] for unit in NAL_UNIT.finditer(data)]
     if form == "h264":
         return any(head & 31 == KEY_SLICE for head in heads)
     return any(16 <= head >> 1 & 63 <= 21 for head in heads)
-
-
-def _has_sequence_header(data: bytes) -> bool:
-    """True if a temporal unit of AV1 has a sequence header, which every key frame needs (AV1 specification, 5.3)."""
-    at = 0
-    while at < len(data):
-        kind, has_extension, has_size = data[at] >> 3 & 15, data[at] & 4, data[at] & 2
-        if kind == 1:
-            return True
-        if not has_size:
-            return False
-        at += 2 if has_extension else 1
-        size = shift = 0
-        while at < len(data):
-            size |= (data[at] & 127) << shift
-            shift += 7
-            at += 1
-            if not data[at - 1] & 128:
-                break
-        at += size
-    return False

@@ -16,28 +16,20 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA
 from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
-from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
+from annotator.recordings.clouds.virtual_camera import Origin, without_strays, world_pose
 from annotator.recordings.image_file import Levels
-from annotator.recordings.kitti import UP, visible_cloud
-from annotator.recordings.look_around import Scan, level_turn
+from annotator.recordings.kitti import visible_cloud
+from annotator.recordings.look_around import Scan, level_turn, virtual_frame
 from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
-from annotator.recordings.ros.messages import (
-    FIELD_ERRORS,
-    RECTIFIED,
-    BagCamera,
-    cloud_of,
-    frame_id,
-    message,
-    read_camera_info,
-)
+from annotator.recordings.ros.messages import FIELD_ERRORS, RECTIFIED, BagCamera, cloud_of, message, read_camera_info
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.pictures import color_image, depth_image, levels_of, video_image
 from annotator.recordings.ros.topics import (
@@ -45,16 +37,14 @@ from annotator.recordings.ros.topics import (
     VIDEO_TYPE,
     Chosen,
     ImageTopic,
-    RealSense,
-    between_streams,
     choose,
+    depth_unit_m,
     first_of_pair,
     frame_of,
-    realsense_of,
 )
-from annotator.recordings.ros.transforms import LinkMissingError, TransformReader, up_near
+from annotator.recordings.ros.transforms import LinkMissingError, TransformReader, frame_in, up_near
 from annotator.recordings.two_cameras import registered
-from annotator.types import Camera, Frame, PointCloud
+from annotator.types import Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
 
 TOLERANCE_S = 0.05
@@ -77,7 +67,7 @@ class RosBag(KeyedFrames):
         tf: reads the bag's transforms.
         camera_frame: tf frame of the camera; "" = that of its images.
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
-        realsense: what RealSense's own topics say; None for other bags.
+        unit_m: metres of a unit of depth, as RealSense's own topics say; None for other bags.
         told: the recording's notes.
         scale: of the clouds' reflectance and colours.
         levels: of the first pictures of a topic.
@@ -90,7 +80,7 @@ class RosBag(KeyedFrames):
     tf: TransformReader
     camera_frame: str
     fixed_frame: str | None
-    realsense: RealSense | None
+    unit_m: float | None
     told: tuple[str, ...]
     scale: CommonScale = field(default_factory=CommonScale)
     levels: dict[Topic, list[Levels]] = field(default_factory=dict)
@@ -112,35 +102,6 @@ class RosBag(KeyedFrames):
         """The frames' times."""
         return tuple(self.pairs.time_ns.tolist())
 
-    def frame(self, i: int) -> Frame:
-        """Reads frame `i`; from depth images, with `depth_m`."""
-        with self._errors(i) as key:
-            if self.chosen.image is None:
-                return self._cloud_frame(key, i)
-            return self._image_frame(key, i, self.chosen.image)
-
-    @contextmanager
-    def _errors(self, i: int) -> Iterator[str]:
-        """Gives the key of frame `i`; errors within the block become those of that frame."""
-        key = self.key(i)
-        try:
-            yield key
-        except OSError as error:
-            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
-        except (*FIELD_ERRORS, LinkMissingError, GeometryError) as error:
-            raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
-
-    def _cloud_frame(self, key: str, i: int) -> Frame:
-        raw = self._raw(int(self.pairs.cloud[i]))
-        place_m = self._origin.of(raw)
-        raw = without_strays(raw, place_m)
-        T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
-        cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
-        rgb = virtual_image(VIRTUAL_CAMERA, cloud)
-        time_ns = int(self.pairs.time_ns[i])
-        world = T.inv() if place_m.any() else None
-        return Frame(key, i, VIRTUAL_CAMERA, rgb, cloud, None, UP, T, time_ns, T_world_camera=world)
-
     @property
     def origin(self) -> Place | None:
         is_map = self.chosen.image is None and self._origin.xyz_m.any()
@@ -153,28 +114,43 @@ class RosBag(KeyedFrames):
     def _raw(self, number: int) -> RawCloud:
         return self._cloud(_content(self.chosen.partner, number))
 
-    def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
-        number = int(self.pairs.image[i])
-        log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
-        content, partner = _content(image.topic, number), _content(self.chosen.partner, int(self.pairs.cloud[i]))
-        camera = self.camera(log_ns)
-        rgb = self._picture(image.topic, number, content, camera)
-        camera_frame = self.camera_frame or frame_id(content)
-        depth_m, world = None, None
-        if self.chosen.depth is not None:
-            T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
-            cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
-        else:
-            raw = self._cloud(partner)
-            T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
-            xyz_m, world = T.apply(raw.xyz_m).astype(np.float32), world_pose(T)
-            cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
-        if len(cloud) == 0:
-            raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
-        up = self._up(camera, camera_frame, time_ns, log_ns)
-        return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
+    @contextmanager
+    def _errors(self, i: int) -> Iterator[str]:
+        """Gives the key of frame `i`; errors within the block become those of that frame."""
+        key = self.key(i)
+        try:
+            yield key
+        except OSError as error:
+            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        except (*FIELD_ERRORS, LinkMissingError, GeometryError) as error:
+            raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
 
-    def _picture(self, topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; from depth images, with `depth_m`."""
+        assert self.chosen.image is not None
+        topic, number = self.chosen.image.topic, int(self.pairs.image[i])
+        with self._errors(i) as key:
+            log_ns, time_ns = int(topic.log_ns[number]), int(self.pairs.time_ns[i])
+            content, partner = _content(topic, number), _content(self.chosen.partner, int(self.pairs.cloud[i]))
+            camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
+            rgb = self._picture(number, content, camera)
+            frame = self.camera_frame or frame_in(topic, content)
+            T = camera.T_camera_frame * self._T_camera_cloud(i, frame, frame_in(self.chosen.partner, partner), log_ns)
+            depth_m, world = None, None
+            if self.chosen.depth is not None:
+                cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera, log_ns)
+            else:
+                raw, world = self._cloud(partner), world_pose(T)
+                xyz_m = T.apply(raw.xyz_m).astype(np.float32)
+                cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
+            if len(cloud) == 0:
+                raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
+            up = self._up(camera, frame, time_ns, log_ns)
+            return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
+
+    def _picture(self, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
+        assert self.chosen.image is not None
+        topic = self.chosen.image.topic
         with _naming(topic):
             if topic.type == VIDEO_TYPE:
                 return camera.picture(video_image(topic, number, content))
@@ -193,13 +169,9 @@ class RosBag(KeyedFrames):
             raw = cloud_of(content)
         return self.scale.apply(topic, raw, lambda: map(int, first), lambda number: cloud_of(message(topic, number)))
 
-    def camera(self, log_ns: int) -> BagCamera:
-        """Returns the camera of the images, as calibrated at a log time."""
-        assert self.chosen.info is not None and self.chosen.image is not None
-        return self._camera(self.chosen.info, self.chosen.image, log_ns)
-
-    def _camera(self, info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
+    def _camera(self, info: Topic | None, image: ImageTopic, log_ns: int) -> BagCamera:
         """Returns a camera as its calibration says that was logged nearest to a time."""
+        assert info is not None
         is_rectified = bool(RECTIFIED.search(image.base))
         first = first_of_pair(self.bag, info) if is_rectified else None
         with _naming(info):
@@ -207,32 +179,29 @@ class RosBag(KeyedFrames):
             return read_camera_info(content, is_rectified, first and message(first, first.nearest(log_ns)))
 
     def _from_depth(
-        self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: Camera, log_ns: int
-    ) -> tuple[PointCloud, np.ndarray]:
-        """Returns the cloud of a depth image and the depth in the pixels of the image."""
-        assert self.chosen.depth_info is not None
-        unit_m = None if self.realsense is None else self.realsense.unit_m
-        with _naming(depth.topic):
-            depth_m = depth_image(content, unit_m)
-        source = self._camera(self.chosen.depth_info, depth, log_ns)
-        if source.fisheye is not None:
-            raise ValueError(f"{depth.topic.name}: depth of a fisheye camera is not supported")
-        with _naming(depth.topic):
-            source.require_size(depth_m.shape)
-        if _are_equal(source.camera, camera) and np.allclose(T.as_matrix(), np.eye(4)):
-            xyz_m, pixel = unproject_depth(camera, depth_m)
-            return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel), depth_m
-        return registered(depth_m, source.camera, T, rgb, camera)
+        self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: BagCamera, log_ns: int
+    ) -> tuple[PointCloud, Float32[np.ndarray, "h w"]]:
+        """Returns the cloud of a depth image and the depth in the pixels of the image.
 
-    def _T_color_depth(
-        self, i: int, camera: BagCamera, camera_frame: str, depth_frame: str, log_ns: int
-    ) -> RigidTransform:
-        assert self.chosen.depth is not None and self.chosen.depth_info is not None
-        if self.realsense is not None:
-            return self.realsense.T_color_depth
-        source = self._camera(self.chosen.depth_info, self.chosen.depth, log_ns)
-        between = self._T_camera_cloud(i, camera_frame, depth_frame, log_ns)
-        return camera.T_camera_frame * between * source.T_camera_frame.inv()
+        Args:
+            T: from the tf frame of the depth image to the camera.
+        """
+        source = self._camera(self.chosen.depth_info, depth, log_ns)
+        with _naming(depth.topic):
+            depth_m = depth_image(content, self.unit_m)
+            if source.fisheye is not None:
+                raise ValueError("depth of a fisheye camera is not supported")
+            source.require_size(depth_m.shape)
+        T_color_depth, (a, b) = T * source.T_camera_frame.inv(), (source.camera, camera.camera)
+        is_same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px)
+        if (
+            is_same_size
+            and np.abs(a.matrix - b.matrix).max() < SAME_K_PX
+            and np.allclose(T_color_depth.as_matrix(), np.eye(4))
+        ):
+            xyz_m, pixel = unproject_depth(b, depth_m)
+            return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel), depth_m
+        return registered(depth_m, a, T_color_depth, rgb, b)
 
     def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
         """Returns the transform of a pair: the cloud at its own time, the camera at that of the image."""
@@ -256,33 +225,26 @@ class RosBag(KeyedFrames):
         return direct
 
     def _up(self, camera: BagCamera, camera_frame: str, time_ns: int, log_ns: int) -> Float64[np.ndarray, "3"] | None:
+        """Returns the unit vector against gravity by an IMU at rest, of which tf knows how it is turned."""
         for topic in self.bag.of_type(IMU_TYPE):
-            found = up_near(topic, log_ns)
-            if found is None:
-                continue
-            turn = self._imu_turn(topic, camera_frame, found[1], time_ns, log_ns)
-            if turn is not None:
-                return np.asarray((camera.T_camera_frame.rotation * turn).apply(found[0]))
-        return None
-
-    def _imu_turn(self, imu: Topic, camera_frame: str, frame: str, time_ns: int, log_ns: int) -> Rotation | None:
-        """Returns the rotation from an IMU's axes to those of the camera; None if it is not known."""
-        if self.realsense is not None and self.chosen.image is not None:
-            try:
-                return between_streams(self.bag, self.chosen.image.topic, imu).rotation
-            except RecordingError:
-                return None
-        for links in self.tf.near(log_ns):
-            try:
-                return links.transform(camera_frame, frame, time_ns).rotation
-            except LinkMissingError:
-                continue
+            up, frame = up_near(topic, log_ns)
+            for links in () if up is None else self.tf.near(log_ns):
+                try:
+                    turn = links.transform(camera_frame, frame, time_ns).rotation
+                    return np.asarray((camera.T_camera_frame.rotation * turn).apply(up))
+                except LinkMissingError:
+                    continue
         return None
 
 
 @dataclass(frozen=True, eq=False)
 class ScanBag(RosBag):
-    """A bag whose partner of the images are clouds."""
+    """A bag of clouds, with images or without."""
+
+    def frame(self, i: int) -> Frame:
+        if self.chosen.image is not None:
+            return super().frame(i)
+        return virtual_frame(self.scan(i), self.key(i), i, VIRTUAL_CAMERA, T_CAMERA_LIDAR.rotation)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
@@ -299,8 +261,9 @@ class ScanBag(RosBag):
             else:
                 number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
                 log_ns = int(self.chosen.image.topic.log_ns[number])
-                camera, frame = self.camera(log_ns), self.camera_frame or self.chosen.image.frame
-                T_camera_scan = camera.T_camera_frame * self._T_camera_cloud(i, frame, frame_id(content), log_ns)
+                camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
+                frame, own_frame = self.camera_frame or self.chosen.image.frame, frame_in(self.chosen.partner, content)
+                T_camera_scan = camera.T_camera_frame * self._T_camera_cloud(i, frame, own_frame, log_ns)
                 R_scan_camera, up = T_camera_scan.rotation.inv(), self._up(camera, frame, time_ns, log_ns)
                 knows_up = up is not None
                 up_scan = Z if up is None else R_scan_camera.apply(up)
@@ -318,41 +281,35 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | None:
     bag = open_bag(path)
     if bag is None:
         return None
-    chosen = choose(bag, options)
-    realsense = realsense_of(bag, chosen)
-    notes: tuple[str, ...] = ()
+    chosen, tf, camera_frame = choose(bag, options), TransformReader.of(bag), (options.tf_frame or "").lstrip("/")
+    unit_m, notes, fixed = depth_unit_m(bag, chosen), list(bag.notes), None
     if chosen.image is None:
         pairs = _alone(chosen.partner)
-        keys, notes = (
-            pairs.cloud,
-            ("has no images: a virtual camera looks forward from the LiDAR, which must be level",),
+        notes.append("has no images: a virtual camera looks forward from the LiDAR, which must be level")
+    elif options.origin is not None:
+        raise ConfigError(
+            f"{path}: the images of {chosen.image.topic.name} say where the camera is, so {option_flag('origin')} "
+            "is not taken; it is for bags without images"
         )
     else:
-        if options.origin is not None:
-            raise ConfigError(
-                f"{path}: the images of {chosen.image.topic.name} say where the camera is, so {option_flag('origin')} "
-                "is not taken; it is for bags without images"
-            )
-        tolerance_s = options.tolerance_s or (
-            TOLERANCE_S if realsense is None else max(realsense.period_s, TOLERANCE_S)
-        )
-        pairs = pair(chosen.image.topic, chosen.partner, tolerance_s)
-        keys = pairs.image
-    if not len(keys):
+        # RealSense's cameras are not synchronised
+        period_s = 1 / (chosen.partner.rate_hz or np.inf) if unit_m is not None else 0.0
+        pairs = pair(chosen.image.topic, chosen.partner, options.tolerance_s or max(TOLERANCE_S, period_s))
+        notes += pairs.notes
+        if not options.no_motion and len(pairs.image):
+            fixed = _fixed_frame(tf, chosen.image, chosen.partner, pairs, camera_frame)
+    if not len(pairs.image):
         raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
-    tf, camera_frame = TransformReader.of(bag), (options.tf_frame or "").lstrip("/")
-    is_still = realsense or chosen.image is None or options.no_motion
-    fixed = None if is_still else _fixed_frame(tf, chosen, pairs, camera_frame)
     if fixed is not None:
-        notes += (
+        notes.append(
             f"clouds are moved to the images' times by the motion of the rig in {fixed} where tf knows it "
-            "(not with --no-motion)",
+            "(not with --no-motion)"
         )
+    keys = tuple(f"{number:06d}" for number in pairs.image)
     kind = RosBag if chosen.points is None else ScanBag
     return kind(
-        path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
-        realsense, (*bag.notes, *pairs.notes, *notes), given_origin=options.origin,
-    )  # fmt: skip
+        path, keys, bag, chosen, pairs, tf, camera_frame, fixed, unit_m, tuple(notes), given_origin=options.origin
+    )
 
 
 def _alone(clouds: Topic) -> Pairs:
@@ -363,14 +320,11 @@ def _alone(clouds: Topic) -> Pairs:
     return Pairs(order, order, times[order], times[order], ())
 
 
-def _fixed_frame(tf: TransformReader, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
+def _fixed_frame(tf: TransformReader, image: ImageTopic, clouds: Topic, pairs: Pairs, camera_frame: str) -> str | None:
     """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
-    assert chosen.image is not None
-    camera, cloud = camera_frame or chosen.image.frame, frame_of(chosen.partner)
-    if cloud is None:
-        return None
+    camera, cloud = camera_frame or image.frame, frame_of(clouds) or ""
     for number in pairs.image[[0, len(pairs.image) // 2, -1]]:
-        for links in tf.near(int(chosen.image.topic.log_ns[int(number)])):
+        for links in tf.near(int(image.topic.log_ns[int(number)])):
             for fixed in FIXED_FRAMES:
                 if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
                     return fixed
@@ -389,8 +343,3 @@ def _naming(topic: Topic) -> Iterator[None]:
 def _content(topic: Topic, number: int) -> Any:
     with _naming(topic):
         return message(topic, number)
-
-
-def _are_equal(a: Camera, b: Camera) -> bool:
-    same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px)
-    return same_size and float(np.abs(a.matrix - b.matrix).max()) < SAME_K_PX

@@ -3,9 +3,8 @@
 RealSense's own recordings, ROS 1 bags of librealsense, have topics of their own:
 
 /device_N/sensor_N/STREAM_N/image/data         images; depth is mono16
-/device_N/sensor_N/STREAM_N/info               StreamInfo: fps
 /device_N/sensor_N/STREAM_N/info/camera_info   intrinsics
-/device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number
+/device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number (`transforms.py`)
 /device_N/sensor_N/option/Depth Units/value    metres of a unit of depth
 """
 
@@ -19,14 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
-from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, frame_id, message
+from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, message
 from annotator.recordings.ros.pictures import Picture, describe
-from annotator.recordings.ros.transforms import TYPES as TF_TYPES
+from annotator.recordings.ros.transforms import TransformReader, frame_in
 from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, InputError, RecordingError
 from annotator.types.messages import amount
@@ -100,7 +97,7 @@ def _image_topic(topic: Topic) -> ImageTopic | None:
     first = first_message(topic)
     try:
         picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
-        return ImageTopic(topic, picture, frame_id(first))
+        return ImageTopic(topic, picture, frame_in(topic, first))
     except FIELD_ERRORS:
         return None
 
@@ -109,7 +106,7 @@ def _image_topic(topic: Topic) -> ImageTopic | None:
 def frame_of(topic: Topic) -> str | None:
     """Returns the tf frame of a topic's first readable message; None without one."""
     try:
-        return frame_id(first_message(topic))
+        return frame_in(topic, first_message(topic))
     except FIELD_ERRORS:
         return None
 
@@ -300,68 +297,29 @@ def _shared_parts(a: str, b: str) -> bool:
     return bool(above) and above == b.rpartition("/")[0]
 
 
-DEPTH = re.compile(r"(/device_\d+/sensor_\d+)(/Depth_\d+)/image/data")
-STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/\w+/data")
-UNIT, POSE = "/option/Depth Units/value", "/tf/0"
-DEFAULT_FPS = 30
+# RealSense's images of depth, and the topic with metres of a unit of it
+REALSENSE_DEPTH, UNIT = re.compile(r"(/device_\d+/sensor_\d+)/Depth_\d+/image/data"), "/option/Depth Units/value"
 
 
-@dataclass(frozen=True, eq=False)
-class RealSense:
-    """What a recording says about its depth camera.
-
-    Attributes:
-        unit_m: metres of a unit of depth.
-        T_color_depth: from the depth camera to the colour camera.
-        period_s: between two depth images.
-    """
-
-    unit_m: float
-    T_color_depth: RigidTransform
-    period_s: float
-
-
-def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
-    """Returns what a RealSense recording says; None for other bags."""
-    if chosen.depth is None or chosen.image is None:
-        return None
-    depth = DEPTH.fullmatch(chosen.depth.topic.name)
-    if depth is None:
+def depth_unit_m(bag: Bag, chosen: Chosen) -> float | None:
+    """Returns the metres of a unit of depth in a RealSense recording; None for other bags."""
+    topic = _unit_topic(bag, chosen)
+    if topic is None:
         return None
     try:
-        unit_m = float(_first_named(bag, depth[1] + UNIT).data)
-        fps = int(getattr(_first_named(bag, depth[1] + depth[2] + "/info"), "fps", 0)) or DEFAULT_FPS
-    except FIELD_ERRORS:  # the topic is missing, or its messages are of another type
-        unit_m, fps = 0.0, DEFAULT_FPS
+        unit_m = float(first_message(topic).data)
+    except FIELD_ERRORS:  # its messages are of another type
+        unit_m = 0.0
     if not 0 < unit_m < 1:
-        raise RecordingError(f"{bag.path}: the unit of its depth is missing or implausible ({depth[1] + UNIT})")
-    return RealSense(unit_m, between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
+        raise RecordingError(f"{bag.path}: the unit of its depth is missing or implausible ({topic.name})")
+    return unit_m
 
 
-def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
-    """Returns `T_target_source` of two streams."""
-    return _pose(bag, target) * _pose(bag, source).inv()
-
-
-def _pose(bag: Bag, topic: Topic) -> RigidTransform:
-    """Returns the transform from the reference of a stream's group to the stream."""
-    stream = STREAM.fullmatch(topic.name)
-    content = None if stream is None else _first_named(bag, stream[1] + POSE)
-    if content is None:
-        raise RecordingError(f"{bag.path}: the pose of {topic.name} is missing (tf/0 of its stream)")
-    try:
-        place = np.array([float(getattr(content.translation, axis)) for axis in "xyz"])
-        turn = np.array([float(getattr(content.rotation, axis)) for axis in "xyzw"])
-    except FIELD_ERRORS:  # messages of another type
-        place = turn = np.full(4, np.nan)
-    if not are_plausible(place) or not abs(np.linalg.norm(turn) - 1) < 1e-2:
-        raise RecordingError(f"{bag.path}: the pose of {topic.name} is not a rotation and a translation")
-    return RigidTransform.from_components(place, Rotation.from_quat(turn))
-
-
-def _first_named(bag: Bag, name: str) -> Any:
-    topic = bag.topics.get(name)
-    return None if topic is None or not len(topic) else first_message(topic)
+def _unit_topic(bag: Bag, chosen: Chosen | None) -> Topic | None:
+    """Returns the topic of RealSense's unit, empty if it is missing; None for other bags."""
+    name = "" if chosen is None or chosen.depth is None else chosen.depth.topic.name
+    depth = REALSENSE_DEPTH.fullmatch(name)
+    return depth and bag.topics.get(depth[1] + UNIT, Topic(depth[1] + UNIT, "", (), np.empty(0)))
 
 
 class TopicReport(Strict):
@@ -406,20 +364,14 @@ def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] |
 
 def _uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
     """Returns what each topic is used for, by name; topics that are not used are left out."""
-    found = {topic.name: "transforms" for topic in bag.of_type(*TF_TYPES)}
+    tf = TransformReader.of(bag)
+    found = {topic.name: "transforms" for topic in (*tf.static, *tf.moving)}
     found |= {topic.name: "gravity" for topic in bag.of_type(IMU_TYPE)}
     if chosen is None:
         return found
     image, depth = (None if one is None else one.topic for one in (chosen.image, chosen.depth))
     roles = (
         (chosen.depth_info, "camera of the depth"), (chosen.info, "camera"), (chosen.points, "points"),
-        (depth, "depth"), (image, "image"),
+        (depth, "depth"), (image, "image"), (_unit_topic(bag, chosen), "unit of the depth"),
     )  # fmt: skip
-    found |= {topic.name: role for topic, role in roles if topic is not None}
-    realsense = None if image is None or depth is None else DEPTH.fullmatch(depth.name)
-    if realsense is not None:
-        found[realsense[1] + UNIT] = "unit of the depth"
-        found[realsense[1] + realsense[2] + "/info"] = "rate of the depth"
-        streams = (STREAM.fullmatch(topic.name) for topic in (image, depth, *bag.of_type(IMU_TYPE)) if topic)
-        found |= {stream[1] + POSE: "transforms" for stream in streams if stream}
-    return found
+    return found | {topic.name: role for topic, role in roles if topic is not None}

@@ -3,11 +3,14 @@
 A link is the pose of a frame in its parent; it is interpolated between the messages before and after a time, as tf2
 does. Links of `/tf_static` hold at all times. Only messages near a time are read. An IMU at rest (`sensor_msgs/Imu`)
 says the direction against gravity.
+
+In RealSense's own recordings (ROS 1 bags of librealsense), each stream is a frame, whose pose is in a topic of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -15,15 +18,18 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from annotator.recordings.kinect.calibration import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
+from annotator.recordings.kinect.calibration import MOST_SAMPLES, WITHIN_NS, up_at_rest
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.messages import FIELD_ERRORS, SECOND, frame_id, message, stamp_ns
 
 TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage", "foxglove/FrameTransform", "foxglove/FrameTransforms")
 STATIC = "static"
+# RealSense's topics of a stream's messages, and of its pose relative to the other streams
+STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/\w+/data")
+STREAM_POSE = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/tf/0")
 # Messages within these distances of a time are read, the next larger one if the first does not suffice.
 WINDOWS_NS = (SECOND // 10, SECOND, 10 * SECOND)
 # A link that was last known this long ago is taken as it was.
@@ -35,6 +41,12 @@ Link = tuple[str, str, int, np.ndarray, np.ndarray]
 
 class LinkMissingError(Exception):
     """No chain of links leads from one frame to another at a time; the message names the gap."""
+
+
+def frame_in(topic: Topic, content: Any) -> str:
+    """Returns the tf frame of a topic's message."""
+    stream = STREAM.fullmatch(topic.name)
+    return frame_id(content) if stream is None else stream[1]
 
 
 @dataclass(eq=False)
@@ -78,9 +90,11 @@ class Links:
         common = next((name for name in above_source if name in above_target), None)
         if common is None:
             raise LinkMissingError(self._gap(target, source, above_target[-1], above_source[-1]))
-        T_common_source = self._chain(above_source[: above_source.index(common)], time_ns)
-        T_common_target = self._chain(above_target[: above_target.index(common)], time_ns)
-        return T_common_target.inv() * T_common_source
+        T_common = [RigidTransform.identity(), RigidTransform.identity()]
+        for i, above in enumerate((above_target, above_source)):
+            for name in above[: above.index(common)]:
+                T_common[i] = self._pose(name, time_ns) * T_common[i]
+        return T_common[0].inv() * T_common[1]
 
     def is_below(self, name: str, above: str) -> bool:
         """True if a chain of links leads up from one frame to another."""
@@ -93,30 +107,20 @@ class Links:
             seen.add(name)
             name = self.parents.get(name, name)
 
-    def _chain(self, names: Sequence[str], time_ns: int) -> RigidTransform:
-        """Returns the transform from the first of `names` to the parent of the last."""
-        T = RigidTransform.identity()
-        for name in names:
-            T = self._pose(name, time_ns) * T
-        return T
-
     def _pose(self, child: str, time_ns: int) -> RigidTransform:
         poses = self.poses[child]
         if None in poses:
             return _rigid(*poses[None])
         times = sorted(time for time in poses if time is not None)
         after = int(np.searchsorted(times, time_ns))
-        if after < len(times) and times[after] == time_ns:
-            return _rigid(*poses[times[after]])
         if 0 < after < len(times):
             before_ns, after_ns = times[after - 1], times[after]
             return _between(poses[before_ns], poses[after_ns], (time_ns - before_ns) / (after_ns - before_ns))
         nearest = times[min(after, len(times) - 1)]
         if abs(nearest - time_ns) > LONGEST_GAP_NS:
-            gap_s = abs(nearest - time_ns) / SECOND
             raise LinkMissingError(
                 f"the transform from {child} to {self.parents[child]} is not known at this time; "
-                f"the nearest is {gap_s:.2f} s away"
+                f"the nearest is {abs(nearest - time_ns) / SECOND:.2f} s away"
             )
         return _rigid(*poses[nearest])
 
@@ -151,8 +155,10 @@ class TransformReader:
     def of(bag: Bag) -> TransformReader:
         """Returns the reader of a bag's tf topics."""
         topics = bag.of_type(*TYPES)
-        static = tuple(topic for topic in topics if STATIC in topic.name)
-        return TransformReader(static, tuple(topic for topic in topics if topic not in static))
+        static = [topic for topic in topics if STATIC in topic.name]
+        moving = tuple(topic for topic in topics if topic not in static)
+        poses = (topic for name, topic in sorted(bag.topics.items()) if STREAM_POSE.fullmatch(name))
+        return TransformReader((*static, *poses), moving)
 
     def near(self, log_ns: int) -> Iterator[Links]:
         """Yields the links within a second of a log time, for what is not necessarily known."""
@@ -188,21 +194,25 @@ class TransformReader:
 def _read_links(topic: Topic, i: int) -> Iterator[Link]:
     """Yields the links of a message, as far as it is sound; a link that is needed is reported as missing."""
     try:
-        content = message(topic, i)
+        content, stream = message(topic, i), STREAM_POSE.fullmatch(topic.name)
+        if stream is not None:
+            # it leads from what the streams share to the stream
+            T = _rigid(*_place_and_turn(content)).inv()
+            yield "the streams", stream[1], 0, T.translation, T.rotation.as_quat()
+            return
         for link in getattr(content, "transforms", None) or [content]:
-            parent, child, time_ns, place, turn = _parts(link)
-            place_m = np.array([place.x, place.y, place.z], float)
-            quaternion = np.array([turn.x, turn.y, turn.z, turn.w], float)
-            yield parent.lstrip("/"), child.lstrip("/"), time_ns, place_m, quaternion
+            if hasattr(link, "transform"):
+                parent, child, pose = link.header.frame_id, link.child_frame_id, link.transform
+            else:
+                parent, child, pose = link.parent_frame_id, link.child_frame_id, link
+            yield parent.lstrip("/"), child.lstrip("/"), stamp_ns(link), *_place_and_turn(pose)
     except FIELD_ERRORS:
         return
 
 
-def _parts(link: Any) -> tuple[str, str, int, Any, Any]:
-    if hasattr(link, "transform"):
-        inner = link.transform
-        return link.header.frame_id, link.child_frame_id, stamp_ns(link), inner.translation, inner.rotation
-    return link.parent_frame_id, link.child_frame_id, stamp_ns(link), link.translation, link.rotation
+def _place_and_turn(pose: Any) -> tuple[np.ndarray, np.ndarray]:
+    place, turn = pose.translation, pose.rotation
+    return np.array([place.x, place.y, place.z], float), np.array([turn.x, turn.y, turn.z, turn.w], float)
 
 
 def _rigid(place_m: np.ndarray, quaternion: np.ndarray) -> RigidTransform:
@@ -213,29 +223,23 @@ def _between(
     first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], share: float
 ) -> RigidTransform:
     """Returns the pose between two: places linearly, rotations along the shortest arc."""
-    start, end = Rotation.from_quat(first[1]), Rotation.from_quat(second[1])
-    turn = start * Rotation.from_rotvec((start.inv() * end).as_rotvec() * share)
+    turn = Slerp([0, 1], Rotation.from_quat([first[1], second[1]]))(share)
     return RigidTransform.from_components(first[0] + (second[0] - first[0]) * share, turn)
 
 
-def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] | None:
+def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"] | None, str]:
     """Returns the unit vector against gravity at a log time, and the tf frame in which it is given.
 
-    None if the sensor moves, or no message with an acceleration is near.
+    The vector is None if the sensor moves, or no message with an acceleration is near.
     """
     near = topic.between(log_ns - WITHIN_NS, log_ns + WITHIN_NS)
-    numbers = sorted(near, key=lambda i: abs(int(topic.log_ns[i]) - log_ns))[:MOST_SAMPLES]
-    samples, frame = np.zeros(len(numbers), SAMPLE), ""
-    count = 0
-    for i in numbers:
+    samples, frame = [], ""
+    for i in sorted(near, key=lambda i: abs(int(topic.log_ns[i]) - log_ns))[:MOST_SAMPLES]:
         try:
             content = message(topic, i)
-            acceleration = content.linear_acceleration
-            samples[count]["acceleration_mps2"] = (acceleration.x, acceleration.y, acceleration.z)
-            frame = frame_id(content)
+            felt = content.linear_acceleration
+            samples.append((float(topic.log_ns[i]), float(felt.x), float(felt.y), float(felt.z)))
+            frame = frame_in(topic, content)
         except FIELD_ERRORS:  # damaged: the others suffice
             continue
-        samples[count]["time_ns"] = max(int(topic.log_ns[i]), 0)
-        count += 1
-    up = up_at_rest(samples[:count], log_ns)
-    return None if up is None else (up, frame)
+    return up_at_rest(np.array(samples).reshape(-1, 4), log_ns), frame

@@ -391,12 +391,14 @@ def test_a_real_realsense_recording(shared: Path):
     """The numbers are those of its messages."""
     recording = open_recording(shared / "data" / "realsense" / "single_depth_color_640x480.bag")
     assert isinstance(recording, RosBag)
-    assert recording.realsense is not None and recording.chosen.depth is not None
+    assert recording.unit_m is not None and recording.chosen.depth is not None
     assert recording.keys == ("000000",)
     frame = recording.frame(0)
     matrix = [[613.2036743164062, 0, 319.9388427734375], [0, 613.4193115234375, 239.18299865722656], [0, 0, 1]]
     np.testing.assert_allclose(frame.camera.matrix, matrix, rtol=1e-12)
-    T = recording.realsense.T_color_depth
+    image, depth = recording.chosen.image, recording.chosen.depth
+    assert image is not None
+    T = next(recording.tf.near(0)).transform(image.frame, depth.frame, 0)
     np.testing.assert_allclose(T.translation, [0.01431131362915039, 0.000602306448854506, 0.000610804301686585])
     turn = [-5.319880231421298e-05, 0.0064634308469817235, 0.005154853722821664, 0.9999658465385437]
     assert (T.rotation.inv() * Rotation.from_quat(turn)).magnitude() < 1e-7
