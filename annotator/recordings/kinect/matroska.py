@@ -1,4 +1,4 @@
-"""Lists the blocks of a Matroska file from its headers.
+"""Lists the blocks of a Matroska file from its headers, with its tracks, tags and attachments.
 
 A demuxer reads every byte of a file to list its blocks: gigabytes, for minutes of uncompressed depth. Here only the
 headers are read, and the content between them is skipped. After a damaged part, reading continues at the next cluster.
@@ -16,17 +16,18 @@ from typing import BinaryIO
 from annotator.files import open_file
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
+TAGS, TAG, SIMPLE_TAG, TAG_NAME, TAG_STRING = 0x1254C367, 0x7373, 0x67C8, 0x45A3, 0x4487
+ATTACHMENTS, ATTACHED_FILE, FILE_NAME, FILE_DATA = 0x1941A469, 0x61A7, 0x466E, 0x465C
 TRACK_ENTRY, VIDEO = 0xAE, 0xE0
 BLOCK_GROUP, BLOCK, SIMPLE_BLOCK, TIMESTAMP, TIMESTAMP_SCALE = 0xA0, 0xA1, 0xA3, 0xE7, 0x2AD7B1
 # Elements whose children are read; their own size may be unknown.
 ENTERED = frozenset({SEGMENT, CLUSTER, BLOCK_GROUP})
-# Seek head, cues, attachments, chapters, tags, void, checksum, and other elements of clusters and block groups.
+READ = frozenset({INFO, TRACKS, TAGS, ATTACHMENTS, TIMESTAMP, BLOCK, SIMPLE_BLOCK})
+# Seek head, cues, chapters, void, checksum, and other elements of clusters and block groups.
 SKIPPED = frozenset(
-    {EBML, 0x114D9B74, 0x1C53BB6B, 0x1941A469, 0x1043A770, 0x1254C367, 0xEC, 0xBF}
+    {EBML, 0x114D9B74, 0x1C53BB6B, 0x1043A770, 0xEC, 0xBF}
     | {0xA7, 0xAB, 0x5854, 0x9B, 0xFB, 0xFA, 0xFD, 0x75A1, 0x75A2, 0xA4, 0xAF, 0x8E}
 )
-KNOWN = ENTERED | SKIPPED | {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
-CLUSTER_ID = CLUSTER.to_bytes(4)
 # Larger than any offset, since sizes have 56 bits.
 NO_LIMIT = 1 << 60
 LACING_BITS = 0x06
@@ -62,116 +63,118 @@ class Block:
     is_laced: bool
 
 
-@dataclass(frozen=True)
+@dataclass
 class MatroskaIndex:
-    """A file's tracks and blocks, in file order.
+    """What a file has.
 
     Attributes:
+        tracks: by name.
+        blocks: in file order.
+        tags, attachments: by name.
         is_truncated: the file ends in the middle of an element.
     """
 
-    tracks: tuple[Track, ...]
-    blocks: tuple[Block, ...]
-    is_truncated: bool
-
-
-def read_index(path: Path) -> MatroskaIndex | None:
-    """Returns the tracks and blocks of a Matroska file; None for a file of another type."""
-    with open_file(path, buffering=0) as file:
-        if file.read(4) != EBML.to_bytes(4):
-            return None
-        return _IndexReader(path, file).index()
-
-
-@dataclass
-class _IndexReader:
-    """Reads one file; holds the tracks and blocks read so far."""
-
-    path: Path
-    file: BinaryIO
-    scale_ns: int = 1_000_000
-    cluster_time: int = 0
-    tracks: list[Track] = field(default_factory=list)
+    tracks: dict[str, Track] = field(default_factory=dict)
     blocks: list[Block] = field(default_factory=list)
+    tags: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    is_truncated: bool = False
 
-    def index(self) -> MatroskaIndex:
-        end = self.path.stat().st_size
-        at = 0
-        # end of the current cluster, if known: an element that reaches beyond it has a damaged size
-        limit = NO_LIMIT
-        while at < end:
-            head = self._read(at, LONGEST_HEAD)
-            element = element_head(head)
-            if element is None or element[0] not in KNOWN:
+
+def read_index(path: Path, until: int | None = None) -> MatroskaIndex | None:
+    """Returns what a Matroska file has, up to the first element `until`; None for a file of another type."""
+    with open_file(path, buffering=0) as file:
+        return _Reader(file, path.stat().st_size).index(until) if file.read(4) == EBML.to_bytes(4) else None
+
+
+class _Reader:
+    def __init__(self, file: BinaryIO, end: int) -> None:
+        self._file, self._end = file, end
+        self._scale_ns, self._cluster_time = 1_000_000, 0
+        self._found = MatroskaIndex()
+
+    def index(self, until: int | None) -> MatroskaIndex:
+        # limit: the end of the current cluster, if known; an element that reaches beyond it has a damaged size
+        at, limit = 0, NO_LIMIT
+        while at < self._end:
+            kind, size, length = element_head(self._read(at, LONGEST_HEAD))
+            if kind not in ENTERED | READ | SKIPPED:
                 # a truncated file may end within a head
-                if end - at < LONGEST_HEAD:
-                    return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), True)
-                at = self._next_cluster(at + 1, end)
+                if self._end - at < LONGEST_HEAD:
+                    at = NO_LIMIT
+                    break
+                at = self._next_cluster(at + 1)
                 continue
-            kind, size, length = element
             at += length
             if kind == CLUSTER:
                 limit = NO_LIMIT if size is None else at + size
             if kind in ENTERED:
                 continue
             if size is None or (at < limit < at + size):
-                at = self._next_cluster(at, end)
+                at = self._next_cluster(at)
                 continue
-            self._read_element(kind, at, size)
+            if kind in READ:
+                self._read_element(kind, at, size)
             at += size
-        return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
+            if kind == until:
+                break
+        self._found.is_truncated = at > self._end
+        return self._found
 
     def _read_element(self, kind: int, at: int, size: int) -> None:
-        if kind == INFO:
-            for child, content in children(self._read(at, min(size, MOST_HEADER_BYTES))):
-                if child == TIMESTAMP_SCALE:
-                    self.scale_ns = int.from_bytes(content)
-        elif kind == TRACKS:
-            entries = children(self._read(at, min(size, MOST_HEADER_BYTES)))
-            self.tracks += [_track(content) for child, content in entries if child == TRACK_ENTRY]
-        elif kind == TIMESTAMP:
-            self.cluster_time = int.from_bytes(self._read(at, min(size, 8)))
-        elif kind in (BLOCK, SIMPLE_BLOCK):
+        found = self._found
+        if kind in (BLOCK, SIMPLE_BLOCK):
             self._add_block(at, size)
+        elif kind == TIMESTAMP:
+            self._cluster_time = int.from_bytes(self._read(at, min(size, 8)))
+        content = b"" if kind not in (INFO, TRACKS, TAGS, ATTACHMENTS) else self._read(at, min(size, MOST_HEADER_BYTES))
+        for child, data in children(content):
+            if child == TIMESTAMP_SCALE:
+                self._scale_ns = int.from_bytes(data)
+            elif child == TRACK_ENTRY:
+                track = _track(data)
+                found.tracks[track.name] = track
+            elif child == TAG:
+                for tag in (dict(children(part)) for part_kind, part in children(data) if part_kind == SIMPLE_TAG):
+                    found.tags[_text(tag, TAG_NAME)] = _text(tag, TAG_STRING)
+            elif child == ATTACHED_FILE:
+                of = dict(children(data))
+                found.attachments[_text(of, FILE_NAME)] = of.get(FILE_DATA, b"")
 
     def _add_block(self, at: int, size: int) -> None:
         head = self._read(at, min(size, LONGEST_HEAD))
-        number = _vint(head, 0)
-        if number is None or len(head) < number[1] + 3:
+        track, length = _vint(head, 0)
+        if not length or len(head) < length + 3:
             return
-        track, length = number
-        time_ns = (self.cluster_time + int.from_bytes(head[length : length + 2], signed=True)) * self.scale_ns
-        if abs(time_ns) > MOST_NS:
-            return
-        is_laced = bool(head[length + 2] & LACING_BITS)
+        time_ns = (self._cluster_time + int.from_bytes(head[length : length + 2], signed=True)) * self._scale_ns
         before = length + 3
-        self.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
+        if abs(time_ns) <= MOST_NS:
+            is_laced = bool(head[length + 2] & LACING_BITS)
+            self._found.blocks.append(Block(track, time_ns, at + before, size - before, is_laced))
 
-    def _next_cluster(self, at: int, end: int) -> int:
-        """Returns the offset of the next cluster, at `at` or later; `end` if there is none."""
-        while at < end:
+    def _next_cluster(self, at: int) -> int:
+        """Returns the offset of the next cluster, at `at` or later; the file's end if there is none."""
+        cluster = CLUSTER.to_bytes(4)
+        while at < self._end:
             chunk = self._read(at, CHUNK_BYTES)
-            offset = chunk.find(CLUSTER_ID)
+            offset = chunk.find(cluster)
             if offset >= 0:
                 return at + offset
             # a cluster's id may span two chunks
-            at += max(len(chunk) - len(CLUSTER_ID) + 1, 1)
-        return end
+            at += max(len(chunk) - len(cluster) + 1, 1)
+        return self._end
 
     def _read(self, at: int, size: int) -> bytes:
-        self.file.seek(at)
-        return self.file.read(size)
+        self._file.seek(at)
+        return self._file.read(size)
 
 
-def element_head(data: bytes) -> tuple[int, int | None, int] | None:
-    """Returns an element's id, its content's size (None: unknown) and the length of this head; None if damaged."""
-    if not data:
-        return None
-    id_length = 9 - data[0].bit_length()
-    size = _vint(data, id_length)
-    if id_length > 4 or size is None:
-        return None
-    value, length = size
+def element_head(data: bytes) -> tuple[int, int | None, int]:
+    """Returns an element's id (0 = damaged), its content's size (None: unknown) and the length of this head."""
+    id_length = 9 - data[0].bit_length() if data else 9
+    value, length = _vint(data, id_length)
+    if id_length > 4 or not length:
+        return 0, None, 0
     is_unknown = value == (1 << 7 * length) - 1
     return int.from_bytes(data[:id_length]), None if is_unknown else value, id_length + length
 
@@ -179,23 +182,25 @@ def element_head(data: bytes) -> tuple[int, int | None, int] | None:
 def children(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yields id and content of an element's children, up to the first damaged one."""
     at = 0
-    while element := element_head(data[at : at + LONGEST_HEAD]):
-        kind, size, length = element
+    while True:
+        kind, size, length = element_head(data[at : at + LONGEST_HEAD])
         at += length
-        if size is None or at + size > len(data):
+        if not kind or size is None or at + size > len(data):
             return
         yield kind, data[at : at + size]
         at += size
 
 
-def _vint(data: bytes, at: int) -> tuple[int, int] | None:
-    """Returns a number of variable length and its length in bytes; None if damaged."""
-    if at >= len(data) or data[at] == 0:
-        return None
-    length = 9 - data[at].bit_length()
-    if at + length > len(data):
-        return None
+def _vint(data: bytes, at: int) -> tuple[int, int]:
+    """Returns a number of variable length and its length in bytes, 0 if it is damaged."""
+    length = 9 - data[at].bit_length() if at < len(data) else 9
+    if length > 8 or at + length > len(data):
+        return 0, 0
     return int.from_bytes(data[at : at + length]) & ((1 << 7 * length) - 1), length
+
+
+def _text(of: dict[int, bytes], kind: int) -> str:
+    return of.get(kind, b"").rstrip(b"\0").decode("utf-8", "replace")
 
 
 def _track(entry: bytes) -> Track:
@@ -203,8 +208,8 @@ def _track(entry: bytes) -> Track:
     video = dict(children(of.get(VIDEO, b"")))
     return Track(
         number=int.from_bytes(of.get(0xD7, b"")),
-        name=of.get(0x536E, b"").rstrip(b"\0").decode("utf-8", "replace"),
-        codec=of.get(0x86, b"").rstrip(b"\0").decode("ascii", "replace"),
+        name=_text(of, 0x536E),
+        codec=_text(of, 0x86),
         private=of.get(0x63A2, b"") or video.get(0x2EB524, b""),
         width_px=int.from_bytes(video.get(0xB0, b"")),
         height_px=int.from_bytes(video.get(0xBA, b"")),

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
-from annotator.files import check_file, open_file
+from annotator.files import open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
 from annotator.image_bytes import decode_image
@@ -33,7 +33,7 @@ from annotator.recordings.kinect.calibration import (
     parse_samples,
     up_at_rest,
 )
-from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index
+from annotator.recordings.kinect.matroska import MOST_NS, TRACKS, Block, MatroskaIndex, Track, read_index
 from annotator.recordings.listing import file_errors
 from annotator.recordings.recording import KeyedFrames
 from annotator.types import Frame, PointCloud
@@ -42,32 +42,11 @@ from annotator.types.errors import FrameError, RecordingError
 REMEDY = "copy the recording again from its source"
 
 
-def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
-    """Returns the recording's tags and its attached calibration."""
-    import av
-
-    try:
-        check_file(path)
-        with av.open(str(path), format="matroska", metadata_errors="replace") as container:
-            tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
-            for stream in container.streams:
-                is_named = "K4A_CALIBRATION_FILE" in stream.metadata or stream.metadata.get("filename") == (
-                    "calibration.json"
-                )
-                if stream.type == "attachment" and is_named:
-                    return tags, bytes(stream.data)
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
-    raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect SDK's recorder")
-
-
 def tagged_ns(tags: dict[str, str], name: str) -> int:
-    """Returns a tag's nanoseconds; 0 if the tag is missing or damaged."""
-    text = tags.get(name, "0")
+    """Returns a tag's nanoseconds; 0 if it is damaged, or missing as in files of older recorders."""
     try:
-        time_ns = int(text)
+        time_ns = int(tags.get(name, "0"))
     except ValueError:
-        # treated as missing: older recorders do not write these tags either
         return 0
     return time_ns if abs(time_ns) <= MOST_NS else 0
 
@@ -122,7 +101,7 @@ def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UIn
     return np.asarray(cv2.cvtColor(raw, code))
 
 
-TRACKS = frozenset({"COLOR", "DEPTH"})
+NAMES = frozenset({"COLOR", "DEPTH"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,16 +205,8 @@ class AzureKinect(KeyedFrames):
 
 def is_azure_kinect(path: Path) -> bool:
     """True if a file's head has the tracks of such a recording; much faster than opening it."""
-    import av
-
-    if not _is_mkv(path):
-        return False
-    check_file(path)
-    try:
-        with av.open(str(path), format="matroska", metadata_errors="replace") as container:
-            return {stream.metadata.get("title") for stream in container.streams} >= TRACKS
-    except (av.error.FFmpegError, ValueError):
-        return False
+    index = read_index(path, until=TRACKS) if _is_mkv(path) else None
+    return index is not None and index.tracks.keys() >= NAMES
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | None:
@@ -246,14 +217,16 @@ def open_azure_kinect(path: Path) -> AzureKinect | None:
     index = _index(path, stat.st_mtime_ns, stat.st_size)
     if index is None:
         raise RecordingError(f"{path}: is not a Matroska file, or its beginning is damaged; {REMEDY}")
-    tracks = {track.name: track for track in index.tracks}
-    color, depth = tracks.get("COLOR"), tracks.get("DEPTH")
-    if color is None or depth is None:
-        have = ", ".join(tracks) or "none"
+    tracks, tags = index.tracks, index.tags
+    if not tracks.keys() >= NAMES:
         raise RecordingError(
-            f"{path}: has no tracks COLOR and DEPTH (it has: {have}); record with an Azure Kinect, in a mode with both"
+            f"{path}: has no tracks COLOR and DEPTH (it has: {', '.join(tracks) or 'none'}); record with an Azure "
+            "Kinect, in a mode with both"
         )
-    tags, attached = tags_and_calibration(path)
+    color, depth = tracks["COLOR"], tracks["DEPTH"]
+    attached = index.attachments.get(tags.get("K4A_CALIBRATION_FILE", "calibration.json"))
+    if attached is None:
+        raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect SDK's recorder")
     captures = find_captures(index, color, depth, tagged_ns(tags, "K4A_DEPTH_DELAY_NS"))
     if not captures:
         raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
