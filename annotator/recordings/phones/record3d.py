@@ -116,25 +116,14 @@ def up_in_camera(world_from_camera: Rotation) -> Float64[np.ndarray, "3"]:
     return np.asarray(world_from_camera.inv().apply(UP))
 
 
-def decompress(data: bytes, expected_bytes: int) -> bytes:
-    """Returns the `expected_bytes` bytes in a compressed stream."""
-    if find_spec("lzfse") is None:
-        raise MissingExtraError("lzfse", "phones")
-    raw: bytes = fenced(f"{__name__}:unpack", data, expected_bytes)
-    return raw
-
-
-def unpack(data: bytes, expected_bytes: int) -> bytes:
-    """As `decompress`, in this process."""
+def unpack(data: bytes) -> bytes:
+    """Returns what LZFSE compressed; runs in the `fence`."""
     import lzfse
 
     try:
-        raw = bytes(lzfse.decompress(data))
+        return bytes(lzfse.decompress(data))
     except lzfse.error as error:
         raise ValueError("its compression (LZFSE) is damaged") from error
-    if len(raw) != expected_bytes:
-        raise ValueError(f"it has {len(raw)} bytes instead of {expected_bytes}")
-    return raw
 
 
 @lru_cache(maxsize=4)
@@ -178,7 +167,7 @@ def read_entry(path: Path, name: str) -> bytes:
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
 REMEDY = "export the recording again"
 # Depth sizes of the back and the front camera (long side, short side), for files that do not name them.
-DEPTH_SIZES = {4 * 256 * 192: (256, 192), 4 * 640 * 480: (640, 480)}
+DEPTH_SIZES = {256 * 192: (256, 192), 640 * 480: (640, 480)}
 OPENGL = np.array([1.0, -1.0, -1.0])
 # The first pose of a recording is the identity up to single precision if poses are relative to it.
 IDENTITY_RAD = 1e-3
@@ -280,28 +269,19 @@ class Record3D(KeyedFrames):
     def _plane(self, key: str, suffix: str, dtype: type[np.generic], camera: Camera) -> tuple[Path, np.ndarray]:
         """Returns the path and the pixels of a depth or confidence image."""
         path, data = self._read(f"{key}.{suffix}")
-        meta, bytes_each = self.metadata, np.dtype(dtype).itemsize
+        if find_spec("lzfse") is None:
+            raise MissingExtraError("lzfse", "phones")
         with file_errors(path, REMEDY):
-            if meta.dw is None or meta.dh is None:
-                long, short = self._depth_size
-                size = (short, long) if camera.height_px > camera.width_px else (long, short)
-            else:
-                size = (meta.dw, meta.dh)
-            require_pixels(*size, give_points=True)
-            pixels = decompress(data, bytes_each * size[0] * size[1])
-        return path, np.frombuffer(pixels, np.dtype(dtype).newbyteorder("<")).astype(dtype).reshape(size[::-1])
-
-    @cached_property
-    def _depth_size(self) -> tuple[int, int]:
-        """The long and the short side of the depth images, which the metadata does not name."""
-        _, data = self._read(min(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
-        for expected, size in DEPTH_SIZES.items():
-            try:
-                decompress(data, expected)
-            except ValueError:
-                continue
-            return size
-        raise ValueError("the size of the depth images is unknown (no dw and dh in metadata)")
+            pixels = np.frombuffer(fenced(f"{__name__}:unpack", data), np.dtype(dtype).newbyteorder("<")).astype(dtype)
+            width, height = self.metadata.dw, self.metadata.dh
+            if width is None or height is None:
+                width, height = DEPTH_SIZES.get(pixels.size, (0, 0))
+                if camera.height_px > camera.width_px:
+                    width, height = height, width
+            require_pixels(width, height, give_points=True)
+            if pixels.size != width * height:
+                raise ValueError(f"it has {pixels.size} pixels instead of {width} x {height}")
+        return path, pixels.reshape(height, width)
 
     def _read(self, name: str) -> tuple[Path, bytes]:
         path = self.path / f"{FOLDER}{name}"
@@ -317,15 +297,15 @@ class Record3D(KeyedFrames):
 
     @cached_property
     def _known_times_ns(self) -> Times:
-        return known_times(tuple(round(time * S_TO_NS) for time in self.metadata.frameTimestamps))
+        times = known_times(tuple(round(time * S_TO_NS) for time in self.metadata.frameTimestamps))
+        return () if all(time is None for time in times) else times
 
     def _time_ns(self, i: int) -> int | None:
-        times, fps = self._known_times_ns, self.metadata.fps
-        place = self._place(i, len(times))
-        if place is not None and any(time is not None for time in times):
-            return times[place]
-        time_ns = None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
-        return None if time_ns is None or time_ns > LATEST_NS else time_ns
+        place, fps = self._place(i, len(self._known_times_ns)), self.metadata.fps
+        if place is not None:
+            return self._known_times_ns[place]
+        time_ns = LATEST_NS + 1 if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
+        return None if time_ns > LATEST_NS else time_ns
 
     @cached_property
     def _knows_gravity(self) -> bool:

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Never
+from typing import ClassVar, Never, TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
@@ -29,7 +29,7 @@ from annotator.frame_limits import read_frame_file
 from annotator.geometry.projection import in_metres
 from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
-from annotator.recordings.image_file import VideoFile, open_video, read_confidence, read_depth
+from annotator.recordings.image_file import open_video, read_confidence, read_depth
 from annotator.recordings.listing import file_errors, frame_file, require_size
 from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
@@ -44,6 +44,7 @@ REMEDY = "copy the recording from the phone again, or remove the frame"
 MM_PER_M, S_TO_NS = 1000.0, 1e9
 # Number of frames that tell how the phone was held.
 SOME = 200
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,32 +88,19 @@ class StrayScanner(KeyedFrames):
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud has `rgb`."""
-        key = self.key(i)
-        rgb = self._image(i)
+        key, path = self.key(i), self.path / VIDEO
+        with file_errors(path, REMEDY, f"frame {key}: "):
+            rgb = open_video(path).image(i)
         camera = turned(self._camera(i, rgb), self.turns)
         rgb = self._turned(rgb)
-        depth_path, *confidence = self.files(i)
-        depth_m = self._turned(_depth_m(depth_path))
-        cloud, in_color_m = phone_cloud(
-            depth_path, camera, rgb, depth_m, self._confidence(confidence, depth_m), self.min_confidence
-        )
+        depth_path, *confidence_path = self.files(i)
+        depth_m, confidence = self._turned(_depth_m(depth_path)), None
+        for path in confidence_path:
+            confidence = self._turned(read_confidence(path))
+            require_size(path, confidence, depth_m.shape[::-1], "the depth image has", REMEDY)
+        cloud, in_color_m = phone_cloud(depth_path, camera, rgb, depth_m, confidence, self.min_confidence)
         self._time_ns(i)  # raises for a damaged one
         return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._times_ns[i])
-
-    def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        path = self.path / VIDEO
-        with file_errors(path, REMEDY, f"frame {self.keys[i]}: "):
-            video: VideoFile = open_video(path)
-            return video.image(i)
-
-    def _confidence(
-        self, files: Sequence[Path], depth_m: Float32[np.ndarray, "h w"]
-    ) -> UInt8[np.ndarray, "h w"] | None:
-        if not files:
-            return None
-        confidence = self._turned(read_confidence(files[0]))
-        require_size(files[0], confidence, depth_m.shape[::-1], "the depth image has", REMEDY)
-        return confidence
 
     def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
         """Returns the colour camera of an image, whose intrinsics change while the phone focuses."""
@@ -132,13 +120,7 @@ class StrayScanner(KeyedFrames):
     @cached_property
     def _times_ns(self) -> Times:
         """The times of all frames; None for those that are not set, or damaged, which each frame reports."""
-        times: list[int | None] = []
-        for i in range(len(self)):
-            try:
-                times.append(self._time_ns(i))
-            except FrameError:
-                times.append(None)
-        return known_times(tuple(times))
+        return known_times(tuple(_or_none(self._time_ns, i) for i in range(len(self))))
 
     def _up(self, i: int) -> Float64[np.ndarray, "3"]:
         orientation = rotation_of(self._numbers(i, QUATERNION))
@@ -155,8 +137,6 @@ class StrayScanner(KeyedFrames):
     def _numbers(self, i: int, columns: Sequence[str]) -> list[float]:
         try:
             numbers = [to_number(self.rows[i][name]) for name in columns]
-        except KeyError:
-            self._raise(i, f"{' '.join(columns)} must be numbers")
         except ValueError as error:
             self._raise(i, f"{' '.join(columns)}: {error}")
         return numbers if are_plausible(np.array(numbers)) else self._raise(i, f"{' '.join(columns)} is implausible")
@@ -172,41 +152,36 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Non
         return None
     with file_errors(poses, "copy the recording from the phone again", kind=RecordingError):
         try:
-            lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
-            header = [name.strip() for name in next(lines, [])]
-            values = [(lines.line_num, row) for row in lines if row]
+            lines = csv.DictReader(io.StringIO(read_text_file(poses, TABLE_BYTES)), restval="", skipinitialspace=True)
+            rows = tuple(lines)
         except csv.Error as error:
             raise ValueError(f"not a table ({error})") from error
-    for line, row in values:
-        if len(row) > len(header):
-            problem = f"has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
-            raise RecordingError(f"{poses}:{line}: {problem}")
-    rows = tuple({name: text.strip() for name, text in zip(header, row, strict=False)} for _, row in values)
-    keys = tuple(row.get("frame", "") for row in rows)
-    if not {"timestamp", "frame", *QUATERNION} <= {*header}:
+    if not {"timestamp", "frame", *QUATERNION} <= {*(lines.fieldnames or ())}:
         raise RecordingError(
             f"{poses}:1: must name the columns timestamp, frame, qx, qy, qz, qw; record with a newer app"
         )
     if not rows:
         raise RecordingError(f"{poses}: no frames; record again, and stop the recording before leaving the app")
+    keys = tuple(row["frame"].strip() for row in rows)
     seen: set[str] = set()
-    for line, key in enumerate(keys, 2):
+    for line, (key, row) in enumerate(zip(keys, rows, strict=True), 2):
+        if None in row:
+            raise RecordingError(f"{poses}:{line}: has more values than columns; decimals need a point, not a comma")
         if not (key.isascii() and key.isdecimal()) or key in seen:
             raise RecordingError(f"{poses}:{line}: frame {key[:40]!r} is not a number, or has a row already; {REMEDY}")
         seen.add(key)
     recording = StrayScanner(path, keys, rows, min_confidence=options.min_confidence)
-    return replace(recording, turns=turns_to_upright(_some_ups(recording)))
+    # by some frames with a sound row
+    ups = [_or_none(recording._up, i) for i in range(0, len(recording), len(recording) // SOME + 1)]
+    return replace(recording, turns=turns_to_upright(np.array([up for up in ups if up is not None]).reshape(-1, 3)))
 
 
-def _some_ups(recording: StrayScanner) -> Float64[np.ndarray, "n 3"]:
-    """Returns the up directions of some frames with a sound row."""
-    ups = []
-    for i in range(0, len(recording), len(recording) // SOME + 1):
-        try:
-            ups.append(recording._up(i))
-        except FrameError:  # when the frame is read
-            continue
-    return np.array(ups).reshape(-1, 3)
+def _or_none(read: Callable[[int], Value], i: int) -> Value | None:
+    """Returns what a frame's row says; None for a damaged one."""
+    try:
+        return read(i)
+    except FrameError:
+        return None
 
 
 def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
