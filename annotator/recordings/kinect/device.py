@@ -11,8 +11,8 @@ import re
 import threading
 import time
 from collections import deque
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
@@ -21,13 +21,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from annotator.geometry.projection import pixel_colors
-from annotator.recordings.kinect.calibration import (
-    WITHIN_NS,
-    KinectCalibration,
-    Size,
-    parse_calibration,
-    up_at_rest,
-)
+from annotator.recordings.kinect.calibration import WITHIN_NS, Size, parse_calibration, up_at_rest
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 
@@ -106,18 +100,6 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
     raise DeviceError(f"no {NAME} with the serial number {which} can be opened; connected: {', '.join(others)}")
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceFrame:
-    """A frame of the device.
-
-    Attributes:
-        arrived_s: time of arrival of the colour image at the computer, `time.perf_counter`.
-    """
-
-    frame: Frame
-    arrived_s: float
-
-
 class KinectDevice:
     """An open device with running cameras; not thread-safe.
 
@@ -146,23 +128,44 @@ class KinectDevice:
         )
         self._device, serial = open_device(self._k4a, config, which)
         self.name = f"{NAME} {serial}"
+        # time, ns, and acceleration, m/s^2
+        self._felt: deque[tuple[float, ...]] = deque()
+        self._frames = 0
         try:
-            self.calibration = self._calibrated()
-            self._start()
+            with self._errors("its calibration cannot be used ({}); reconnect it, or update its firmware", ValueError):
+                content = str(self._device.calibration_raw).encode()
+                self.calibration = parse_calibration(content, DEPTH_SIZE, COLOR_SIZE)
+            with self._errors(
+                "its cameras do not start. Its firmware may be too old for the SDK (update it with "
+                "AzureKinectFirmwareTool), its USB port may be slower than USB 3 or shared with other devices, or the "
+                "depth engine finds no OpenGL (on Linux it needs a display); see the SDK's messages on standard error"
+            ):
+                self._device.start()
         except BaseException:
             self.close()
             raise
-        self._accelerations: deque[tuple[int, tuple[float, float, float]]] = deque()
-        self._frames = 0
 
-    def next_frame(self, stop: threading.Event) -> DeviceFrame | None:
-        """Waits for the next frame; returns None once `stop` is set."""
+    @contextmanager
+    def _errors(self, problem: str, *kinds: type[Exception]) -> Iterator[None]:
+        """Makes errors of the SDK, and of these kinds, a DeviceError; its timeouts pass."""
+        try:
+            yield
+        except self._k4a.K4ATimeoutException:
+            raise
+        except (self._k4a.K4AException, *kinds) as error:
+            raise DeviceError(f"{self.name}: {problem.format(str(error) or 'not readable')}") from error
+
+    def next_frame(self, stop: threading.Event) -> tuple[Frame, float] | None:
+        """Waits for the next frame; returns None once `stop` is set.
+
+        Also returns when the colour image arrived at the computer, on the clock of `time.perf_counter`.
+        """
         within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
         end_s = time.monotonic() + within_s
         while not stop.is_set():
             capture = self._capture(WAIT_MS)
             if capture is not None and capture.color is not None and capture.depth is not None:
-                return self._frame(capture)
+                return self._frame(capture), _arrived_s(capture.color_system_timestamp_nsec)
             if time.monotonic() > end_s:
                 raise DeviceError(
                     f"{self.name}: no frame for {within_s:g} s; reconnect it, with its own power supply, to a USB 3 "
@@ -170,7 +173,7 @@ class KinectDevice:
                 )
         return None
 
-    def skip_old(self) -> None:
+    def resume(self) -> None:
         """Discards the frames that are queued."""
         while self._capture(0) is not None:
             pass
@@ -186,45 +189,17 @@ class KinectDevice:
             # stopping fails if the device is disconnected
             LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
 
-    # --- starting ----------------------------------------------------------------------------------------------------
-
-    def _calibrated(self) -> KinectCalibration:
-        try:
-            raw = self._device.calibration_raw
-            return parse_calibration(str(raw).encode(), DEPTH_SIZE, COLOR_SIZE)
-        except (self._k4a.K4AException, ValueError) as error:
-            raise DeviceError(
-                f"{self.name}: its calibration cannot be used ({error or 'not readable'}); reconnect it, or "
-                "update its firmware"
-            ) from error
-
-    def _start(self) -> None:
-        try:
-            self._device.start()
-        except self._k4a.K4AException as error:
-            raise DeviceError(
-                f"{self.name}: its cameras do not start. Its firmware may be too old for the SDK (update it with "
-                "AzureKinectFirmwareTool), its USB port may be slower than USB 3 or shared with other devices, or the "
-                "depth engine finds no OpenGL (on Linux it needs a display); see the SDK's messages on standard error"
-            ) from error
-
-    # --- frames ------------------------------------------------------------------------------------------------------
-
     def _capture(self, timeout_ms: int) -> Any | None:
         """Returns the next capture; None after the timeout."""
-        try:
+        with (
+            suppress(self._k4a.K4ATimeoutException),
+            self._errors("disconnected; it was unplugged or lost power. Reconnect it and start again"),
+        ):
             return self._device.get_capture(timeout=timeout_ms)
-        except self._k4a.K4ATimeoutException:
-            return None
-        except self._k4a.K4AException as error:
-            raise DeviceError(
-                f"{self.name}: disconnected; it was unplugged or lost power. Reconnect it and start again"
-            ) from error
+        return None
 
-    def _frame(self, capture: Any) -> DeviceFrame:
-        arrived_s = _arrived_s(capture.color_system_timestamp_nsec)
+    def _frame(self, capture: Any) -> Frame:
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
-        self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
         depth, (width, height) = capture.depth, DEPTH_SIZE
         if depth.shape != (height, width) or depth.dtype != np.uint16:
@@ -233,41 +208,30 @@ class KinectDevice:
             )
         xyz_m, pixel = self.calibration.seen_points(depth)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))
-        key, self._frames = f"{self._frames:06d}", self._frames + 1
-        frame = Frame(
-            key, self._frames - 1, self.calibration.color, rgb, cloud, up=self._up(time_ns), timestamp_ns=time_ns
-        )
-        return DeviceFrame(frame, arrived_s)
-
-    def _read_accelerations(self, time_ns: int) -> None:
-        """Reads the accelerometer's new samples and drops those older than `WITHIN_NS`."""
-        while True:
-            try:
-                sample = self._device.get_imu_sample(timeout=0)
-            except self._k4a.K4ATimeoutException:
-                break
-            except self._k4a.K4AException as error:
-                raise DeviceError(
-                    f"{self.name}: its accelerometer is disconnected; reconnect it and start again"
-                ) from error
-            self._accelerations.append((int(sample["acc_timestamp"]) * NS_PER_US, sample["acc_sample"]))
-        while self._accelerations and self._accelerations[0][0] < time_ns - WITHIN_NS:
-            self._accelerations.popleft()
+        number, self._frames = self._frames, self._frames + 1
+        up = self._up(time_ns)
+        return Frame(f"{number:06d}", number, self.calibration.color, rgb, cloud, up=up, timestamp_ns=time_ns)
 
     def _up(self, time_ns: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity in the colour camera's frame; None if unknown, or while moving."""
+        with (
+            suppress(self._k4a.K4ATimeoutException),
+            self._errors("its accelerometer is disconnected; reconnect it and start again"),
+        ):
+            while True:
+                sample = self._device.get_imu_sample(timeout=0)
+                self._felt.append((int(sample["acc_timestamp"]) * NS_PER_US, *sample["acc_sample"]))
+        while self._felt and self._felt[0][0] < time_ns - WITHIN_NS:
+            self._felt.popleft()
+        up = up_at_rest(np.array(self._felt, float).reshape(-1, 4), time_ns)
         rotation = self.calibration.color_from_accelerometer
-        if rotation is None or not self._accelerations:
-            return None
-        up = up_at_rest(np.array([(at, *felt) for at, felt in self._accelerations], float), time_ns)
-        return None if up is None else np.asarray(rotation.apply(up))
+        return None if up is None or rotation is None else np.asarray(rotation.apply(up))
 
 
 def _arrived_s(system_ns: int) -> float:
     """Returns the SDK's arrival time of an image, on the clock of `perf_counter`; now if that is implausible."""
-    now = time.perf_counter()
-    age_s = now - 1e-9 * system_ns
-    return now - age_s if 0 <= age_s < FIRST_FRAME_WITHIN_S else now
+    now, arrived_s = time.perf_counter(), 1e-9 * system_ns
+    return arrived_s if 0 <= now - arrived_s < FIRST_FRAME_WITHIN_S else now
 
 
 def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:

@@ -21,7 +21,7 @@ from annotator.workflows.live.pipeline import Source
 from annotator.workflows.live.recorder import require_recordable
 
 
-class KinectSource:
+class KinectSource(KinectDevice):
     """A `Source` of the frames of a device.
 
     Attributes:
@@ -32,27 +32,10 @@ class KinectSource:
     skipped = 0
     gives_newest = False
 
-    def __init__(self, which: str | None = None) -> None:
-        self._device = KinectDevice(which)
-
-    @property
-    def name(self) -> str:
-        return self._device.name
-
     def read(self, stop: threading.Event) -> Taken | None:
         """As `Source.read`."""
-        arrived = self._device.next_frame(stop)
-        if arrived is None:
-            return None
-        return Taken(arrived.frame, arrived.arrived_s, time.perf_counter() - arrived.arrived_s)
-
-    def resume(self) -> None:
-        """Discards the frames in the driver's queue."""
-        self._device.skip_old()
-
-    def close(self) -> None:
-        """Releases the device."""
-        self._device.close()
+        arrived = self.next_frame(stop)
+        return None if arrived is None else Taken(*arrived, time.perf_counter() - arrived[1])
 
 
 # Frames per second of recordings without times: 10 for a LiDAR, 30 for RGB-D cameras.
