@@ -108,7 +108,7 @@ class McapFile(ChunkedFile):
         Returns:
             Where it ended, and whether that was at the file's footer.
         """
-        open_chunk, is_closed = -1, False
+        first, indexed, is_closed = len(self.chunks), set(), False
         loose: dict[int, list[tuple[int, int]]] = {}
         while at + RECORD.size <= end and not is_closed:
             file.seek(at)
@@ -117,29 +117,25 @@ class McapFile(ChunkedFile):
             # a cut chunk is searched as far as it goes
             if not 0 < kind < 0x80 or (after > end and (kind != CHUNK or chunk >= 0)):
                 break
-            if kind != INDEX and open_chunk >= 0:
-                self._search(open_chunk)
-                open_chunk = -1
             if kind == MESSAGE and not describe and length >= MESSAGE_HEAD.size:
                 number, _, log_ns, _ = MESSAGE_HEAD.unpack(file.read(MESSAGE_HEAD.size))
                 loose.setdefault(number, []).append((log_ns, at))
             elif kind == CHUNK and chunk < 0:
-                open_chunk = self._add_chunk(file, at, end)
-            elif kind == INDEX and chunk < 0 and self.chunks:
+                self._add_chunk(file, at, end)
+            elif kind == INDEX and len(self.chunks) > first:
                 data = file.read(min(length, TABLE_BYTES))
-                count = max(len(data) - 6, 0) // ENTRY.itemsize
-                self._add(
-                    int.from_bytes(data[:2], "little"), len(self.chunks) - 1, np.frombuffer(data, ENTRY, count, 6)
-                )
-                open_chunk = -1
+                count, number = max(len(data) - 6, 0) // ENTRY.itemsize, int.from_bytes(data[:2], "little")
+                self._add(number, len(self.chunks) - 1, np.frombuffer(data, ENTRY, count, 6 * (count > 0)))
+                indexed.add(len(self.chunks) - 1)
             elif kind in (SCHEMA, CHANNEL):
                 self._describe(kind, file.read(min(length, TABLE_BYTES)))
             is_closed = kind == FOOTER and length == 20
             at = after
-        if open_chunk >= 0:
-            self._search(open_chunk)
         for number, entries in loose.items():
             self._add(number, chunk, np.array(entries, ENTRY))
+        for number in range(first, len(self.chunks)):
+            if number not in indexed:
+                self._search(number)
         return at, is_closed
 
     def _add(self, number: int, chunk: int, entries: np.ndarray) -> None:
@@ -153,20 +149,16 @@ class McapFile(ChunkedFile):
             return
         self._list(BytesIO(content), 0, len(content), chunk, describe)
 
-    def _add_chunk(self, file: BinaryIO, at: int, end: int) -> int:
-        """Adds the chunk whose record is at `at`; returns its number, or -1 if its head is damaged."""
-        head = file.read(CHUNK_HEAD.size + LONGEST_NAME + 8)
-        if len(head) < CHUNK_HEAD.size:
-            return -1
+    def _add_chunk(self, file: BinaryIO, at: int, end: int) -> None:
+        """Adds the chunk whose record is at `at`, unless its head is damaged."""
+        head = file.read(CHUNK_HEAD.size + LONGEST_NAME + 8).ljust(CHUNK_HEAD.size, b"\xff")
         _, _, full_size, checksum, name_length = CHUNK_HEAD.unpack_from(head)
         stored_at = CHUNK_HEAD.size + name_length
-        if name_length > LONGEST_NAME or len(head) < stored_at + 8:
-            return -1
-        compression = head[CHUNK_HEAD.size : stored_at].decode("ascii", "replace")
-        start = at + RECORD.size + stored_at + 8
-        stored = min(int.from_bytes(head[stored_at : stored_at + 8], "little"), end - start)
-        self.chunks.append(Chunk(start, stored, compression, full_size, checksum))
-        return len(self.chunks) - 1
+        if len(head) >= stored_at + 8:
+            compression = head[CHUNK_HEAD.size : stored_at].decode("ascii", "replace")
+            start = at + RECORD.size + stored_at + 8
+            stored = min(int.from_bytes(head[stored_at : stored_at + 8], "little"), end - start)
+            self.chunks.append(Chunk(start, stored, compression, full_size, checksum))
 
     def _describe(self, kind: int, data: bytes) -> None:
         """Adds a schema or a channel; damaged ones are left out."""

@@ -87,19 +87,15 @@ def quick_stamp_ns(topic: Topic, i: int) -> int | None:
     """Returns the time in the header of message `i`, of a type that begins with it; None if it is damaged."""
     try:
         channel, data = topic.read(i, HEAD_BYTES)
-        return _stamp_of_head(channel, data) if channel.encoding in ("ros1", "cdr") else stamp_ns(message(topic, i))
+        if channel.encoding not in ("ros1", "cdr"):
+            return stamp_ns(message(topic, i))
+        # CDR says its byte order first; a header of ROS 1 begins with a number
+        at = 4 if channel.encoding == "cdr" or not channel.type.startswith("foxglove") else 0
+        form = "<II" if channel.encoding == "ros1" else "<iI" if data[1] & 1 else ">iI"
+        sec, nanosec = struct.unpack_from(form, data, at)
+        return int(sec) * SECOND + int(nanosec)
     except (*FIELD_ERRORS, OSError, struct.error):
         return None
-
-
-def _stamp_of_head(channel: Channel, data: bytes) -> int:
-    if channel.encoding == "cdr":
-        sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    else:
-        # a header of ROS 1 begins with a number
-        has_header = not channel.type.startswith("foxglove")
-        sec, nanosec = struct.unpack_from("<II", data, 4 if has_header else 0)
-    return int(sec) * SECOND + int(nanosec)
 
 
 @lru_cache(maxsize=256)
@@ -174,62 +170,51 @@ FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4",
 
 def cloud_of(content: Any) -> RawCloud:
     """Returns the cloud of a decoded message, in the frame that it names."""
+    data = byte_array(content.data)
     if hasattr(content, "point_stride"):
-        return _foxglove_cloud(content)
-    width, height, row = int(content.width), int(content.height), int(content.row_step)
-    size, data = int(content.point_step), byte_array(content.data)
+        size, order = int(content.point_stride), "<"
+        fields = [(field, FOXGLOVE_TYPES.get(int(field.type)), 1) for field in content.fields]
+        width, height, row = len(data) // max(size, 1), 1, 0
+    else:
+        size, order = int(content.point_step), ">" if content.is_bigendian else "<"
+        fields = [(field, ROS_TYPES.get(int(field.datatype)), int(field.count)) for field in content.fields]
+        width, height, row = int(content.width), int(content.height), int(content.row_step)
     row = row or width * size
     end = row * (height - 1) + width * size if width * height else 0
     if row < width * size or end > len(data):
         raise ValueError(
             f"declares {width} x {height} points of {size} bytes in rows of {row} bytes, but has {len(data)} bytes"
         )
-    order = ">" if content.is_bigendian else "<"
-    fields = [(str(field.name), int(field.offset), order + ROS_TYPES.get(int(field.datatype), ""), int(field.count))
-              for field in content.fields]  # fmt: skip
-    dtype = _point_type(size, fields)
-    if row == width * size:
-        points = np.frombuffer(data, dtype, width * height)
-    else:
-        points = np.ndarray((height, width), dtype, data, 0, (row, size)).reshape(-1)
-    return from_columns(_point_columns(points))
-
-
-def _foxglove_cloud(content: Any) -> RawCloud:
-    size, data = int(content.point_stride), byte_array(content.data)
-    fields = [(str(field.name), int(field.offset), "<" + FOXGLOVE_TYPES.get(int(field.type), ""), 1)
-              for field in content.fields]  # fmt: skip
-    raw = from_columns(_point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
+    points = np.ndarray((height, width), _point_type(size, order, fields), data, 0, (row, size)).reshape(-1)
+    names = points.dtype.names or ()
+    raw = from_columns({name: points[name].astype(points.dtype[name].newbyteorder("=")) for name in names})
     pose = getattr(content, "pose", None)
     if pose is None:
         return raw
     turn = [float(getattr(pose.orientation, name)) for name in "xyzw"]
     place = [float(getattr(pose.position, name)) for name in "xyz"]
-    if not any(turn):
-        turn = [0.0, 0.0, 0.0, 1.0]
-    T = RigidTransform.from_components(place, Rotation.from_quat(turn))
+    # not set: no turn
+    T = RigidTransform.from_components(place, Rotation.from_quat(turn if any(turn) else [0.0, 0.0, 0.0, 1.0]))
     return replace(raw, xyz_m=T.apply(raw.xyz_m))
 
 
-def _point_type(size: int, fields: list[tuple[str, int, str, int]]) -> np.dtype:
-    """Returns the type of a point; fields of an unknown type or of several values are left out."""
+def _point_type(size: int, order: str, fields: list[tuple[Any, str | None, int]]) -> np.dtype:
+    """Returns the type of a point by its fields: each with its type and the number of its values.
+
+    Fields of an unknown type or of several values are left out.
+    """
     if size <= 0:
         raise ValueError(f"declares {len(fields)} fields in points of {size} bytes")
-    used = {}
-    for name, offset, kind, count in fields:
-        if len(kind) < 3 or count > 1 or name.lower() in used:
+    used: dict[str, tuple[str, int]] = {}
+    for field, kind, count in fields:
+        name, offset = str(field.name), int(field.offset)
+        if kind is None or count > 1:
             continue
         if offset < 0 or offset + np.dtype(kind).itemsize > size:
             raise ValueError(f"has a field {name} at byte {offset}, outside of a point of {size} bytes")
-        used[name.lower()] = (kind, offset)
+        used.setdefault(name.lower(), (order + kind, offset))
     kinds, offsets = [kind for kind, _ in used.values()], [offset for _, offset in used.values()]
     return np.dtype({"names": list(used), "formats": kinds, "offsets": offsets, "itemsize": size})
-
-
-def _point_columns(points: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns the columns by name, in the machine's byte order."""
-    names = points.dtype.names or ()
-    return {name: points[name].astype(points.dtype[name].newbyteorder("=")) for name in names}
 
 
 RECTIFIED = re.compile(r"rect(?!angle)", re.IGNORECASE)

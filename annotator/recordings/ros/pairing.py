@@ -92,33 +92,27 @@ def _read_stamps(topic: Topic, numbers: Int64[np.ndarray, "n"]) -> Int64[np.ndar
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Returns the times of both topics, by the same clock."""
-    stamps = stamps_ns(images), stamps_ns(clouds)
-    late = []
-    for topic, times in zip((images, clouds), stamps, strict=True):
+    found, late_ns = [], []
+    for topic in (images, clouds):
+        times = stamps_ns(topic)
         known = times > 0
+        unset = amount(len(times) - int(known.sum()), "message")
         if 2 * int(known.sum()) <= len(times):
-            unset = len(times) - int(known.sum())
-            notes.append(f"{amount(unset, 'message')} of {topic.name} without a time in the header; log times are used")
+            notes.append(f"{unset} of {topic.name} without a time in the header; log times are used")
             return images.log_ns, clouds.log_ns
-        late.append(float(np.median((topic.log_ns - times)[known])))
-    if abs(late[0] - late[1]) > MOST_APART_NS:
+        if not known.all():
+            notes.append(f"{unset} of {topic.name} without a readable time, which is taken from the log times")
+        late_ns.append(float(np.median((topic.log_ns - times)[known])))
+        # taken to be logged as late as the others
+        found.append(np.where(known, times, np.maximum(topic.log_ns - round(late_ns[-1]), 0)))
+    apart_ns = abs(late_ns[0] - late_ns[1])
+    if apart_ns > MOST_APART_NS:
         notes.append(
-            f"the header times of {images.name} and {clouds.name} are from clocks "
-            f"{abs(late[0] - late[1]) / SECOND:.1f} s apart; log times are used"
+            f"the header times of {images.name} and {clouds.name} are from clocks {apart_ns / SECOND:.1f} s apart; "
+            "log times are used"
         )
         return images.log_ns, clouds.log_ns
-    return _completed(images, stamps[0], late[0], notes), _completed(clouds, stamps[1], late[1], notes)
-
-
-def _completed(topic: Topic, times: np.ndarray, late_ns: float, notes: list[str]) -> np.ndarray:
-    """Returns a topic's times; messages without one are taken to be logged as late as the others."""
-    unset = int((times <= 0).sum())
-    if not unset:
-        return times
-    notes.append(
-        f"{amount(unset, 'message')} of {topic.name} without a readable time, which is taken from the log times"
-    )
-    return np.where(times > 0, times, np.maximum(topic.log_ns - round(late_ns), 0))
+    return found[0], found[1]
 
 
 def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -229,10 +229,9 @@ def _values(content: Any, kind: str, channels: int) -> np.ndarray:
             f"contradicts itself: {width} x {height} pixels of {content.encoding} in rows of {step} bytes do not fit "
             f"its {len(data)} bytes"
         )
-    rows = np.lib.stride_tricks.as_strided(data, (height, width * size), (step, 1), writeable=False)
-    order = ">" if getattr(content, "is_bigendian", 0) else "<"
-    values = np.ascontiguousarray(rows).view(np.dtype(order + kind))
-    return values.reshape(height, width, channels).astype(np.dtype(kind), copy=False)
+    own = np.dtype((">" if getattr(content, "is_bigendian", 0) else "<") + kind)
+    values = np.ndarray((height, width, channels), own, data, 0, (step, own.itemsize * channels, own.itemsize))
+    return np.ascontiguousarray(values, np.dtype(kind))
 
 
 def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bool) -> np.ndarray:

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -61,6 +62,9 @@ class ImageTopic:
     def camera(self) -> str:
         """The part of the name that the camera's topics share."""
         return self.base.rpartition("/")[0]
+
+
+Group = TypeVar("Group", Topic, ImageTopic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,15 +129,12 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
     """Chooses the topics of a recording."""
     if options.points is not None and options.depth is not None:
         raise ConfigError(f"{bag.path}: --points and --depth exclude each other; give one of them")
-    images = image_topics(bag)
-    colors = [image for image in images if not image.picture.is_depth]
-    clouds = bag.of_type(*CLOUD_TYPES)
-    image = _image(bag, options.image, images, colors)
+    images, clouds = image_topics(bag), bag.of_type(*CLOUD_TYPES)
+    image = _image(bag, options.image, images)
     if image is None:
-        alone = _named(bag, "points", options.points, clouds) or _only_cloud(bag, clouds)
-        return Chosen(None, None, alone, None, None)
+        return Chosen(None, None, _named(bag, "points", options.points, clouds) or _only_cloud(bag, clouds), None, None)
     info = _info(bag, image, images, "camera_info", options.camera_info)
-    points, depth = _partner(bag, options, image, [one for one in images if one.picture.is_depth], clouds)
+    points, depth = _partner(bag, options, image, images, clouds)
     if depth is None:
         if options.depth_info is not None:
             raise ConfigError(f"{bag.path}: {option_flag('depth_info')} is for depth images, but points are used")
@@ -141,21 +142,21 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
     return Chosen(image, info, points, depth, _info(bag, depth, images, "depth_info", options.depth_info))
 
 
-def _image(bag: Bag, name: str | None, images: list[ImageTopic], colors: list[ImageTopic]) -> ImageTopic | None:
-    if name is not None:
-        topic = _named(bag, "image", name, [image.topic for image in images])
-        return next(image for image in images if image.topic is topic)
-    if not colors:
-        return None
-    candidates = _without_repeats(colors)
-    for is_better in (
-        lambda image: not any(word in image.topic.name.lower() for word in ("infra", "/ir/", "/ir_")),
-        lambda image: image.picture.encoding not in GREY,
-    ):
-        candidates = [image for image in candidates if is_better(image)] or candidates
-    if len(candidates) > 1:
-        raise _ambiguous(bag, "image", [image.topic for image in candidates])
-    return candidates[0]
+def _image(bag: Bag, name: str | None, images: Sequence[ImageTopic]) -> ImageTopic | None:
+    """Returns the named image, or the only one of the best kind: in colour, neither infrared nor grey."""
+    topic = _named(bag, "image", name, [image.topic for image in images])
+    candidates = _without_repeats([image for image in images if not image.picture.is_depth])
+    if topic is not None:
+        candidates = [image for image in images if image.topic is topic]
+
+    def likeness(image: ImageTopic) -> tuple[bool, bool]:
+        is_infrared = any(word in image.topic.name.lower() for word in ("infra", "/ir/", "/ir_"))
+        return is_infrared, image.picture.encoding in GREY
+
+    best = [image for image in candidates if likeness(image) == min(map(likeness, candidates))]
+    if len(best) > 1:
+        raise _ambiguous(bag, image=[image.topic for image in best])
+    return best[0] if best else None
 
 
 def _without_repeats(images: Sequence[ImageTopic]) -> list[ImageTopic]:
@@ -166,42 +167,34 @@ def _without_repeats(images: Sequence[ImageTopic]) -> list[ImageTopic]:
     return list(best.values())
 
 
+def _only(*groups: list[Group]) -> list[Group]:
+    """Returns the first group of one, or the last group."""
+    return next((group for group in groups if len(group) == 1), groups[-1])
+
+
 def _partner(
-    bag: Bag, options: ReaderOptions, image: ImageTopic, depths: list[ImageTopic], clouds: list[Topic]
+    bag: Bag, options: ReaderOptions, image: ImageTopic, images: list[ImageTopic], clouds: list[Topic]
 ) -> tuple[Topic | None, ImageTopic | None]:
     """Returns the topic of points, or that of depth images."""
     if options.points is not None:
         return _named(bag, "points", options.points, clouds), None
     if options.depth is not None:
         # 16-bit grey is taken as depth if the operator says so
-        topic = _named(bag, "depth", options.depth, bag.of_type(*IMAGE_TYPES))
-        named = next((depth for depth in [*depths, *image_topics(bag)] if depth.topic is topic), None)
-        if named is None:
-            raise ConfigError(f"{bag.path}: none of the first messages of {options.depth} can be read")
-        return None, named
-    depths = _without_repeats(depths)
+        topic = _named(bag, "depth", options.depth, [one.topic for one in images])
+        return None, next(one for one in images if one.topic is topic)
+    depths = _without_repeats([one for one in images if one.picture.is_depth])
     same = [depth for depth in depths if depth.frame == image.frame and image.frame]
     size = (image.picture.width_px, image.picture.height_px)
     # depth that was registered to these images
     registered = [depth for depth in same if (depth.picture.width_px, depth.picture.height_px) == size]
-    beside = [depth for depth in depths if _shared_parts(depth.camera, image.camera)]
-    for candidates in (registered, same, beside, depths):
-        if len(candidates) == 1:
-            depths = candidates
-            break
+    # in the same namespace, but not at the top: `/left/color` and `/left/depth`
+    above = image.camera.rpartition("/")[0]
+    depths = _only(registered, same, [one for one in depths if one.camera.rpartition("/")[0] == above != ""], depths)
     frames = {depth.frame for depth in depths} | {image.frame}
     # clouds that the camera's driver made of the depth
     clouds = [cloud for cloud in clouds if not depths or frame_of(cloud) not in frames]
     if len(depths) + len(clouds) > 1:
-        named_depths = [depth.topic for depth in depths]
-        if not clouds:
-            raise _ambiguous(bag, "depth", named_depths)
-        if not depths:
-            raise _ambiguous(bag, "points", clouds)
-        raise RecordingError(
-            f"{bag.path}: has points and depth images; choose with {_choices('points', clouds)} or "
-            f"{_choices('depth', named_depths)}"
-        )
+        raise _ambiguous(bag, points=clouds, depth=[depth.topic for depth in depths])
     if not depths and not clouds:
         raise RecordingError(
             f"{bag.path}: has images of {image.topic.name}, but neither point clouds (PointCloud2) nor depth images; "
@@ -225,14 +218,14 @@ def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], option: str, na
     same_frame = [info for info in infos if image.frame and frame_of(info) == image.frame]
     taken = {info.name for other in images if other.base != image.base for info in beside(other)}
     free = [info for info in infos if info.name not in taken]
-    for candidates in (beside(image), same_frame, free):
-        if len(candidates) == 1:
-            return candidates[0]
-    if not infos:
+    found = _only(beside(image), same_frame, free, beside(image) or same_frame or infos)
+    if not found:
         raise RecordingError(
             f"{bag.path}: has no calibration of {image.topic.name} (CameraInfo); record its camera_info topic, too"
         )
-    raise _ambiguous(bag, option, beside(image) or same_frame or infos)
+    if len(found) > 1:
+        raise _ambiguous(bag, **{option: found})
+    return found[0]
 
 
 @lru_cache(maxsize=16)
@@ -243,19 +236,12 @@ def first_of_pair(bag: Bag, info: Topic) -> Topic | None:
     frame of its own, tf has the baseline already.
     """
     frame = frame_of(info)
-    if not frame or not _baseline_m(info):
-        return None
-    others = [other for other in bag.of_type(*INFO_TYPES) if other is not info and frame_of(other) == frame]
-    firsts = [other for other in others if _baseline_m(other) == 0.0]
-    return firsts[0] if len(firsts) == 1 else None
-
-
-def _baseline_m(info: Topic) -> float | None:
-    """Returns the baseline in a calibration's P; None if that is not known."""
-    try:
-        return float(np.linalg.norm(baseline_m(first_message(info))))
-    except FIELD_ERRORS:
-        return None
+    with suppress(*FIELD_ERRORS):
+        if frame and baseline_m(first_message(info)).any():
+            others = [one for one in bag.of_type(*INFO_TYPES) if one is not info and frame_of(one) == frame]
+            firsts = [other for other in others if not baseline_m(first_message(other)).any()]
+            return firsts[0] if len(firsts) == 1 else None
+    return None
 
 
 def _only_cloud(bag: Bag, clouds: list[Topic]) -> Topic:
@@ -266,7 +252,7 @@ def _only_cloud(bag: Bag, clouds: list[Topic]) -> Topic:
             f"Known are {', '.join((*IMAGE_TYPES, VIDEO_TYPE, *CLOUD_TYPES))}"
         )
     if len(clouds) > 1:
-        raise _ambiguous(bag, "points", clouds)
+        raise _ambiguous(bag, points=clouds)
     return clouds[0]
 
 
@@ -282,19 +268,14 @@ def _named(bag: Bag, option: str, name: str | None, candidates: Sequence[Topic])
     return found
 
 
-def _ambiguous(bag: Bag, option: str, topics: Sequence[Topic]) -> RecordingError:
-    return RecordingError(f"{bag.path}: choose one of its topics with {_choices(option, topics)}")
-
-
-def _choices(option: str, topics: Sequence[Topic]) -> str:
-    listed = ", ".join(f"{topic.name} ({amount(len(topic), 'message')})" for topic in topics)
-    return f"{option_flag(option)}: {listed}"
-
-
-def _shared_parts(a: str, b: str) -> bool:
-    """True if two names are in the same namespace: `/left/color` and `/left/depth`, but not at the top."""
-    above = a.rpartition("/")[0]
-    return bool(above) and above == b.rpartition("/")[0]
+def _ambiguous(bag: Bag, **topics: Sequence[Topic]) -> RecordingError:
+    """Returns the error that several topics could be used, by the option that names one."""
+    choices = [
+        f"{option_flag(option)}: " + ", ".join(f"{topic.name} ({amount(len(topic), 'message')})" for topic in found)
+        for option, found in topics.items()
+        if found
+    ]
+    return RecordingError(f"{bag.path}: choose one of its topics with {' or '.join(choices)}")
 
 
 # RealSense's images of depth, and the topic with metres of a unit of it

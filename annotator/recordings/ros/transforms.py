@@ -56,23 +56,14 @@ class Links:
     Attributes:
         parents: child -> parent.
         poses: child -> poses in its parent by time; a static link has the time None.
-        invalid: (child, parent) -> what is wrong with a pose that was left out.
     """
 
     parents: dict[str, str] = field(default_factory=dict)
     poses: dict[str, dict[int | None, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
-    invalid: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def add(self, parent: str, child: str, time_ns: int | None, place_m: np.ndarray, quaternion: np.ndarray) -> None:
-        """Adds a pose; invalid ones are left out, and told where a link is missing."""
-        if parent == child:
-            return
-        length = float(np.linalg.norm(quaternion))
-        if not abs(length - 1) < 0.1:
-            self.invalid[child, parent] = f"its quaternion has the length {length:g}, not 1"
-            return
-        if not are_plausible(place_m):
-            self.invalid[child, parent] = "its translation is not finite or is too large"
+        """Adds a pose; invalid ones are left out."""
+        if parent == child or not abs(float(np.linalg.norm(quaternion)) - 1) < 0.1 or not are_plausible(place_m):
             return
         if self.parents.get(child, parent) != parent:
             # a frame with another parent now: its former poses do not hold
@@ -126,10 +117,6 @@ class Links:
 
     def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
         missing = f"the transform from {source} to {target} is missing"
-        for (child, parent), problem in self.invalid.items():
-            # where a chain ends
-            if child in (top_source, top_target):
-                return f"{missing}: the bag's transform from {child} to {parent} is invalid: {problem}"
         if not self.parents:
             return f"{missing}: the bag has no tf"
         known = ", ".join(sorted(self.parents.keys() | set(self.parents.values()))[:12])
