@@ -17,6 +17,8 @@ from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
 from annotator.recordings.image_file import read_color_image
+from annotator.recordings.ros import pictures
+from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.pictures import color_image
 from annotator.types.errors import FrameError
 
@@ -144,13 +146,14 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
 
 
-def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
+def test_grey_messages_show_the_darkest_to_the_brightest_hundredth(monkeypatch: pytest.MonkeyPatch):
     """As of infrared cameras, whose highlights are saturated; one range for all pictures of a topic."""
     grey = np.linspace(500, 3500, 2000).astype(np.uint16).reshape(40, 50)
     grey[0, 0], grey[0, 1] = 65535, 0
-    ranges = []
-    shown = color_image(ros("mono16", grey), lambda own: ranges.append(own) or own)
+    shown = color_image(ros("mono16", grey))
     assert shown[0, 0, 0] == 255
     np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
-    dark = color_image(ros("mono16", np.full_like(grey, 530)), lambda own: own.with_all(ranges))
+    monkeypatch.setattr(pictures, "message", lambda *_: ros("mono16", grey))
+    topic = Topic("/ir", "sensor_msgs/Image", (), np.empty(0))
+    dark = color_image(ros("mono16", np.full_like(grey, 530)), (topic, (0,)))
     assert dark.max() <= 1

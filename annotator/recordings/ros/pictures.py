@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -129,57 +129,51 @@ def describe(content: Any, topic: str) -> Picture:
     return Picture(encoding, int(content.width), int(content.height), is_depth)
 
 
-def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: own) -> UInt8[np.ndarray, "h w 3"]:
+def color_image(content: Any, first: tuple[Topic, tuple[int, ...]] | None = None) -> UInt8[np.ndarray, "h w 3"]:
     """Returns the picture of an image message, RGB order.
 
     Args:
-        common: returns the levels of a topic, given those of a picture of more than 8 bits.
+        first: its topic and the numbers of the first messages, whose levels hold for all pictures of more than 8 bits.
     """
+    rgb, own = _decoded(content)
+    if own is not None:
+        rgb = pixels_as_eight_bits(rgb, own if first is None else own.with_all(_levels_of(*first)))
+    return np.ascontiguousarray(rgb) if rgb.shape[2] == 3 else np.repeat(rgb, 3, axis=2)
+
+
+@lru_cache(maxsize=16)
+def _levels_of(topic: Topic, numbers: tuple[int, ...]) -> list[Levels]:
+    """Returns the levels of those of some messages that have more than 8 bits."""
+    found = []
+    for number in numbers:
+        # one that is damaged is told by its own frame
+        with suppress(*FIELD_ERRORS, OSError):
+            found.append(_decoded(message(topic, number))[1])
+    return [each for each in found if each is not None]
+
+
+def _decoded(content: Any) -> tuple[np.ndarray, Levels | None]:
+    """Returns the picture of an image message, RGB order or grey, and its levels; None for one of 8 bits."""
     import cv2
 
+    encoding, is_grey = str(getattr(content, "encoding", "")), False
     if not hasattr(content, "encoding"):
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        bgr = decode_image(byte_array(content.data).tobytes(), flags)
-        is_grey = bgr.dtype == np.uint16 and bool((bgr == bgr[:, :, :1]).all())
-        return np.ascontiguousarray(_shallow(bgr, common, is_grey)[:, :, ::-1])
-    encoding = str(content.encoding)
-    if encoding.startswith("bayer_"):
-        depth = "u2" if encoding.endswith("16") else "u1"
-        pattern = BAYER.get(encoding[6:10])
-        if pattern is None:
-            raise ValueError(f"has the unknown encoding {encoding!r}")
-        values = _shallow(_values(content, depth, 1)[:, :, 0], common, is_grey=False)
-        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")))
-    if encoding.lower() in YUV422:
-        values = np.ascontiguousarray(_values(content, "u1", 2))
-        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_YUV2RGB_{YUV422[encoding.lower()]}")))
-    if encoding not in PLAIN or encoding == "32FC1":
+        rgb = decode_image(byte_array(content.data).tobytes(), flags)[:, :, ::-1]
+        is_grey = rgb.dtype == np.uint16 and bool((rgb == rgb[:, :, :1]).all())
+    elif encoding.startswith("bayer_") and encoding[6:10] in BAYER:
+        values = _values(content, "u2" if encoding.endswith("16") else "u1", 1)
+        rgb = cv2.cvtColor(values, getattr(cv2, f"COLOR_Bayer{BAYER[encoding[6:10]]}2RGB"))
+    elif encoding.lower() in YUV422:
+        rgb = cv2.cvtColor(_values(content, "u1", 2), getattr(cv2, f"COLOR_YUV2RGB_{YUV422[encoding.lower()]}"))
+    elif encoding in PLAIN and encoding != "32FC1":
+        values, is_grey = _values(content, *PLAIN[encoding]), encoding in ("mono16", "16UC1")
+        is_bgr = values.shape[2] > 1 and encoding.startswith(("bgr", "8UC"))
+        rgb = values[:, :, 2::-1] if is_bgr else values[:, :, :3]
+    else:
         known = ", ".join([*PLAIN, *(f"bayer_{pattern}8" for pattern in BAYER), *YUV422])
         raise ValueError(f"has the encoding {encoding!r}, which is not a picture's; known are {known}")
-    values = _values(content, *PLAIN[encoding])
-    values = _shallow(values, common, encoding in ("mono16", "16UC1"))
-    if values.shape[2] == 1:
-        values = np.repeat(values, 3, axis=2)
-    is_bgr = encoding.startswith(("bgr", "8UC"))
-    return np.ascontiguousarray(values[:, :, 2::-1] if is_bgr else values[:, :, :3])
-
-
-def levels_of(read: Callable[[int], Any], numbers: Sequence[int]) -> list[Levels]:
-    """Returns the levels of those of some messages that have more than 8 bits.
-
-    Args:
-        read: returns a message; one that is damaged is left to its own frame.
-    """
-    found: list[Levels] = []
-
-    def note(own: Levels) -> Levels:
-        found.append(own)
-        return own
-
-    for number in numbers:
-        with suppress(*FIELD_ERRORS, OSError):
-            color_image(read(number), note)
-    return found
+    return rgb, None if rgb.dtype == np.uint8 else contrast_levels(rgb) if is_grey else depth_levels(rgb)
 
 
 def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray, "h w"]:
@@ -232,13 +226,6 @@ def _values(content: Any, kind: str, channels: int) -> np.ndarray:
     own = np.dtype((">" if getattr(content, "is_bigendian", 0) else "<") + kind)
     values = np.ndarray((height, width, channels), own, data, 0, (step, own.itemsize * channels, own.itemsize))
     return np.ascontiguousarray(values, np.dtype(kind))
-
-
-def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bool) -> np.ndarray:
-    """Returns pixels of 8 or 16 bits as 8 bits."""
-    if values.dtype == np.uint8:
-        return values
-    return pixels_as_eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
 
 
 # The first byte of each NAL unit; of H.264, its lower bits are 5 for a slice of a key frame.

@@ -24,14 +24,13 @@ from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA
 from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, without_strays, world_pose
-from annotator.recordings.image_file import Levels
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.look_around import Scan, level_turn, virtual_frame
 from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import FIELD_ERRORS, RECTIFIED, BagCamera, cloud_of, message, read_camera_info
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
-from annotator.recordings.ros.pictures import color_image, depth_image, levels_of, video_image
+from annotator.recordings.ros.pictures import color_image, depth_image, video_image
 from annotator.recordings.ros.topics import (
     IMU_TYPE,
     VIDEO_TYPE,
@@ -70,7 +69,6 @@ class RosBag(KeyedFrames):
         unit_m: metres of a unit of depth, as RealSense's own topics say; None for other bags.
         told: the recording's notes.
         scale: of the clouds' reflectance and colours.
-        levels: of the first pictures of a topic.
         given_origin: the option `origin`, for clouds without images.
     """
 
@@ -83,7 +81,6 @@ class RosBag(KeyedFrames):
     unit_m: float | None
     told: tuple[str, ...]
     scale: CommonScale = field(default_factory=CommonScale)
-    levels: dict[Topic, list[Levels]] = field(default_factory=dict)
     given_origin: Place | None = None
     format: ClassVar[str] = "ros_bag"
     is_sequence: ClassVar[bool] = True
@@ -154,13 +151,7 @@ class RosBag(KeyedFrames):
         with _naming(topic):
             if topic.type == VIDEO_TYPE:
                 return camera.picture(video_image(topic, number, content))
-            return camera.picture(color_image(content, lambda own: own.with_all(self._levels_of(topic))))
-
-    def _levels_of(self, topic: Topic) -> list[Levels]:
-        """Returns the levels of a topic's first pictures of more than 8 bits."""
-        if topic not in self.levels:
-            self.levels[topic] = levels_of(lambda number: message(topic, number), self.pairs.image[:FIRST].tolist())
-        return self.levels[topic]
+            return camera.picture(color_image(content, (topic, tuple(self.pairs.image[:FIRST].tolist()))))
 
     def _cloud(self, content: Any) -> RawCloud:
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
