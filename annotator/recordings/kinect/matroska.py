@@ -71,14 +71,12 @@ class MatroskaIndex:
         tracks: by name.
         blocks: in file order.
         tags, attachments: by name.
-        is_truncated: the file ends in the middle of an element.
     """
 
     tracks: dict[str, Track] = field(default_factory=dict)
     blocks: list[Block] = field(default_factory=list)
     tags: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    is_truncated: bool = False
 
 
 def read_index(path: Path, until: int | None = None) -> MatroskaIndex | None:
@@ -99,10 +97,6 @@ class _Reader:
         while at < self._end:
             kind, size, length = element_head(self._read(at, LONGEST_HEAD))
             if kind not in ENTERED | READ | SKIPPED:
-                # a truncated file may end within a head
-                if self._end - at < LONGEST_HEAD:
-                    at = NO_LIMIT
-                    break
                 at = self._next_cluster(at + 1)
                 continue
             at += length
@@ -118,7 +112,6 @@ class _Reader:
             at += size
             if kind == until:
                 break
-        self._found.is_truncated = at > self._end
         return self._found
 
     def _read_element(self, kind: int, at: int, size: int) -> None:

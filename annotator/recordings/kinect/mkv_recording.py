@@ -14,7 +14,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -54,29 +54,19 @@ def tagged_ns(tags: dict[str, str], name: str) -> int:
 DEFAULT_PERIOD_NS = 33_333_333
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """The images of one moment; `depth` is None if the file ends before it."""
-
-    color: Block
-    depth: Block | None
-
-
-def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: int) -> dict[int, Capture]:
+def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: int) -> dict[int, tuple[Block, Block]]:
     """Pairs each colour image with the nearest depth image within half a period; by the colour image's number."""
-    colors = [block for block in index.blocks if block.track == color.number]
-    depths = [block for block in index.blocks if block.track == depth.number]
+    colors, depths = ([block for block in index.blocks if block.track == track.number] for track in (color, depth))
+    if not colors or not depths:
+        return {}
     within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
     times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
     color_ns = np.array([block.time_ns for block in colors], np.int64)
-    near: list[int] = nearest(color_ns, times).tolist() if depths else []
-    captures: dict[int, Capture] = {}
-    for number, block in enumerate(colors):
-        if depths and abs(int(times[near[number]]) - block.time_ns) < within_ns:
-            captures[number] = Capture(block, depths[near[number]])
-        elif index.is_truncated and block is colors[-1]:
-            captures[number] = Capture(block, None)
-    return captures
+    near = nearest(color_ns, times)
+    return {
+        int(number): (colors[number], depths[near[number]])
+        for number in np.flatnonzero(np.abs(times[near] - color_ns) < within_ns)
+    }
 
 
 # FourCC of a track -> half bytes per pixel; None for compressed formats.
@@ -112,12 +102,13 @@ class AzureKinect(KeyedFrames):
     of the two are not frames. Times are those of the device's clock.
 
     Attributes:
+        captures: the colour and the depth image of each frame.
         fourcc: the colour images' format.
         start_ns: device time of the recording's start.
         inertial: the accelerometer's blocks, sorted by time.
     """
 
-    captures: tuple[Capture, ...]
+    captures: tuple[tuple[Block, Block], ...]
     calibration: KinectCalibration
     fourcc: str
     start_ns: int
@@ -129,10 +120,10 @@ class AzureKinect(KeyedFrames):
     def name(self) -> str:
         return self.path.resolve().stem
 
-    @property
+    @cached_property
     def times_ns(self) -> tuple[int, ...]:
         """Capture times of the colour images, on the device's clock."""
-        return tuple(self.start_ns + capture.color.time_ns for capture in self.captures)
+        return tuple(self.start_ns + color.time_ns for color, _ in self.captures)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud has `rgb`."""
@@ -142,51 +133,44 @@ class AzureKinect(KeyedFrames):
             decoding = executor.submit(self.color_image, i)
             xyz_m, pixel = self.calibration.seen_points(self.depth_image(i))
             color = decoding.result()
-        cloud = PointCloud(xyz_m, rgb=pixel_colors(color, pixel))
-        if len(cloud) == 0:
+        if len(xyz_m) == 0:
             raise FrameError(
                 self.path,
                 f"frame {key}: no depth pixel lies in the colour image, so the cloud is empty",
                 "record the scene again within the sensor's range, or use the other frames",
             )
-        time_ns = self.start_ns + self.captures[i].color.time_ns
-        return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=time_ns)
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(color, pixel))
+        return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=self.times_ns[i])
 
     def up(self, i: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU."""
-        key, rotation, time_ns = self.key(i), self.calibration.color_from_accelerometer, self.captures[i].color.time_ns
-        # a truncated file may end within the last block
+        rotation, time_ns = self.calibration.color_from_accelerometer, self.captures[i][0].time_ns
         blocks = blocks_near(self.inertial, time_ns)
-        contents = zip(self._contents(key, blocks), blocks, strict=True)
-        samples = [parse_samples(data, block.is_laced) for data, block in contents if len(data) == block.size]
-        if rotation is None or not samples:
+        if rotation is None or not blocks:
             return None
-        up = up_at_rest(np.concatenate(samples), self.start_ns + time_ns)
+        contents = zip(self._contents(self.key(i), blocks), blocks, strict=True)
+        # a truncated file may end within the last block
+        samples = [parse_samples(data, block.is_laced) for data, block in contents if len(data) == block.size]
+        up = up_at_rest(np.concatenate([np.empty((0, 4)), *samples]), self.start_ns + time_ns)
         return None if up is None else np.asarray(rotation.apply(up))
 
     def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
-        data = self._read(key, "colour", self.captures[i].color)
+        data = self._read(key, "colour", self.captures[i][0])
         with file_errors(self.path, REMEDY, f"frame {key}: colour image: "):
             return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
         """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
-        key, camera, block = self.key(i), self.calibration.depth, self.captures[i].depth
-        if block is None:
-            raise FrameError(self.path, f"frame {key}: the file ends before its depth image", REMEDY)
-        data, expected = self._read(key, "depth", block), 2 * camera.width_px * camera.height_px
+        key, camera = self.key(i), self.calibration.depth
+        data, expected = self._read(key, "depth", self.captures[i][1]), 2 * camera.width_px * camera.height_px
         if len(data) != expected:
             problem = f"frame {key}: the depth image has {len(data)} bytes instead of {expected}"
             raise FrameError(self.path, problem, REMEDY)
         return np.frombuffer(data, ">u2").astype(np.uint16).reshape(camera.height_px, camera.width_px)
 
     def _read(self, key: str, what: str, block: Block) -> bytes:
-        if block.is_laced:
-            raise FrameError(
-                self.path, f"frame {key}: the {what} image shares its block with others", "record it again"
-            )
         (data,) = self._contents(key, [block])
         if len(data) < block.size:
             raise FrameError(self.path, f"frame {key}: the file ends in the middle of its {what} image", REMEDY)

@@ -94,7 +94,7 @@ def test_dropped_images_leave_gaps_and_delayed_depth_is_matched_to_its_colour(tm
 def test_a_frame_is_read_without_the_frames_before_it(recording_file: Path, tmp_path: Path):
     path, recording = tmp_path / "take.mkv", opened(recording_file)
     data = bytearray(recording_file.read_bytes())
-    for block in (recording.captures[0].color, recording.captures[0].depth, recording.captures[1].color):
+    for block in (*recording.captures[0], recording.captures[1][0]):
         data[block.offset : block.offset + block.size] = bytes(block.size)
     path.write_bytes(data)
     np.testing.assert_array_equal(opened(path).frame(2).rgb, recording.frame(2).rgb)
@@ -111,9 +111,7 @@ def test_a_truncated_file_is_reported_and_its_complete_frames_are_read(
     path, whole = tmp_path / "cut.mkv", opened(recording_file)
     data = recording_file.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
-    complete = sum(
-        max(c.color.offset + c.color.size, c.depth.offset + c.depth.size) <= len(data) * share for c in whole.captures
-    )
+    complete = sum(max(block.offset + block.size for block in blocks) <= len(data) * share for blocks in whole.captures)
     try:
         recording = opened(path)
     except RecordingError as error:
