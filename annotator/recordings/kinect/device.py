@@ -7,7 +7,6 @@ recording (`two_cameras.py`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4
 from __future__ import annotations
 
 import logging
-import re
 import threading
 import time
 from collections import deque
@@ -37,8 +36,6 @@ DEPTH_MODE, FPS = "NFOV_UNBINNED", "FPS_30"
 DEPTH_SIZE: Size = (640, 576)
 NS_PER_US = 1000
 NAME = "Azure Kinect"
-# Serial numbers have twelve digits; one or two digits are an index in the list of devices.
-INDEX = re.compile(r"\d{1,2}")
 BUNDLE = "its package contains the Azure Kinect SDK, for 64-bit Linux with glibc 2.38 or newer and for Windows"
 
 
@@ -75,29 +72,21 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
             f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux, also install the SDK's "
             "udev rules (99-k4a.rules)"
         )
-    is_index = which is None or INDEX.fullmatch(which) is not None
-    index = int(which or 0) if is_index else 0
-    if index >= count:
-        raise DeviceError(f"there is no {NAME} number {index}: {count} connected, numbered from 0")
-    others = []
-    for number in [index] if is_index else range(count):
+    opened = []
+    for number in range(count):
         device = k4a.PyK4A(config, number, thread_safe=False)
-        with suppress(k4a.K4AException):  # in use by another program, or not permitted
+        with suppress(k4a.K4AException):
             device.open()
-            serial = str(device.serial)
-            if is_index or serial == which:
-                return device, serial
-            others.append(serial)
+            opened.append(str(device.serial))
+            if which in (None, str(number), opened[-1]):
+                return device, opened[-1]
         if device.opened:
             device.close()
-    if is_index:
-        raise DeviceError(
-            f"{NAME} number {index} cannot be opened: another program uses it, or this user lacks the permission (on "
-            "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
-        )
-    if len(others) < count:
-        others.append(f"{count - len(others)} that cannot be opened")
-    raise DeviceError(f"no {NAME} with the serial number {which} can be opened; connected: {', '.join(others)}")
+    raise DeviceError(
+        f"no {NAME} {'' if which is None else f'{which} '}can be opened; of {count} connected, these can be: "
+        f"{', '.join(opened) or 'none'}. Of the others, another program uses it, or this user lacks the permission (on "
+        "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
+    )
 
 
 class KinectDevice:
@@ -112,7 +101,7 @@ class KinectDevice:
         """Opens a device and starts its cameras.
 
         Args:
-            which: its serial number, or its index in the list of devices, from 0; None = the first.
+            which: its serial number, or its index in the list of devices, from 0; None = the first that can be opened.
 
         Raises:
             DeviceError: pyk4a or the SDK is missing, there is no such device, another program uses it, or it does not

@@ -10,7 +10,7 @@ PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -26,8 +26,12 @@ from annotator.types.errors import RecordingError
 from annotator.types.messages import amount
 
 METADATA = "metadata.yaml"
-MAGICS = {".bag": ROS1_MAGIC, ".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC}
-SUFFIXES = tuple(MAGICS)
+# The first bytes of a file, and what lists it, given whether its messages are compressed.
+KINDS: dict[str, tuple[bytes, Callable[[Path, bool], BagFile]]] = {
+    ".bag": (ROS1_MAGIC, lambda path, _: Ros1File(path)),
+    ".mcap": (MCAP_MAGIC, McapFile),
+    ".db3": (SQLITE_MAGIC, SqliteFile),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +186,7 @@ def _open(path: Path, state: tuple[tuple[str, int, int], ...]) -> Bag:
 
 def _open_file(path: Path, are_compressed: bool = False) -> BagFile:
     try:
-        if path.suffix.lower() == ".bag":
-            return Ros1File(path)
-        if path.suffix.lower() == ".mcap":
-            return McapFile(path, are_compressed)
-        return SqliteFile(path, are_compressed)
+        return KINDS[path.suffix.lower()][1](path, are_compressed)
     except (ValueError, TypeError, LookupError, ArithmeticError) as error:
         raise RecordingError(f"{path}: {error}; record or copy it again") from error
 
@@ -232,8 +232,6 @@ def _are_parts(files: list[Path]) -> bool:
 
 
 def _has_magic(path: Path) -> bool:
-    magic = MAGICS.get(path.suffix.lower())
-    if magic is None:
-        return False
+    magic = KINDS.get(path.suffix.lower(), (b"",))[0]
     with open_file(path) as file:
-        return file.read(len(magic)) == magic
+        return bool(magic) and file.read(len(magic)) == magic

@@ -21,7 +21,7 @@ import binascii
 import json
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -266,33 +266,28 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
         is_rectified: its images are.
         first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
     """
-    K, D, R, P = (_field(content, name) for name in "KDRP")
+    # P of the second camera is relative to the rectified first one
+    K, R, P = _field(content, "K", 9), _field(first or content, "R", 9), _field(content, "P", 12)
     if not K.any():
         raise ValueError(
             "is not calibrated: K is zero; name another topic with --camera-info (of depth images: --depth-info)"
         )
-    if len(K) != 9 or not are_plausible(K):
-        raise ValueError("has a K that is not nine plausible numbers")
-    is_rectified = is_rectified and len(P) == 12 and bool(P.any())
-    full = P.reshape(3, 4)[:, :3] if is_rectified else K.reshape(3, 3)
-    matrix, width, height = _region(content, full)
+    is_rectified = is_rectified and bool(P.any())
+    matrix, width, height = _region(content, P.reshape(3, 4)[:, :3] if is_rectified else K.reshape(3, 3))
     if not is_pinhole(matrix):
         raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
     require_pixels(width, height)
     T = RigidTransform.identity()
-    # P of the second camera is relative to the rectified first one
-    R = R if first is None else _field(first, "R")
     if is_rectified and R.any():
-        if len(R) != 9 or not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):
+        if not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):
             raise ValueError("has an R that is not a rotation")
         T = RigidTransform.from_rotation(Rotation.from_matrix(R.reshape(3, 3)))
     if is_rectified and first is not None:
         T = RigidTransform.from_translation(baseline_m(content)) * T
-    model = str(content.distortion_model).lower()
+    D = _field(content, "D")
     if is_rectified or not D.any():
         return BagCamera(pinhole(matrix, width, height), T)
-    if not are_plausible(D):
-        raise ValueError("has a D with implausible numbers")
+    model = str(content.distortion_model).lower()
     if model in FISHEYE:
         return _undistorted(width, height, matrix, D)
     if "inverse" in model:
@@ -309,11 +304,10 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
 
 def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
     """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one."""
-    P = _field(content, "P")
-    if len(P) != 12 or not P.any():
+    P = _field(content, "P", 12).reshape(-1, 4)
+    if not P.any():
         return np.zeros(3)
-    P = P.reshape(3, 4)
-    if not are_plausible(P) or not is_pinhole(P[:, :3]):
+    if not is_pinhole(P[:, :3]):
         raise ValueError("has a P that is not that of a pinhole camera")
     return np.linalg.solve(P[:, :3], P[:, 3])
 
@@ -331,10 +325,12 @@ def _region(content: Any, full: np.ndarray) -> tuple[np.ndarray, int, int]:
     return matrix, width // x, height // y
 
 
-def _field(content: Any, name: str) -> Float64[np.ndarray, "n"]:
-    """Returns a field of numbers; ROS 2 writes its name in lower case."""
-    values: Sequence[float] = getattr(content, name if hasattr(content, name) else name.lower())
-    return np.array(list(values), np.float64).reshape(-1)
+def _field(content: Any, name: str, count: int | None = None) -> Float64[np.ndarray, "n"]:
+    """Returns a field of `count` numbers, or of none; ROS 2 writes its name in lower case."""
+    values = np.array(list(getattr(content, name if hasattr(content, name) else name.lower())), np.float64).reshape(-1)
+    if not are_plausible(values) or (count is not None and len(values) not in (0, count)):
+        raise ValueError(f"has a {name} that is not {count or 'a list of'} plausible numbers")
+    return values
 
 
 def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCamera:

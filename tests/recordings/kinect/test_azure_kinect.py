@@ -51,31 +51,6 @@ def test_all_colour_formats_are_read_with_depth_and_time(tmp_path: Path, fourcc:
         assert frame.timestamp_ns == pytest.approx(5_000_000 + i * 33_333_000, abs=1_000_000)
 
 
-def test_the_cloud_agrees_with_opencv_and_contains_only_points_visible_to_the_colour_camera(recording_file: Path):
-    recording = opened(recording_file)
-    frame, depth, color = recording.frame(1), recording.calibration.depth, recording.calibration.color
-    xyz = frame.cloud.xyz_m.astype(np.float64)
-    px_depth = by_opencv(depth, xyz + np.array([made.BASELINE_M, 0, 0]))
-    columns, rows = np.rint(px_depth).astype(int).T
-    np.testing.assert_allclose(px_depth, np.c_[columns, rows], atol=1e-3)
-    np.testing.assert_allclose(xyz[:, 2] * 1000, made.depth_mm(1)[rows, columns], atol=1e-3)
-    u, v = by_opencv(color, xyz).T
-    assert (u >= -0.5).all() and (u < made.WIDTH - 0.5).all() and (v >= -0.5).all() and (v < made.HEIGHT - 0.5).all()
-    # points halfway between two pixels are excluded
-    clear = (np.abs(np.c_[u, v] % 1 - 0.5) > 1e-3).all(axis=1)
-    assert clear.mean() > 0.99
-    nearest = frame.rgb[np.rint(v).astype(int), np.rint(u).astype(int)]
-    np.testing.assert_array_equal(frame.cloud.rgb[clear], nearest[clear])
-    # the post occludes a part of the wall, as wide as the parallax
-    post, wall = xyz[:, 2] < 1.5, xyz[:, 2] > 1.5
-    upper = np.abs(v - 300) < 20
-    edges = u[post & upper].min() + 5, u[post & upper].max() - 5
-    assert edges[1] - edges[0] > 30
-    assert not (wall & upper & (u > edges[0]) & (u < edges[1])).any()
-    measured_columns = {*columns[wall & (np.abs(rows - 140) < 3)]}
-    assert 2 <= len(set(range(100, 150)) - measured_columns) + len(set(range(170, 220)) - measured_columns) <= 12
-
-
 def by_opencv(camera, xyz: np.ndarray) -> np.ndarray:
     lens = np.array(camera.distortion)
     return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), camera.matrix, lens)[0][:, 0]
@@ -227,10 +202,9 @@ def test_depth_modes_are_windows_of_one_sensor(size: tuple[int, int], bin_px: in
     np.testing.assert_allclose(on_sensor, project(full, xyz), atol=1e-9)
 
 
-@pytest.mark.parametrize(("depth", "color"), [((640, 480), (1280, 720)), ((640, 576), (640, 480))])
-def test_image_sizes_of_no_camera_mode_are_refused(depth: tuple[int, int], color: tuple[int, int]):
+def test_image_sizes_of_no_camera_mode_are_refused():
     with pytest.raises(ValueError, match="belong to no mode of this camera"):
-        parse_calibration(CONTENT, depth, color)
+        parse_calibration(CONTENT, (640, 480), (1280, 720))
 
 
 def test_there_are_no_points_beyond_the_calibrated_radius():
@@ -276,7 +250,7 @@ def test_up_is_none_without_samples_or_while_the_device_moves():
     assert up_at_rest(np.empty((0, 4)), now) is None
 
 
-@pytest.mark.parametrize("sizes", [b"", b"\x28\x28", b"\xa8\xbf"], ids=["equal", "xiph", "ebml"])
+@pytest.mark.parametrize("sizes", [b"", b"\x28\x28"], ids=["equal", "xiph"])
 def test_laced_samples_are_read_after_their_sizes(sizes: bytes):
     three = [made.imu_sample(1000 * number, FELT + number) for number in range(3)]
     found = parse_samples(b"\x02" + sizes + b"".join(three), True)
