@@ -148,7 +148,7 @@ def short_type(name: str) -> str:
 def is_bag(path: Path) -> bool:
     """True for a bag, by the names and first bytes of its files."""
     files = [path] if path.is_file() else _files_in(path)
-    return bool(files) and all(_has_magic(file) for file in files[:1])
+    return bool(files) and _has_magic(files[0])
 
 
 def open_bag(path: Path) -> Bag | None:
@@ -232,6 +232,8 @@ def _are_parts(files: list[Path]) -> bool:
 
 
 def _has_magic(path: Path) -> bool:
-    magic = KINDS.get(path.suffix.lower(), (b"",))[0]
+    kind = KINDS.get(path.suffix.lower())
+    if kind is None:
+        return False
     with open_file(path) as file:
-        return bool(magic) and file.read(len(magic)) == magic
+        return file.read(len(kind[0])) == kind[0]

@@ -9,9 +9,10 @@ option `no_motion` is given.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -41,7 +42,7 @@ from annotator.recordings.ros.topics import (
     first_of_pair,
     frame_of,
 )
-from annotator.recordings.ros.transforms import LinkMissingError, TransformReader, frame_in, up_near
+from annotator.recordings.ros.transforms import LinkMissingError, Links, TransformReader, frame_in, up_near
 from annotator.recordings.two_cameras import registered
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
@@ -106,10 +107,10 @@ class RosBag(KeyedFrames):
 
     @cached_property
     def _origin(self) -> Origin:
-        return Origin(self.given_origin, lambda: (partial(self._raw, number) for number in map(int, self.pairs.cloud)))
+        return Origin(self.given_origin, lambda: (partial(self._raw, i) for i in range(len(self))))
 
-    def _raw(self, number: int) -> RawCloud:
-        return self._cloud(_content(self.chosen.partner, number))
+    def _raw(self, i: int) -> RawCloud:
+        return self._cloud(self._partner(i))
 
     @contextmanager
     def _errors(self, i: int) -> Iterator[str]:
@@ -125,30 +126,34 @@ class RosBag(KeyedFrames):
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; from depth images, with `depth_m`."""
         assert self.chosen.image is not None
-        topic, number = self.chosen.image.topic, int(self.pairs.image[i])
         with self._errors(i) as key:
-            log_ns, time_ns = int(topic.log_ns[number]), int(self.pairs.time_ns[i])
-            content, partner = _content(topic, number), _content(self.chosen.partner, int(self.pairs.cloud[i]))
-            camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
-            rgb = self._picture(number, content, camera)
-            frame = self.camera_frame or frame_in(topic, content)
-            T = camera.T_camera_frame * self._T_camera_cloud(i, frame, frame_in(self.chosen.partner, partner), log_ns)
-            depth_m, world = None, None
+            partner, depth_m, world = self._partner(i), None, None
+            camera, T, up = self._mounted(i, partner)
+            rgb = self._picture(self.chosen.image.topic, int(self.pairs.image[i]), camera)
             if self.chosen.depth is not None:
-                cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera, log_ns)
+                cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera, self._log_ns(i))
             else:
                 raw, world = self._cloud(partner), world_pose(T)
                 xyz_m = T.apply(raw.xyz_m).astype(np.float32)
                 cloud = visible_cloud(self.path, camera.camera, xyz_m, raw, rgb, f"check tf at frame {key}")
             if len(cloud) == 0:
                 raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
-            up = self._up(camera, frame, time_ns, log_ns)
+            time_ns = int(self.pairs.time_ns[i])
             return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
 
-    def _picture(self, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
+    def _log_ns(self, i: int) -> int:
+        """Returns when the image of frame `i` was logged."""
         assert self.chosen.image is not None
-        topic = self.chosen.image.topic
+        return int(self.chosen.image.topic.log_ns[int(self.pairs.image[i])])
+
+    def _partner(self, i: int) -> Any:
+        """Returns the message with the points or depths of frame `i`."""
+        with _naming(self.chosen.partner):
+            return message(self.chosen.partner, int(self.pairs.cloud[i]))
+
+    def _picture(self, topic: Topic, number: int, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
         with _naming(topic):
+            content = message(topic, number)
             if topic.type == VIDEO_TYPE:
                 return camera.picture(video_image(topic, number, content))
             return camera.picture(color_image(content, (topic, tuple(self.pairs.image[:FIRST].tolist()))))
@@ -184,47 +189,42 @@ class RosBag(KeyedFrames):
                 raise ValueError("depth of a fisheye camera is not supported")
             source.require_size(depth_m.shape)
         T_color_depth, (a, b) = T * source.T_camera_frame.inv(), (source.camera, camera.camera)
-        is_same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px)
-        if (
-            is_same_size
-            and np.abs(a.matrix - b.matrix).max() < SAME_K_PX
-            and np.allclose(T_color_depth.as_matrix(), np.eye(4))
-        ):
+        is_same = (a.width_px, a.height_px) == (b.width_px, b.height_px) and np.allclose(
+            a.matrix, b.matrix, 0, SAME_K_PX
+        )
+        if is_same and np.allclose(T_color_depth.as_matrix(), np.eye(4)):
             xyz_m, pixel = unproject_depth(b, depth_m)
             return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel), depth_m
         return registered(depth_m, a, T_color_depth, rgb, b)
 
-    def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
-        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image."""
-        time_ns, cloud_ns = int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
-        fixed = self.fixed_frame if time_ns != cloud_ns else None
-        if camera == cloud and fixed is None:
-            return RigidTransform.identity()
-        problem = LinkMissingError(f"the transform from {cloud} to {camera} is missing: the bag has no tf")
-        direct: RigidTransform | None = None
-        for links in self.tf.windows(log_ns):
-            try:
-                # where the motion is not known, the rigid mount must do
-                direct = links.transform(camera, cloud, time_ns)
-                if fixed is None:
-                    return direct
-                return links.transform(camera, fixed, time_ns) * links.transform(fixed, cloud, cloud_ns)
-            except LinkMissingError as error:
-                problem = error
-        if direct is None:
-            raise problem
-        return direct
+    def _mounted(self, i: int, partner: Any) -> tuple[BagCamera, RigidTransform, Float64[np.ndarray, "3"] | None]:
+        """Returns the camera of a frame, the transform to it from the points or depths, and up in it if it is known.
+
+        The points are those at their own time, the camera is that at the time of the image.
+        """
+        assert self.chosen.image is not None
+        log_ns, time_ns, cloud_ns = self._log_ns(i), int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
+        camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
+        frame, cloud = self.camera_frame or self.chosen.image.frame, frame_in(self.chosen.partner, partner)
+        T, via = None, self.fixed_frame
+        # where the motion is not known, the rigid mount must do
+        with suppress(LinkMissingError):
+            if via is not None and time_ns != cloud_ns:
+                T = self.tf.look_up(
+                    log_ns, lambda links: links.transform(frame, via, time_ns) * links.transform(via, cloud, cloud_ns)
+                )
+        if T is None:
+            T = self.tf.look_up(log_ns, partial(_link, frame, cloud, time_ns))
+        return camera, camera.T_camera_frame * T, self._up(camera, frame, time_ns, log_ns)
 
     def _up(self, camera: BagCamera, camera_frame: str, time_ns: int, log_ns: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity by an IMU at rest, of which tf knows how it is turned."""
         for topic in self.bag.of_type(IMU_TYPE):
             up, frame = up_near(topic, log_ns)
-            for links in () if up is None else self.tf.near(log_ns):
-                try:
-                    turn = links.transform(camera_frame, frame, time_ns).rotation
-                    return np.asarray((camera.T_camera_frame.rotation * turn).apply(up))
-                except LinkMissingError:
-                    continue
+            if up is not None:
+                with suppress(LinkMissingError):
+                    T = self.tf.look_up(log_ns, partial(_link, camera_frame, frame, time_ns), 2)
+                    return np.asarray((camera.T_camera_frame.rotation * T.rotation).apply(up))
         return None
 
 
@@ -243,20 +243,15 @@ class ScanBag(RosBag):
         Without an IMU, z is taken as up.
         """
         with self._errors(i):
-            content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
+            content = self._partner(i)
             raw = self._cloud(content)
             R_level_scan, knows_up = Rotation.identity(), True
             if self.chosen.image is None:
                 place_m = self._origin.of(raw)
                 raw = without_strays(raw, place_m)
             else:
-                number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
-                log_ns = int(self.chosen.image.topic.log_ns[number])
-                camera = self._camera(self.chosen.info, self.chosen.image, log_ns)
-                frame, own_frame = self.camera_frame or self.chosen.image.frame, frame_in(self.chosen.partner, content)
-                T_camera_scan = camera.T_camera_frame * self._T_camera_cloud(i, frame, own_frame, log_ns)
-                R_scan_camera, up = T_camera_scan.rotation.inv(), self._up(camera, frame, time_ns, log_ns)
-                knows_up = up is not None
+                _, T_camera_scan, up = self._mounted(i, content)
+                R_scan_camera, knows_up = T_camera_scan.rotation.inv(), up is not None
                 up_scan = Z if up is None else R_scan_camera.apply(up)
                 R_level_scan = level_turn(up_scan, R_scan_camera.apply(FORWARD))
                 T_world_camera = world_pose(T_camera_scan)
@@ -314,12 +309,16 @@ def _alone(clouds: Topic) -> Pairs:
 def _fixed_frame(tf: TransformReader, image: ImageTopic, clouds: Topic, pairs: Pairs, camera_frame: str) -> str | None:
     """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
     camera, cloud = camera_frame or image.frame, frame_of(clouds) or ""
-    for number in pairs.image[[0, len(pairs.image) // 2, -1]]:
-        for links in tf.near(int(image.topic.log_ns[int(number)])):
+    for number in pairs.image[[0, len(pairs.image) // 2, -1]].tolist():
+        for links in islice(tf.windows(int(image.topic.log_ns[number])), 2):
             for fixed in FIXED_FRAMES:
                 if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
                     return fixed
     return None
+
+
+def _link(target: str, source: str, time_ns: int, links: Links) -> RigidTransform:
+    return links.transform(target, source, time_ns)
 
 
 @contextmanager
@@ -329,8 +328,3 @@ def _naming(topic: Topic) -> Iterator[None]:
         yield
     except FIELD_ERRORS as error:
         raise ValueError(f"{topic.name}: {error}") from error
-
-
-def _content(topic: Topic, number: int) -> Any:
-    with _naming(topic):
-        return message(topic, number)

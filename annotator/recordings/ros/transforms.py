@@ -10,11 +10,11 @@ In RealSense's own recordings (ROS 1 bags of librealsense), each stream is a fra
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -37,6 +37,7 @@ LONGEST_GAP_NS = SECOND // 10
 MOST_MESSAGES = 20_000
 # parent, child, time, place, quaternion
 Link = tuple[str, str, int, np.ndarray, np.ndarray]
+Value = TypeVar("Value")
 
 
 class LinkMissingError(Exception):
@@ -147,9 +148,20 @@ class TransformReader:
         poses = (topic for name, topic in sorted(bag.topics.items()) if STREAM_POSE.fullmatch(name))
         return TransformReader((*static, *poses), moving)
 
-    def near(self, log_ns: int) -> Iterator[Links]:
-        """Yields the links within a second of a log time, for what is not necessarily known."""
-        yield from islice(self.windows(log_ns), 2)
+    def look_up(self, log_ns: int, what: Callable[[Links], Value], windows: int | None = None) -> Value:
+        """Returns what the links known around a log time give, of the nearest messages that suffice.
+
+        Args:
+            what: raises LinkMissingError if a link is missing, and then does `look_up`.
+            windows: number of distances that are tried; 2 = within a second.
+        """
+        problem = LinkMissingError("the bag has too many transforms at this time")
+        for links in islice(self.windows(log_ns), windows):
+            try:
+                return what(links)
+            except LinkMissingError as error:
+                problem = error
+        raise problem
 
     def windows(self, log_ns: int) -> Iterator[Links]:
         """Yields the links known around a log time, each time with more messages, until all have been read."""

@@ -398,7 +398,7 @@ def test_a_real_realsense_recording(shared: Path):
     np.testing.assert_allclose(frame.camera.matrix, matrix, rtol=1e-12)
     image, depth = recording.chosen.image, recording.chosen.depth
     assert image is not None
-    T = next(recording.tf.near(0)).transform(image.frame, depth.frame, 0)
+    T = next(recording.tf.windows(0)).transform(image.frame, depth.frame, 0)
     np.testing.assert_allclose(T.translation, [0.01431131362915039, 0.000602306448854506, 0.000610804301686585])
     turn = [-5.319880231421298e-05, 0.0064634308469817235, 0.005154853722821664, 0.9999658465385437]
     assert (T.rotation.inv() * Rotation.from_quat(turn)).magnitude() < 1e-7
