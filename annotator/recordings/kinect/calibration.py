@@ -103,15 +103,6 @@ class _Information(FileRecord):
     Cameras: tuple[_CameraPart, ...]
     InertialSensors: tuple[_InertialPart, ...] = ()
 
-    def camera_for(self, purpose: str) -> _CameraPart:
-        for camera in self.Cameras:
-            if camera.Purpose == purpose:
-                return camera
-        raise ValueError(f"there is no camera {purpose}")
-
-    def accelerometer(self) -> _Pose | None:
-        return next((sensor.Rt for sensor in self.InertialSensors if sensor.SensorType == ACCELEROMETER), None)
-
 
 class _File(FileRecord):
     CalibrationInformation: _Information
@@ -147,16 +138,18 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
         information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation
     except ValidationError as error:
         raise ValueError(first_problem(error)) from error
-    depth, color = information.camera_for(DEPTH_PURPOSE), information.camera_for(COLOUR_PURPOSE)
-    accelerometer = information.accelerometer()
+    cameras = {camera.Purpose: camera for camera in information.Cameras}
+    if not cameras.keys() >= {DEPTH_PURPOSE, COLOUR_PURPOSE}:
+        raise ValueError(f"there is no camera {DEPTH_PURPOSE} or no camera {COLOUR_PURPOSE}")
+    depth, color = cameras[DEPTH_PURPOSE], cameras[COLOUR_PURPOSE]
+    T_color_device = color.Rt.transform()
+    felt = {sensor.SensorType: sensor.Rt for sensor in information.InertialSensors}.get(ACCELEROMETER)
     return KinectCalibration(
         depth=depth.camera(depth_size, DEPTH_MODES),
         color=color.camera(color_size, COLOUR_MODES),
-        T_color_depth=color.Rt.transform() * depth.Rt.transform().inv(),
+        T_color_depth=T_color_device * depth.Rt.transform().inv(),
         depth_reach=depth.MetricRadius if depth.MetricRadius > 0 else np.inf,
-        color_from_accelerometer=(color.Rt.transform() * accelerometer.transform().inv()).rotation
-        if accelerometer
-        else None,
+        color_from_accelerometer=None if felt is None else (T_color_device * felt.transform().inv()).rotation,
     )
 
 

@@ -8,6 +8,7 @@ Formats: RFC 8794 (EBML: ids and sizes), RFC 9559 (Matroska: elements, block hea
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +17,10 @@ from typing import BinaryIO
 from annotator.files import open_file
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
-TAGS, TAG, SIMPLE_TAG, TAG_NAME, TAG_STRING = 0x1254C367, 0x7373, 0x67C8, 0x45A3, 0x4487
-ATTACHMENTS, ATTACHED_FILE, FILE_NAME, FILE_DATA = 0x1941A469, 0x61A7, 0x466E, 0x465C
-TRACK_ENTRY, VIDEO = 0xAE, 0xE0
+TAGS, TAG_NAME, TAG_STRING, ATTACHMENTS, FILE_NAME, FILE_DATA = 0x1254C367, 0x45A3, 0x4487, 0x1941A469, 0x466E, 0x465C
+TRACK_ENTRY = 0xAE
+# A tag, a simple tag, an attached file, and what is video of a track.
+GROUPS = frozenset({0x7373, 0x67C8, 0x61A7, 0xE0})
 BLOCK_GROUP, BLOCK, SIMPLE_BLOCK, TIMESTAMP, TIMESTAMP_SCALE = 0xA0, 0xA1, 0xA3, 0xE7, 0x2AD7B1
 # Elements whose children are read; their own size may be unknown.
 ENTERED = frozenset({SEGMENT, CLUSTER, BLOCK_GROUP})
@@ -43,10 +45,10 @@ CHUNK_BYTES = 1 << 16
 class Track:
     """One track's description; 0 and "" for missing values."""
 
-    number: int
     name: str
     codec: str
     private: bytes
+    number: int
     width_px: int
     height_px: int
     period_ns: int
@@ -120,19 +122,20 @@ class _Reader:
             self._add_block(at, size)
         elif kind == TIMESTAMP:
             self._cluster_time = int.from_bytes(self._read(at, min(size, 8)))
-        content = b"" if kind not in (INFO, TRACKS, TAGS, ATTACHMENTS) else self._read(at, min(size, MOST_HEADER_BYTES))
-        for child, data in children(content):
-            if child == TIMESTAMP_SCALE:
-                self._scale_ns = int.from_bytes(data)
-            elif child == TRACK_ENTRY:
-                track = _track(data)
-                found.tracks[track.name] = track
-            elif child == TAG:
-                for tag in (dict(children(part)) for part_kind, part in children(data) if part_kind == SIMPLE_TAG):
-                    found.tags[_text(tag, TAG_NAME)] = _text(tag, TAG_STRING)
-            elif child == ATTACHED_FILE:
-                of = dict(children(data))
-                found.attachments[_text(of, FILE_NAME)] = of.get(FILE_DATA, b"")
+        elif kind in (INFO, TRACKS, TAGS, ATTACHMENTS):
+            name = ""
+            for child, content in children(self._read(at, min(size, MOST_HEADER_BYTES))):
+                if child == TIMESTAMP_SCALE:
+                    self._scale_ns = int.from_bytes(content)
+                elif child == TRACK_ENTRY:
+                    track = _track(content)
+                    found.tracks[track.name] = track
+                elif child in (TAG_NAME, FILE_NAME):
+                    name = _text(content)
+                elif child == TAG_STRING:
+                    found.tags[name] = _text(content)
+                elif child == FILE_DATA:
+                    found.attachments[name] = content
 
     def _add_block(self, at: int, size: int) -> None:
         head = self._read(at, min(size, LONGEST_HEAD))
@@ -172,15 +175,16 @@ def element_head(data: bytes) -> tuple[int, int | None, int]:
     return int.from_bytes(data[:id_length]), None if is_unknown else value, id_length + length
 
 
-def children(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yields id and content of an element's children, up to the first damaged one."""
+def children(data: bytes, depth: int = 3) -> Iterator[tuple[int, bytes]]:
+    """Yields id and content of an element's children, and of those of `GROUPS`, up to the first damaged one."""
     at = 0
     while True:
         kind, size, length = element_head(data[at : at + LONGEST_HEAD])
         at += length
         if not kind or size is None or at + size > len(data):
             return
-        yield kind, data[at : at + size]
+        content = data[at : at + size]
+        yield from children(content, depth - 1) if kind in GROUPS and depth else [(kind, content)]
         at += size
 
 
@@ -192,19 +196,12 @@ def _vint(data: bytes, at: int) -> tuple[int, int]:
     return int.from_bytes(data[at : at + length]) & ((1 << 7 * length) - 1), length
 
 
-def _text(of: dict[int, bytes], kind: int) -> str:
-    return of.get(kind, b"").rstrip(b"\0").decode("utf-8", "replace")
+def _text(content: bytes) -> str:
+    return content.rstrip(b"\0").decode("utf-8", "replace")
 
 
 def _track(entry: bytes) -> Track:
-    of = dict(children(entry))
-    video = dict(children(of.get(VIDEO, b"")))
-    return Track(
-        number=int.from_bytes(of.get(0xD7, b"")),
-        name=_text(of, 0x536E),
-        codec=_text(of, 0x86),
-        private=of.get(0x63A2, b"") or video.get(0x2EB524, b""),
-        width_px=int.from_bytes(video.get(0xB0, b"")),
-        height_px=int.from_bytes(video.get(0xBA, b"")),
-        period_ns=int.from_bytes(of.get(0x23E383, b"")),
-    )
+    of = defaultdict(bytes, children(entry))
+    numbers = (int.from_bytes(of[kind]) for kind in (0xD7, 0xB0, 0xBA, 0x23E383))
+    # the format of a codec, or of raw pixels
+    return Track(_text(of[0x536E]), _text(of[0x86]), of[0x63A2] or of[0x2EB524], *numbers)

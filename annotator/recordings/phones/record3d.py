@@ -18,6 +18,7 @@ LZFSE is Apple's compression. Its package (the extra `phones`) trusts what it re
 from __future__ import annotations
 
 import os
+import re
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -172,8 +173,7 @@ OPENGL = np.array([1.0, -1.0, -1.0])
 # The first pose of a recording is the identity up to single precision if poses are relative to it.
 IDENTITY_RAD = 1e-3
 S_TO_NS = 1e9
-# Digits of a frame's number.
-LONGEST_NUMBER = 9
+IMAGE = re.compile(r"rgbd/([0-9]{1,9})\.(?:jpg|depth)")
 
 
 class Metadata(FileRecord):
@@ -336,19 +336,10 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | None:
         return None
     with file_errors(path, REMEDY, kind=RecordingError):
         entries = list_entries(path)
-    keys = {
-        name[len(FOLDER) : -len(suffix)]
-        for suffix in (".jpg", ".depth")
-        for name in entries
-        if name.startswith(FOLDER) and name.endswith(suffix)
-    }
-    numbers = {key for key in keys if key.isascii() and key.isdecimal() and len(key) <= LONGEST_NUMBER}
-    ordered = sorted_keys(path, numbers, f"{FOLDER}0.jpg and so on")
-    return Record3D(path, ordered, _metadata(path, entries), entries, options.min_confidence)
-
-
-def _metadata(path: Path, entries: frozenset[str]) -> Metadata:
+    numbers = {found[1] for name in entries if (found := IMAGE.fullmatch(name))}
+    keys = sorted_keys(path, numbers, f"{FOLDER}0.jpg and so on")
     if METADATA not in entries:
         raise RecordingError(f"{path}: has no file {METADATA}; {REMEDY}")
     with file_errors(path / METADATA, REMEDY, kind=RecordingError):
-        return Metadata.model_validate_json(read_entry(path, METADATA))
+        metadata = Metadata.model_validate_json(read_entry(path, METADATA))
+    return Record3D(path, keys, metadata, entries, options.min_confidence)
