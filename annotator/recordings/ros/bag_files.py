@@ -15,7 +15,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
-from io import BufferedReader, BytesIO, RawIOBase
 from pathlib import Path
 from threading import Lock, local
 from typing import Any
@@ -116,75 +115,51 @@ class Chunk:
     checksum: int = 0
 
 
-class _Stored(RawIOBase):
-    """The stored bytes of a chunk. The file is not kept open: a bag may have hundreds."""
-
-    def __init__(self, path: Path, chunk: Chunk) -> None:
-        self._path, self._at, self._end = path, chunk.at, chunk.at + chunk.size
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        with open_file(self._path, buffering=0) as file:
-            file.seek(self._at)
-            data = file.read(min(len(buffer), self._end - self._at))
-        buffer[: len(data)] = data
-        self._at += len(data)
-        return len(data)
-
-
-def _decompressing(compression: str, stored: Any) -> Any:
-    """Returns the stream of what is stored in another one."""
-    if compression in ("", "none"):
-        return stored
+def _decompressor(compression: str) -> Any:
     if compression == "bz2":
-        return bz2.BZ2File(stored)
+        return bz2.BZ2Decompressor()
     try:
         if compression == "lz4":
-            from lz4.frame import LZ4FrameFile
+            from lz4.frame import LZ4FrameDecompressor
 
-            return LZ4FrameFile(stored)
+            return LZ4FrameDecompressor()
         if compression == "zstd":
             # the standard library's, if this Python has it
             if sys.version_info >= (3, 14):
-                from compression.zstd import ZstdFile
+                from compression.zstd import ZstdDecompressor
             else:
-                from backports.zstd import ZstdFile
+                from backports.zstd import ZstdDecompressor
 
-            return ZstdFile(stored)
+            return ZstdDecompressor()
     except ImportError as error:
         raise MissingExtraError("rosbags", "ros") from error
     raise ValueError(f"the compression {compression!r} is unknown")
 
 
 class Content:
-    """What is stored in a stream, decompressed as far as it was needed; several threads may read it.
+    """What is stored in pieces, decompressed as far as it was needed; several threads may read it.
 
     Attributes:
         data: what was decompressed.
-        problem: why there is no more; "" if nothing is wrong.
+        is_damaged: there is no more, because the pieces are damaged or end too early.
     """
 
-    def __init__(self, compression: str, stored: Any, full_size: int | None = None, checksum: int = 0) -> None:
-        self.data, self.problem = bytearray(), ""
-        self._stream, self._full_size, self._checksum = _decompressing(compression, stored), full_size, checksum
-        self._lock = Lock()
+    def __init__(self, compression: str, pieces: Iterator[bytes], full_size: int | None = None, checksum: int = 0):
+        self.data, self.is_damaged = bytearray(), False
+        self._stream, self._pieces = _decompressor(compression), pieces
+        self._full_size, self._checksum, self._lock = full_size, checksum, Lock()
 
     def read(self, start: int, end: int) -> bytes:
         """Returns the bytes from `start` to `end`, or as far as they are sound."""
         with self._lock:
-            while len(self.data) < end and not self.problem:
+            while len(self.data) < end and not self._stream.eof and not self.is_damaged:
+                piece = next(self._pieces, None) if self._stream.needs_input else b""
                 try:
-                    piece = self._stream.read1(min(end - len(self.data), PIECE))
-                except Exception as error:  # each library has its own
-                    self.problem = f"a chunk is damaged ({error})"
-                    break
-                if not piece:
-                    break
-                self.data += piece
+                    self.data += self._stream.decompress(piece, end - len(self.data))
+                except Exception:  # each library has its own; without a piece, it is a TypeError
+                    self.is_damaged = True
                 if self._checksum and len(self.data) == self._full_size and crc32(self.data) != self._checksum:
-                    self.problem = "the checksum of a chunk is wrong"
+                    self.is_damaged = True
                     self.data.clear()
             return bytes(memoryview(self.data)[start:end])
 
@@ -222,31 +197,36 @@ class ChunkedFile(BagFile):
     def opened(self, number: int) -> Content:
         """Returns the content of a chunk, of which nothing was read yet."""
         chunk = self.chunks[number]
-        stored = BufferedReader(_Stored(self.path, chunk), PIECE)
-        return Content(chunk.compression, stored, chunk.full_size, chunk.checksum)
+        return Content(chunk.compression, self._pieces(chunk), chunk.full_size, chunk.checksum)
+
+    def _pieces(self, chunk: Chunk) -> Iterator[bytes]:
+        at, end = chunk.at, chunk.at + chunk.size
+        # the file is not kept open: a bag may have hundreds; so pieces are larger and larger
+        while piece := self._stored(at, min(max(PIECE, at - chunk.at), end - at)):
+            at += len(piece)
+            yield piece
+
+    def _stored(self, at: int, size: int) -> bytes:
+        with open_file(self.path) as file:
+            file.seek(at)
+            return file.read(max(size, 0))
 
     def content(self, number: int, start: int, size: int) -> bytes:
-        """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself."""
+        """Reads `size` bytes of a chunk's content from `start`, or as far as it is sound; chunk -1 is the file."""
         chunk = self.chunks[number] if number >= 0 else Chunk(0, self.path.stat().st_size, "")
         if chunk.compression in ("", "none"):
             require_memory(more_bytes=size)
-            with open_file(self.path) as file:
-                file.seek(chunk.at + start)
-                return file.read(max(min(size, chunk.size - start), 0))
+            return self._stored(chunk.at + start, min(size, chunk.size - start))
         end = start + size if chunk.full_size is None else min(start + size, chunk.full_size)
         require_memory(more_bytes=end)
-        content = KEPT.content(self, number)
-        data = content.read(start, end)
-        if len(data) < end - start and content.problem:
-            raise ValueError(content.problem)
-        return data
+        return KEPT.content(self, number).read(start, end)
 
 
 def unpacked_message(data: bytes, most: int | None = None) -> bytes:
     """Decompresses a zstd message of a ROS 2 bag in compression mode "message", or its first `most` bytes."""
-    content = Content("zstd", BytesIO(data))
+    content = Content("zstd", iter([data]))
     unpacked = content.read(0, frame_memory() if most is None else most)
-    if not unpacked or (most is None and content.problem):
+    if not unpacked or (most is None and content.is_damaged):
         raise ValueError("a message is not compressed with zstd, or damaged")
     return unpacked
 
@@ -308,7 +288,7 @@ class Ros1File(ChunkedFile):
         wanted = size if most is None else min(size, most)
         data = self.content(chunk, at + end + 4, wanted)
         if len(data) < wanted:
-            raise ValueError(f"a message ends after {len(data)} of {size} bytes")
+            raise ValueError(f"a message ends after {len(data)} of {size} bytes: the file is damaged there")
         return data
 
 

@@ -95,7 +95,7 @@ class McapFile(ChunkedFile):
         wanted = size - MESSAGE_HEAD.size if most is None else min(size - MESSAGE_HEAD.size, most_stored)
         data = data[before : before + wanted] if most else self.content(chunk, at + before, wanted)
         if len(data) < wanted:
-            raise ValueError(f"a message ends after {len(data)} of {wanted} bytes")
+            raise ValueError(f"a message ends after {len(data)} of {wanted} bytes: the file is damaged there")
         return unpacked_message(data, most) if self._are_compressed else data
 
     def _list(self, file: BinaryIO, at: int, end: int, chunk: int = -1, describe: bool = False) -> tuple[int, bool]:
@@ -144,7 +144,7 @@ class McapFile(ChunkedFile):
     def _search(self, chunk: int, describe: bool = False) -> None:
         """Adds messages, schemas and channels of a chunk without an index, as far as it is sound."""
         try:
-            content = self.opened(chunk).read(0, min(self.chunks[chunk].full_size or 0, frame_memory()))
+            content = self.content(chunk, 0, min(self.chunks[chunk].full_size or 0, frame_memory()))
         except ValueError:  # compressed in an unknown way
             return
         self._list(BytesIO(content), 0, len(content), chunk, describe)
