@@ -178,16 +178,15 @@ def picture(monkeypatch: pytest.MonkeyPatch, form: str, packets: list[bytes], i:
     return pictures.video_image(topic, i, contents[i])
 
 
-@pytest.mark.parametrize("form", ["h264", "h265"])
-def test_pictures_after_a_lost_one_are_errors_until_the_next_key_frame(monkeypatch: pytest.MonkeyPatch, form: str):
+def test_pictures_of_h265_after_a_lost_one_are_errors_until_the_next_key_frame(monkeypatch: pytest.MonkeyPatch):
     """VP9 and AV1 do not number their pictures so that it can be told."""
-    packets = encoded(form, [40, 90, 140, 190, 60])
+    packets = encoded("h265", [40, 90, 140, 190, 60])
     del packets[1]
     for i in (1, 2):
-        with pytest.raises(ValueError, match=r"is lost since the last key frame|its video cannot be decoded"):
-            picture(monkeypatch, form, packets, i)
+        with pytest.raises(ValueError, match="its video cannot be decoded"):
+            picture(monkeypatch, "h265", packets, i)
     for i, level in ((0, 40), (3, 60)):
-        assert abs(picture(monkeypatch, form, packets, i).mean() - level) <= 4
+        assert abs(picture(monkeypatch, "h265", packets, i).mean() - level) <= 4
 
 
 def test_lost_pictures_of_h264_are_told(monkeypatch: pytest.MonkeyPatch):
