@@ -295,7 +295,6 @@ class Ros1File(ChunkedFile):
 # --- SQLite ----------------------------------------------------------------------------------------------------------
 
 SQLITE_MAGIC = b"SQLite format 3\0"
-ROWS_AT_ONCE = 10_000
 
 
 class SqliteFile(BagFile):
@@ -352,22 +351,18 @@ class SqliteFile(BagFile):
 
     def _list_messages(self, connection: sqlite3.Connection) -> None:
         """Lists all messages, as far as the file is sound."""
-        parts, count, problem = [self.messages], 0, ""
+        rows, size = list[tuple[int, ...]](), self.path.stat().st_size
         try:
-            rows = connection.execute("SELECT topic_id, timestamp, id FROM messages")
-            # pages of a damaged file may lead to each other in circles
-            while (part := rows.fetchmany(ROWS_AT_ONCE)) and not problem:
-                channel, log_ns, row = np.array(part, np.int64).T
-                parts.append(listed(channel, log_ns, -1, row))
-                count += len(part)
-                if count > self.path.stat().st_size:
-                    problem = "it lists more messages than it has bytes"
+            for row in connection.execute("SELECT topic_id, timestamp, id FROM messages"):
+                rows.append(tuple(map(int, row)))
+                # pages of a damaged file may lead to each other in circles
+                if len(rows) > size:
+                    raise ValueError("it lists more messages than it has bytes")
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
-            problem = str(error)
-        if problem:
-            after = f"after {amount(count, 'message')} ({problem}); the others are not used"
+            after = f"after {amount(len(rows), 'message')} ({error}); the others are not used"
             self.notes = (f"{self.path.name} is damaged {after}",)
-        self.messages = np.concatenate(parts)
+        channel, log_ns, row_id = np.array(rows, np.int64).reshape(-1, 3).T
+        self.messages = listed(channel, log_ns, -1, row_id)
 
     @contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
