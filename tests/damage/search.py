@@ -9,20 +9,18 @@ it again after a crash.
 from __future__ import annotations
 
 import argparse
-import json
+import multiprocessing
 import os
 import random
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +35,7 @@ MOST_MORE = 1 << 30
 MOST_ADDRESSES = 16 << 30
 # A child that is silent for longer hangs for good; what ends after `MOST_S` is reported, too.
 PATIENCE_S = 120.0
-START_S = 300.0
+FORK = multiprocessing.get_context("fork")
 
 
 def main() -> int:
@@ -46,12 +44,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=2000, help="damaged files of each target")
     parser.add_argument("--only", default="", help="targets whose name contains this")
     parser.add_argument("--keep", type=Path, help="folder for the files that were not handled well")
-    parser.add_argument("--child", help=argparse.SUPPRESS)
-    parser.add_argument("--start", type=int, default=0, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.child:
-        read_all(given.child, given.seed, given.start, given.count, given.keep)
-        return 0
     from targets import TARGETS
 
     began, found, total = time.monotonic(), 0, 0
@@ -75,44 +68,37 @@ def watch(name: str, given: argparse.Namespace) -> tuple[Counter[str], list[str]
     """
     kinds, problems, slowest_s, most_bytes, start = Counter[str](), list[str](), 0.0, 0, 0
     while start < given.count:
-        command = [sys.executable, __file__, "--child", name, "--start", str(start)]
-        command += ["--seed", str(given.seed), "--count", str(given.count)]
-        command += ["--keep", str(given.keep)] if given.keep else []
-        with tempfile.TemporaryFile() as errors:
-            child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
-            assert child.stdout is not None
-            hanging = threading.Timer(START_S, child.kill)
-            hanging.start()
+        ours, theirs = FORK.Pipe(duplex=False)
+        with tempfile.TemporaryFile() as errors, suppress(EOFError):
+            child = FORK.Process(target=read_all, args=(theirs, errors.fileno(), name, given, start))
+            child.start()
+            theirs.close()
             number = start - 1
-            for line in map(json.loads, child.stdout):
-                hanging.cancel()
-                hanging = threading.Timer(PATIENCE_S, child.kill)
-                hanging.start()
-                number = line["number"]
-                if "kind" in line:
-                    kinds[line["kind"]] += 1
-                    slowest_s, most_bytes = max(slowest_s, line["took_s"]), max(most_bytes, line["more_bytes"])
-                    problems += [f"{number}: {line['problem']}"] if line["problem"] else []
-            hanging.cancel()
-            if (code := child.wait()) == 0:
-                break
-            errors.seek(0)
-            last = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
-            problems.append(f"{number}: ends the process, or hangs for more than {PATIENCE_S:g} s ({code}) {last}")
-            kinds["ended"] += 1
-            # if it cannot even be built, no other file can be tried
-            start = given.count if number < start else number + 1
+            while ours.poll(PATIENCE_S):
+                number, result = ours.recv()
+                if result:
+                    kinds[result["kind"]] += 1
+                    slowest_s, most_bytes = max(slowest_s, result["took_s"]), max(most_bytes, result["more_bytes"])
+                    problems += [f"{number}: {result['problem']}"] if result["problem"] else []
+            child.kill()
+        child.join()
+        if child.exitcode == 0:
+            break
+        problems.append(f"{number}: ends the process, or hangs for more than {PATIENCE_S:g} s ({child.exitcode})")
+        kinds["ended"] += 1
+        # if it cannot even be built, no other file can be tried
+        start = given.count if number < start else number + 1
     return kinds, problems, slowest_s, most_bytes
 
 
-def read_all(name: str, seed: int, start: int, count: int, keep: Path | None) -> None:
-    """Reads the damaged files of a target from number `start` on, and writes a line before and after each."""
+def read_all(told: Any, errors: int, name: str, given: argparse.Namespace, start: int) -> None:
+    """Reads the damaged files of a target from number `start` on; tells each number before, and the result after."""
     from targets import TARGETS
 
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
-    out = os.fdopen(os.dup(1), "w")
-    # what libraries print belongs to the errors
-    os.dup2(2, 1)
+    # what libraries print
+    os.dup2(errors, 1)
+    os.dup2(errors, 2)
     target = next(target for target in TARGETS if target.name == name)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "take_freiburg"
@@ -120,15 +106,15 @@ def read_all(name: str, seed: int, start: int, count: int, keep: Path | None) ->
         target.build(folder)
         files = sorted(file for file in folder.rglob("*") if file.is_file())
         target.read(folder)
-        for number in range(start, count):
-            print(json.dumps({"number": number}), file=out, flush=True)
-            with one_damaged(folder, files, f"{seed} {name} {number}") as file:
+        for number in range(start, given.count):
+            told.send((number, {}))
+            with one_damaged(folder, files, f"{given.seed} {name} {number}") as file:
                 result = examine(target, folder)
                 if result["problem"]:
                     result["problem"] += f" [{file.relative_to(folder)}]"
-                    if keep:
-                        shutil.copytree(folder, keep / f"{name}_{seed}_{number}", dirs_exist_ok=True)
-            print(json.dumps({"number": number, **result}), file=out, flush=True)
+                    if given.keep:
+                        shutil.copytree(folder, given.keep / f"{name}_{given.seed}_{number}", dirs_exist_ok=True)
+            told.send((number, result))
 
 
 @contextmanager
