@@ -66,11 +66,6 @@ class Topic:
         period_ns = float(np.median(distances)) or float(np.mean(distances))
         return 1e9 / period_ns if period_ns > 0 else None
 
-    @property
-    def own_files(self) -> list[BagFile]:
-        """The files with its messages."""
-        return [self.files[number] for number in np.unique(self.messages["file"])]
-
     def read(self, i: int, most: int | None = None) -> tuple[Channel, bytes]:
         """Reads message `i` (or its first `most` bytes), with its channel."""
         message = self.messages[i]

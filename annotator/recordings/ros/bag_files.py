@@ -13,10 +13,10 @@ import bz2
 import sqlite3
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock, local
+from threading import Lock
 from typing import Any
 from zlib import crc32
 
@@ -91,10 +91,6 @@ class BagFile:
     def read(self, message: np.void, most: int | None = None) -> bytes:
         """Reads one of `messages`, or its first `most` bytes or a few more."""
         raise NotImplementedError
-
-    def many(self) -> AbstractContextManager[None]:
-        """Makes the reading of many messages faster, by this thread and within the block."""
-        return nullcontext()
 
 
 @dataclass(frozen=True)
@@ -306,13 +302,14 @@ class SqliteFile(BagFile):
 
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         super().__init__(path)
-        self._are_compressed = are_compressed
-        self._kept = local()
-        # SQLite keeps what was not yet merged into a file beside it
-        self._is_immutable = not path.with_name(path.name + "-wal").exists()
+        self._are_compressed, self._lock = are_compressed, Lock()
         check_file(path)
-        with self._connected() as connection:
-            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        # SQLite keeps what was not yet merged into a file beside it
+        mode = "mode=ro" if path.with_name(path.name + "-wal").exists() else "immutable=1"
+        with _sqlite_errors():
+            self._connection = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False)
+            ask = self._connection.execute
+            tables = {name for (name,) in ask("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
                 raise ValueError("is not a ROS 2 bag: it lacks the tables topics and messages")
             definitions = {}
@@ -321,39 +318,29 @@ class SqliteFile(BagFile):
                 columns = "topic_type, encoding, encoded_message_definition"
                 definitions = {
                     str(name): (str(encoding), str(text).encode())
-                    for name, encoding, text in connection.execute(f"SELECT {columns} FROM message_definitions")
+                    for name, encoding, text in ask(f"SELECT {columns} FROM message_definitions")
                 }
-            for number, name, kind, encoding in connection.execute(
-                "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
-            ):
+            for number, name, kind, encoding in ask("SELECT id, name, type, serialization_format FROM topics"):
                 self.channels[int(number)] = Channel(str(name), str(kind), str(encoding), *definitions.get(kind, ()))
-            self._list_messages(connection)
+            self._list_messages()
+
+    def __del__(self) -> None:
+        if hasattr(self, "_connection"):
+            self._connection.close()
 
     def read(self, message: np.void, most: int | None = None) -> bytes:
-        wanted = HEAD_OF_MESSAGE if self._are_compressed and most is not None else most
-        with (
-            self._connected() as connection,
-            connection.blobopen("messages", "data", int(message["offset"]), readonly=True) as blob,
-        ):
-            # -1 = to the end
-            data = blob.read(-1 if wanted is None else wanted)
+        # -1 = to the end
+        wanted = -1 if most is None else HEAD_OF_MESSAGE if self._are_compressed else most
+        row = int(message["offset"])
+        with self._lock, _sqlite_errors(), self._connection.blobopen("messages", "data", row, readonly=True) as blob:
+            data = blob.read(wanted)
         return unpacked_message(data, most) if self._are_compressed else data
 
-    @contextmanager
-    def many(self) -> Iterator[None]:
-        """Keeps the connection open: opening it takes longer than reading the head of a message."""
-        with self._connected() as connection:
-            self._kept.connection = connection
-            try:
-                yield
-            finally:
-                self._kept.connection = None
-
-    def _list_messages(self, connection: sqlite3.Connection) -> None:
+    def _list_messages(self) -> None:
         """Lists all messages, as far as the file is sound."""
         rows, size = list[tuple[int, ...]](), self.path.stat().st_size
         try:
-            for row in connection.execute("SELECT topic_id, timestamp, id FROM messages"):
+            for row in self._connection.execute("SELECT topic_id, timestamp, id FROM messages"):
                 rows.append(tuple(map(int, row)))
                 # pages of a damaged file may lead to each other in circles
                 if len(rows) > size:
@@ -364,15 +351,10 @@ class SqliteFile(BagFile):
         channel, log_ns, row_id = np.array(rows, np.int64).reshape(-1, 3).T
         self.messages = listed(channel, log_ns, -1, row_id)
 
-    @contextmanager
-    def _connected(self) -> Iterator[sqlite3.Connection]:
-        kept: sqlite3.Connection | None = getattr(self._kept, "connection", None)
-        mode = "immutable=1" if self._is_immutable else "mode=ro"
-        try:
-            if kept is not None:
-                yield kept
-                return
-            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?{mode}", uri=True)) as connection:
-                yield connection
-        except sqlite3.Error as error:
-            raise ValueError(f"the SQLite file is damaged ({error})") from error
+
+@contextmanager
+def _sqlite_errors() -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise ValueError(f"the SQLite file is damaged ({error})") from error

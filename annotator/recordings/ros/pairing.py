@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import Int64
@@ -76,18 +75,15 @@ def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
 @lru_cache(maxsize=16)
 def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
     """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
-    threads = (os.cpu_count() or 1) if any(file.is_slow for file in topic.own_files) else 1
+    threads = (os.cpu_count() or 1) if any(file.is_slow for file in topic.files) else 1
     # neighbours are often in one chunk
     parts = np.array_split(np.arange(len(topic)), PARTS * threads)
     with ThreadPoolExecutor(threads) as pool:
-        return np.concatenate([*pool.map(lambda numbers: _read_stamps(topic, numbers), parts)])
+        return np.concatenate([*pool.map(partial(_read_stamps, topic), parts)])
 
 
 def _read_stamps(topic: Topic, numbers: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
-    with ExitStack() as files:
-        for file in topic.own_files:
-            files.enter_context(file.many())
-        return np.array([quick_stamp_ns(topic, i) or 0 for i in numbers.tolist()], np.int64)
+    return np.array([quick_stamp_ns(topic, i) or 0 for i in numbers.tolist()], np.int64)
 
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
