@@ -80,20 +80,17 @@ class McapFile(ChunkedFile):
         self.notes = tuple(f"{path.name} {note}" for note in notes)
 
     def read(self, message: np.void, most: int | None = None) -> bytes:
-        before, most_stored = (
-            RECORD.size + MESSAGE_HEAD.size,
-            most and (HEAD_OF_MESSAGE if self._are_compressed else most),
-        )
+        before, stored = RECORD.size + MESSAGE_HEAD.size, HEAD_OF_MESSAGE if most and self._are_compressed else most
         chunk, at = int(message["chunk"]), int(message["offset"])
-        data = self.content(chunk, at, before + (most_stored or 0))
+        data = self.content(chunk, at, before + (stored or 0))
         if len(data) < before:
             raise ValueError("a message's header is truncated")
         kind, size = RECORD.unpack_from(data)
         number = MESSAGE_HEAD.unpack_from(data, RECORD.size)[0]
         if kind != MESSAGE or size < MESSAGE_HEAD.size or number != message["channel"]:
             raise ValueError("the index points to something that is not this message")
-        wanted = size - MESSAGE_HEAD.size if most is None else min(size - MESSAGE_HEAD.size, most_stored)
-        data = data[before : before + wanted] if most else self.content(chunk, at + before, wanted)
+        wanted = size - MESSAGE_HEAD.size if stored is None else min(size - MESSAGE_HEAD.size, stored)
+        data = data[before : before + wanted] if stored else self.content(chunk, at + before, wanted)
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {wanted} bytes: the file is damaged there")
         return unpacked_message(data, most) if self._are_compressed else data
