@@ -19,7 +19,6 @@ from __future__ import annotations
 import re
 import struct
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -89,44 +88,29 @@ PLAIN: dict[str, tuple[str, int]] = {
 }  # fmt: skip
 # OpenCV names a Bayer pattern by its second row, ROS by its first.
 BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
-YUV422 = {
-    "yuv422": "UYVY",
-    "uyvy": "UYVY",
-    "yuv422_uyvy": "UYVY",
-    "yuv422_yuy2": "YUY2",
-    "yuyv": "YUY2",
-    "yuy2": "YUY2",
-}
+YUV422 = dict.fromkeys(("yuv422", "uyvy", "yuv422_uyvy"), "UYVY") | dict.fromkeys(
+    ("yuv422_yuy2", "yuyv", "yuy2"), "YUY2"
+)
 DEPTH_ENCODINGS = ("16UC1", "32FC1", "mono16")
 COMPRESSED_DEPTH = "compressedDepth"
 DEPTH_HEAD = struct.Struct("<iff")
 
 
-@dataclass(frozen=True)
-class Picture:
-    """What an image message says about itself.
+def describe(content: Any, topic: str) -> tuple[str, tuple[int, int], bool]:
+    """Describes an image message; 16-bit grey is depth if its topic says so.
 
-    Attributes:
-        encoding: of its pixels; for compressed ones as the format names it ("" if it does not).
-        width_px, height_px: 0 if only the compressed bytes know it.
-        is_depth: the pixels are depths.
+    Returns:
+        The encoding of its pixels; of compressed ones as the format names it ("" if it does not).
+        Width and height; 0 if only the compressed bytes know them.
+        Whether the pixels are depths.
     """
-
-    encoding: str
-    width_px: int
-    height_px: int
-    is_depth: bool
-
-
-def describe(content: Any, topic: str) -> Picture:
-    """Describes an image message; 16-bit grey is depth if its topic says so."""
     if not hasattr(content, "encoding"):
         encoding = str(content.format).partition(";")[0].strip()
-        return Picture(encoding, 0, 0, COMPRESSED_DEPTH in str(content.format) or encoding in DEPTH_ENCODINGS[:2])
+        return encoding, (0, 0), COMPRESSED_DEPTH in str(content.format) or encoding in DEPTH_ENCODINGS[:2]
     encoding, name = str(content.encoding), topic.lower()
     is_depth = encoding == "32FC1" or (encoding == "16UC1" and "infra" not in name and "/ir" not in name)
     is_depth = is_depth or (encoding == "mono16" and "depth" in name)
-    return Picture(encoding, int(content.width), int(content.height), is_depth)
+    return encoding, (int(content.width), int(content.height)), is_depth
 
 
 def color_image(content: Any, first: tuple[Topic, tuple[int, ...]] | None = None) -> UInt8[np.ndarray, "h w 3"]:

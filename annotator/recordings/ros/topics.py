@@ -23,7 +23,7 @@ import numpy as np
 from annotator.recordings.recording import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, message
-from annotator.recordings.ros.pictures import Picture, describe
+from annotator.recordings.ros.pictures import describe
 from annotator.recordings.ros.transforms import TransformReader, frame_in
 from annotator.types.bases import Strict
 from annotator.types.errors import ConfigError, InputError, RecordingError
@@ -44,13 +44,15 @@ class ImageTopic:
     """A topic of images.
 
     Attributes:
-        picture: of its first readable message.
-        frame: the tf frame of that message.
+        frame: the tf frame of its first readable message.
+        encoding, size, is_depth: of that message, as `describe` returns them.
     """
 
     topic: Topic
-    picture: Picture
     frame: str
+    encoding: str
+    size: tuple[int, int]
+    is_depth: bool
 
     @property
     def base(self) -> str:
@@ -100,8 +102,7 @@ def image_topics(bag: Bag) -> list[ImageTopic]:
 def _image_topic(topic: Topic) -> ImageTopic | None:
     first = first_message(topic)
     try:
-        picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
-        return ImageTopic(topic, picture, frame_in(topic, first))
+        return ImageTopic(topic, frame_in(topic, first), *describe(first, topic.name))
     except FIELD_ERRORS:
         return None
 
@@ -145,13 +146,13 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
 def _image(bag: Bag, name: str | None, images: Sequence[ImageTopic]) -> ImageTopic | None:
     """Returns the named image, or the only one of the best kind: in colour, neither infrared nor grey."""
     topic = _named(bag, "image", name, [image.topic for image in images])
-    candidates = _without_repeats([image for image in images if not image.picture.is_depth])
+    candidates = _without_repeats([image for image in images if not image.is_depth])
     if topic is not None:
         candidates = [image for image in images if image.topic is topic]
 
     def likeness(image: ImageTopic) -> tuple[bool, bool]:
         is_infrared = any(word in image.topic.name.lower() for word in ("infra", "/ir/", "/ir_"))
-        return is_infrared, image.picture.encoding in GREY
+        return is_infrared, image.encoding in GREY
 
     best = [image for image in candidates if likeness(image) == min(map(likeness, candidates))]
     if len(best) > 1:
@@ -182,11 +183,10 @@ def _partner(
         # 16-bit grey is taken as depth if the operator says so
         topic = _named(bag, "depth", options.depth, [one.topic for one in images])
         return None, next(one for one in images if one.topic is topic)
-    depths = _without_repeats([one for one in images if one.picture.is_depth])
+    depths = _without_repeats([one for one in images if one.is_depth])
     same = [depth for depth in depths if depth.frame == image.frame and image.frame]
-    size = (image.picture.width_px, image.picture.height_px)
     # depth that was registered to these images
-    registered = [depth for depth in same if (depth.picture.width_px, depth.picture.height_px) == size]
+    registered = [depth for depth in same if depth.size == image.size]
     # in the same namespace, but not at the top: `/left/color` and `/left/depth`
     above = image.camera.rpartition("/")[0]
     depths = _only(registered, same, [one for one in depths if one.camera.rpartition("/")[0] == above != ""], depths)
@@ -333,7 +333,7 @@ def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] |
         chosen = None
     used, named = _uses(bag, chosen), {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
     named |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
-    named |= {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
+    named |= {image.topic.name: "--depth" if image.is_depth else "--image" for image in image_topics(bag)}
     return tuple(
         TopicReport(
             name=name, type=topic.type, messages=len(topic), rate_hz=topic.rate_hz,

@@ -88,7 +88,7 @@ def test_compressed_images_and_depths():
     packed = cv2.imencode(".png", millimetres)[1].tobytes()
     for form, data in (("16UC1; compressedDepth png", bytes(12) + packed), ("16UC1; png compressed ", packed)):
         content = SimpleNamespace(format=form, data=np.frombuffer(data, np.uint8))
-        assert describe(content, "/x").is_depth
+        assert describe(content, "/x")[2]
         np.testing.assert_array_equal(depth_image(content), millimetres.astype(np.float32) / np.float32(1000))
     # compressed_depth_image_transport: quantised inverse depth
     a, b = 100.0, -5.0
