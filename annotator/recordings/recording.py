@@ -160,7 +160,8 @@ class KeyedFrames:
 
     @property
     def name(self) -> str:
-        return self.path.resolve().name
+        path = self.path.resolve()
+        return path.stem if path.is_file() else path.name
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -116,10 +116,6 @@ class AzureKinect(KeyedFrames):
     format: ClassVar[str] = "azure_kinect"
     is_sequence: ClassVar[bool] = True
 
-    @property
-    def name(self) -> str:
-        return self.path.resolve().stem
-
     @cached_property
     def times_ns(self) -> tuple[int, ...]:
         """Capture times of the colour images, on the device's clock."""

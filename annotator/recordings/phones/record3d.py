@@ -216,10 +216,6 @@ class Record3D(KeyedFrames):
     is_sequence: ClassVar[bool] = True
 
     @property
-    def name(self) -> str:
-        return self.path.resolve().stem
-
-    @property
     def notes(self) -> tuple[str, ...]:
         notes = []
         if self.metadata.poses and not self._knows_gravity:

@@ -87,11 +87,6 @@ class RosBag(KeyedFrames):
     is_sequence: ClassVar[bool] = True
 
     @property
-    def name(self) -> str:
-        path = self.path.resolve()
-        return path.stem if path.is_file() else path.name
-
-    @property
     def notes(self) -> tuple[str, ...]:
         return (*self.told, *self._origin.notes)
 
