@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,9 +16,6 @@ from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
 from annotator.recordings import open_recording
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.ros import pictures
-from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.pictures import color_image
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
@@ -111,11 +107,6 @@ def rgbd(folder: Path, colors: list[np.ndarray]) -> Path:
     return folder
 
 
-def ros(encoding: str, values: np.ndarray, **more: object) -> SimpleNamespace:
-    fields = {"width": values.shape[1], "height": values.shape[0], "encoding": encoding, "is_bigendian": 0, "step": 0}
-    return SimpleNamespace(**fields, data=np.frombuffer(values.tobytes(), np.uint8), **more)
-
-
 DEEP = [(8, 3), (10, 1), (12, 3), (16, 1)]
 
 
@@ -144,16 +135,3 @@ def test_one_range_is_that_of_all_pictures(tmp_path: Path):
     recording = open_recording(rgbd(tmp_path, pictures))
     for number in (2, 0, 1):
         np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
-
-
-def test_grey_messages_show_the_darkest_to_the_brightest_hundredth(monkeypatch: pytest.MonkeyPatch):
-    """As of infrared cameras, whose highlights are saturated; one range for all pictures of a topic."""
-    grey = np.linspace(500, 3500, 2000).astype(np.uint16).reshape(40, 50)
-    grey[0, 0], grey[0, 1] = 65535, 0
-    shown = color_image(ros("mono16", grey))
-    assert shown[0, 0, 0] == 255
-    np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
-    monkeypatch.setattr(pictures, "message", lambda *_: ros("mono16", grey))
-    topic = Topic("/ir", "sensor_msgs/Image", (), np.empty(0))
-    dark = color_image(ros("mono16", np.full_like(grey, 530)), (topic, (0,)))
-    assert dark.max() <= 1

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.projection import project
+from annotator.recordings.ros import pictures
+from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import cloud_of, read_camera_info
 from annotator.recordings.ros.pictures import BAYER, color_image, depth_image, describe
 
@@ -66,6 +68,19 @@ def test_yuv_images_are_converted(encoding: str, order: str):
     y, u, v = 1.164 * (180 - 16), 90 - 128, 160 - 128
     expected = (y + 1.596 * v, y - 0.392 * u - 0.813 * v, y + 2.017 * u)
     assert np.abs(color_image(image(pixels, encoding)).astype(float) - expected).max() <= 2
+
+
+def test_grey_messages_show_the_darkest_to_the_brightest_hundredth(monkeypatch: pytest.MonkeyPatch):
+    """As of infrared cameras, whose highlights are saturated; one range for all pictures of a topic."""
+    grey = np.linspace(500, 3500, 2000).astype(np.uint16).reshape(40, 50)
+    grey[0, 0], grey[0, 1] = 65535, 0
+    shown = color_image(image(grey, "mono16"))
+    assert shown[0, 0, 0] == 255
+    np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
+    monkeypatch.setattr(pictures, "message", lambda *_: image(grey, "mono16"))
+    topic = Topic("/ir", "sensor_msgs/Image", (), np.empty(0))
+    dark = color_image(image(np.full_like(grey, 530), "mono16"), (topic, (0,)))
+    assert dark.max() <= 1
 
 
 @given(st.sampled_from(["16UC1", "mono16", "32FC1"]), st.integers(0, 9), st.booleans(), st.data())
