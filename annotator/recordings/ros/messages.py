@@ -266,26 +266,28 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
         is_rectified: its images are.
         first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
     """
-    # P of the second camera is relative to the rectified first one
-    K, R, P = _field(content, "K", 9), _field(first or content, "R", 9), _field(content, "P", 12)
+    K, P = _field(content, "K", 9), _field(content, "P", 12) if is_rectified else np.zeros(0)
     if not K.any():
         raise ValueError(
             "is not calibrated: K is zero; name another topic with --camera-info (of depth images: --depth-info)"
         )
-    is_rectified = is_rectified and bool(P.any())
+    is_rectified = bool(P.any())
     matrix, width, height = _region(content, P.reshape(3, 4)[:, :3] if is_rectified else K.reshape(3, 3))
     if not is_pinhole(matrix):
         raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
     require_pixels(width, height)
     T = RigidTransform.identity()
-    if is_rectified and R.any():
-        if not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):
+    if is_rectified:
+        # P of the second camera is relative to the rectified first one
+        R = _field(first or content, "R", 9).reshape(-1, 3)
+        if R.any() and not is_rotation(R, MOST_OFF_ROTATION):
             raise ValueError("has an R that is not a rotation")
-        T = RigidTransform.from_rotation(Rotation.from_matrix(R.reshape(3, 3)))
-    if is_rectified and first is not None:
-        T = RigidTransform.from_translation(baseline_m(content)) * T
-    D = _field(content, "D")
-    if is_rectified or not D.any():
+        if R.any():
+            T = RigidTransform.from_rotation(Rotation.from_matrix(R))
+        if first is not None:
+            T = RigidTransform.from_translation(baseline_m(content)) * T
+    D = np.zeros(0) if is_rectified else _field(content, "D")
+    if not D.any():
         return BagCamera(pinhole(matrix, width, height), T)
     model = str(content.distortion_model).lower()
     if model in FISHEYE:
