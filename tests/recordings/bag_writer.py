@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -47,55 +48,59 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def __exit__(self, *_: object) -> None:
         self.writer.close()
 
-    def type(self, name: str) -> Any:
-        package, _, short = name.partition("/")
-        return self.store.types[f"{package}/msg/{short}"]
+    def message(self, kind: str, **values: Any) -> Any:
+        """A message. Its parts are given as dictionaries; what is not given is zero or empty."""
+        name, made = kind if "/msg/" in kind else kind.replace("/", "/msg/"), {}
+        for field, (node, detail) in self.store.fielddefs[name][1]:
+            # ROS 2 writes the names of matrices in lower case
+            given = values.get(field, values.get(field.upper()))
+            if node == Nodetype.NAME:
+                given = self.message(detail, **(given or {}))
+            elif node == Nodetype.BASE:
+                given = ("" if detail[0] == "string" else 0) if given is None else given
+            elif detail[0][0] == Nodetype.NAME:
+                given = [self.message(detail[0][1], **each) for each in given or ()]
+            else:
+                given = np.asarray(np.zeros(detail[1]) if given is None else given, detail[0][1][0]).ravel()
+            made[field] = given
+        return self.store.types[name](**made)
 
-    def stamp(self, time_ns: int) -> Any:
-        return self.type("builtin_interfaces/Time")(sec=time_ns // SECOND, nanosec=time_ns % SECOND)
+    def header(self, time_ns: int, frame: str) -> dict[str, Any]:
+        return {"stamp": {"sec": time_ns // SECOND, "nanosec": time_ns % SECOND}, "frame_id": frame}
 
-    def header(self, time_ns: int, frame: str) -> Any:
-        number = {"seq": 0} if self.is_ros1 else {}
-        return self.type("std_msgs/Header")(**number, stamp=self.stamp(time_ns), frame_id=frame)
-
-    def write(self, topic: str, log_ns: int, message: Any) -> None:
+    def write(self, topic: str, log_ns: int, kind: str, **values: Any) -> None:
+        message = self.message(kind, **values)
         kind = message.__msgtype__
         if topic not in self._topics:
             self._topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         serialize = self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr
         self.writer.write(self._topics[topic], log_ns, serialize(message, kind))
 
+    def put(self, topic: str, time_ns: int, kind: str, frame: str, log_ns: int | None = None, **values: Any) -> None:
+        """Writes a message with a header."""
+        log_ns = time_ns if log_ns is None else log_ns
+        self.write(topic, log_ns, f"sensor_msgs/{kind}", header=self.header(time_ns, frame), **values)
+
     def image(
         self, topic: str, time_ns: int, pixels: np.ndarray, encoding: str, frame: str = "camera", *,
         log_ns: int | None = None, **changed: Any,
     ) -> None:  # fmt: skip
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
-        fields = {
-            "header": self.header(time_ns, frame), "height": len(pixels), "width": pixels.shape[1],
-            "encoding": encoding, "is_bigendian": 0, "step": rows.shape[1], "data": rows.reshape(-1),
-        } | changed  # fmt: skip
-        self.write(topic, time_ns if log_ns is None else log_ns, self.type("sensor_msgs/Image")(**fields))
+        fields = {"height": len(pixels), "width": pixels.shape[1], "encoding": encoding, "step": rows.shape[1]}
+        self.put(topic, time_ns, "Image", frame, log_ns, **{**fields, "data": rows, **changed})
 
     def compressed(self, topic: str, time_ns: int, form: str, data: bytes, frame: str = "camera") -> None:
-        content = self.type("sensor_msgs/CompressedImage")(
-            header=self.header(time_ns, frame), format=form, data=np.frombuffer(data, np.uint8)
-        )
-        self.write(topic, time_ns, content)
+        self.put(topic, time_ns, "CompressedImage", frame, format=form, data=np.frombuffer(data, np.uint8))
 
     def info(
         self, topic: str, time_ns: int, size: tuple[int, int], K: np.ndarray, frame: str = "camera", *,
         R: np.ndarray | None = None, P: np.ndarray | None = None,
     ) -> None:  # fmt: skip
-        given = {"D": [], "K": K, "R": np.eye(3) if R is None else R, "P": np.zeros(12) if P is None else P}
-        matrices = {
-            name if self.is_ros1 else name.lower(): np.array(each, float).ravel() for name, each in given.items()
-        }
-        region = self.type("sensor_msgs/RegionOfInterest")(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
-        content = self.type("sensor_msgs/CameraInfo")(
-            header=self.header(time_ns, frame), height=size[1], width=size[0], distortion_model="plumb_bob",
-            binning_x=0, binning_y=0, roi=region, **matrices,
+        R = np.eye(3) if R is None else R
+        self.put(
+            topic, time_ns, "CameraInfo", frame, width=size[0], height=size[1], distortion_model="plumb_bob",
+            K=K, R=R, P=P,
         )  # fmt: skip
-        self.write(topic, time_ns, content)
 
     def cloud(
         self, topic: str, time_ns: int, points: np.ndarray, frame: str = "lidar", log_ns: int | None = None
@@ -103,43 +108,25 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Writes a structured array of points; its byte order is that of its first field."""
         dtype, n = points.dtype, len(points)
         assert dtype.names is not None and dtype.fields is not None
+        numbers = {name: TYPE_NUMBERS[dtype[name].str[1:]] for name in dtype.names}
         fields = [
-            self.type("sensor_msgs/PointField")(
-                name=name, offset=dtype.fields[name][1], datatype=TYPE_NUMBERS[dtype[name].str[1:]], count=1
-            )
+            {"name": name, "offset": dtype.fields[name][1], "datatype": numbers[name], "count": 1}
             for name in dtype.names
         ]
-        content = self.type("sensor_msgs/PointCloud2")(
-            header=self.header(time_ns, frame), height=1, width=n, fields=fields, is_bigendian=dtype[0].str[0] == ">",
-            point_step=dtype.itemsize, row_step=n * dtype.itemsize, data=np.frombuffer(points.tobytes(), np.uint8),
-            is_dense=False,
+        self.put(
+            topic, time_ns, "PointCloud2", frame, log_ns, height=1, width=n, fields=fields,
+            is_bigendian=dtype[0].str[0] == ">", point_step=dtype.itemsize, row_step=n * dtype.itemsize,
+            data=np.frombuffer(points.tobytes(), np.uint8),
         )  # fmt: skip
-        self.write(topic, time_ns if log_ns is None else log_ns, content)
 
     def transform(self, topic: str, time_ns: int, parent: str, child: str, T: RigidTransform) -> None:
-        x, y, z = T.translation.tolist()
-        turn = dict(zip("xyzw", T.rotation.as_quat().tolist(), strict=True))
-        transform = self.type("geometry_msgs/Transform")(
-            translation=self.type("geometry_msgs/Vector3")(x=x, y=y, z=z),
-            rotation=self.type("geometry_msgs/Quaternion")(**turn),
-        )
-        stamped = self.type("geometry_msgs/TransformStamped")(
-            header=self.header(time_ns, parent), child_frame_id=child, transform=transform
-        )
-        kind = self.type("tf2_msgs/TFMessage")
-        self.write(topic, time_ns, kind(transforms=[stamped]))
+        place, turn = (dict(zip("xyzw", each.tolist(), strict=False)) for each in (T.translation, T.rotation.as_quat()))
+        pose = {"translation": place, "rotation": turn}
+        stamped = {"header": self.header(time_ns, parent), "child_frame_id": child, "transform": pose}
+        self.write(topic, time_ns, "tf2_msgs/TFMessage", transforms=[stamped])
 
     def imu(self, topic: str, time_ns: int, acceleration: tuple[float, float, float], frame: str = "imu") -> None:
-        vector = self.type("geometry_msgs/Vector3")
-        x, y, z = acceleration
-        content = self.type("sensor_msgs/Imu")(
-            header=self.header(time_ns, frame),
-            orientation=self.type("geometry_msgs/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
-            orientation_covariance=np.zeros(9), angular_velocity=vector(x=0.0, y=0.0, z=0.0),
-            angular_velocity_covariance=np.zeros(9), linear_acceleration=vector(x=x, y=y, z=z),
-            linear_acceleration_covariance=np.zeros(9),
-        )  # fmt: skip
-        self.write(topic, time_ns, content)
+        self.put(topic, time_ns, "Imu", frame, linear_acceleration=dict(zip("xyz", acceleration, strict=True)))
 
 
 def structured(columns: dict[str, np.ndarray], order: Literal["<", ">"] = "<", padding: int = 0) -> np.ndarray:

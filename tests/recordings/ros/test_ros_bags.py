@@ -59,7 +59,7 @@ def test_inspect_lists_the_topics_that_matter_and_counts_the_others(tmp_path: Pa
         write_take(bag)
         bag.image("/a_left/image_raw", START_NS, IMAGE[:, :, :1], "mono8")
         for number in range(40):
-            bag.write(f"/option_{number}", START_NS, bag.type("std_msgs/Float32")(data=1.0))
+            bag.write(f"/option_{number}", START_NS, "std_msgs/Float32", data=1.0)
     assert main(["inspect", str(bag.path)]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("topic")]
     assert [line.rpartition(": ")[2] for line in lines[:-1]] == ["camera", "image", "points", "transforms", "--image"]
