@@ -12,8 +12,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import islice
+from operator import mul
 from typing import Any, TypeVar
 
 import numpy as np
@@ -82,11 +83,14 @@ class Links:
         common = next((name for name in above_source if name in above_target), None)
         if common is None:
             raise LinkMissingError(self._gap(target, source, above_target[-1], above_source[-1]))
-        T_common = [RigidTransform.identity(), RigidTransform.identity()]
-        for i, above in enumerate((above_target, above_source)):
-            for name in above[: above.index(common)]:
-                T_common[i] = self._pose(name, time_ns) * T_common[i]
-        return T_common[0].inv() * T_common[1]
+        T_common_source = self._chain(above_source[: above_source.index(common)], time_ns)
+        T_common_target = self._chain(above_target[: above_target.index(common)], time_ns)
+        return T_common_target.inv() * T_common_source
+
+    def _chain(self, names: list[str], time_ns: int) -> RigidTransform:
+        """Returns the transform from the first of `names` to the parent of the last."""
+        poses = [self._pose(name, time_ns) for name in reversed(names)]
+        return reduce(mul, poses) if poses else RigidTransform.identity()
 
     def is_below(self, name: str, above: str) -> bool:
         """True if a chain of links leads up from one frame to another."""
