@@ -56,24 +56,28 @@ class Links:
     """The links known around a time.
 
     Attributes:
+        static: child -> pose in its parent, at all times.
         parents: child -> parent.
-        poses: child -> poses in its parent by time; a static link has the time None.
+        poses: child -> poses in its parent by time.
     """
 
+    static: dict[str, RigidTransform] = field(default_factory=dict)
     parents: dict[str, str] = field(default_factory=dict)
-    poses: dict[str, dict[int | None, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
+    poses: dict[str, dict[int, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
 
     def add(self, parent: str, child: str, time_ns: int | None, place_m: np.ndarray, quaternion: np.ndarray) -> None:
-        """Adds a pose; invalid ones are left out."""
-        if parent == child or not abs(float(np.linalg.norm(quaternion)) - 1) < 0.1 or not are_plausible(place_m):
+        """Adds a pose, without a time a static one; invalid ones are left out."""
+        is_valid = abs(float(np.linalg.norm(quaternion)) - 1) < 0.1 and are_plausible(place_m)
+        if parent == child or child in self.static or not is_valid:
             return
         if self.parents.get(child, parent) != parent:
             # a frame with another parent now: its former poses do not hold
             self.poses.pop(child, None)
         self.parents[child] = parent
-        poses = self.poses.setdefault(child, {})
-        if None not in poses:
-            poses[time_ns] = (place_m, quaternion)
+        if time_ns is None:
+            self.static[child] = _rigid(place_m, quaternion)
+        else:
+            self.poses.setdefault(child, {})[time_ns] = (place_m, quaternion)
 
     def transform(self, target: str, source: str, time_ns: int) -> RigidTransform:
         """Returns `T_target_source` at a time."""
@@ -104,10 +108,10 @@ class Links:
             name = self.parents.get(name, name)
 
     def _pose(self, child: str, time_ns: int) -> RigidTransform:
+        if child in self.static:
+            return self.static[child]
         poses = self.poses[child]
-        if None in poses:
-            return _rigid(*poses[None])
-        times = sorted(time for time in poses if time is not None)
+        times = sorted(poses)
         after = int(np.searchsorted(times, time_ns))
         if 0 < after < len(times):
             before_ns, after_ns = times[after - 1], times[after]
@@ -179,19 +183,21 @@ class TransformReader:
             if count == read or count > MOST_MESSAGES:
                 continue
             read = count
-            links = Links()
+            links = Links(self._static_links.static, dict(self._static_links.parents))
             for topic, numbers in zip(self.moving, ranges, strict=True):
                 for i in numbers:
                     for parent, child, time_ns, place_m, quaternion in _read_links(topic, i):
                         links.add(parent, child, time_ns, place_m, quaternion)
-            for parent, child, _, place_m, quaternion in self._static_links:
-                links.add(parent, child, None, place_m, quaternion)
             yield links
 
     @cached_property
-    def _static_links(self) -> tuple[Link, ...]:
-        numbers = ((topic, i) for topic in self.static for i in range(min(len(topic), MOST_MESSAGES)))
-        return tuple(link for topic, i in numbers for link in _read_links(topic, i))
+    def _static_links(self) -> Links:
+        links = Links()
+        for topic in self.static:
+            for i in range(min(len(topic), MOST_MESSAGES)):
+                for parent, child, _, place_m, quaternion in _read_links(topic, i):
+                    links.add(parent, child, None, place_m, quaternion)
+        return links
 
 
 def _read_links(topic: Topic, i: int) -> Iterator[Link]:
