@@ -153,10 +153,11 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Non
     with file_errors(poses, "copy the recording from the phone again", kind=RecordingError):
         try:
             lines = csv.DictReader(io.StringIO(read_text_file(poses, TABLE_BYTES)), restval="", skipinitialspace=True)
+            lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
             rows = tuple(lines)
         except csv.Error as error:
             raise ValueError(f"not a table ({error})") from error
-    if not {"timestamp", "frame", *QUATERNION} <= {*(lines.fieldnames or ())}:
+    if not {"timestamp", "frame", *QUATERNION} <= {*lines.fieldnames}:
         raise RecordingError(
             f"{poses}:1: must name the columns timestamp, frame, qx, qy, qz, qw; record with a newer app"
         )
