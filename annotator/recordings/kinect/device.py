@@ -12,12 +12,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
 from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.calibration import WITHIN_NS, Size, parse_calibration, up_at_rest
@@ -41,14 +40,12 @@ BUNDLE = "its package contains the Azure Kinect SDK, for 64-bit Linux with glibc
 
 def load_pyk4a() -> ModuleType:
     """Imports pyk4a."""
-    install = 'pip install "rcv-annotator[kinect]" (scripts/setup kinect in a clone)'
     try:
         import pyk4a
     except ImportError as error:
-        if find_spec("pyk4a") is None:
-            raise DeviceError(f"an {NAME} needs pyk4a, which is not installed: {install}; {BUNDLE}") from error
         raise DeviceError(
-            f"pyk4a is installed, but its SDK cannot be loaded ({error}); reinstall it: {install}; {BUNDLE}"
+            f'an {NAME} needs pyk4a, which cannot be imported ({error}): pip install "rcv-annotator[kinect]" '
+            f"(scripts/setup kinect in a clone); {BUNDLE}"
         ) from error
     module: ModuleType = pyk4a
     return module
@@ -188,14 +185,17 @@ class KinectDevice:
         return None
 
     def _frame(self, capture: Any) -> Frame:
+        import cv2
+
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
-        rgb = _rgb(self.name, capture.color)
-        depth, (width, height) = capture.depth, DEPTH_SIZE
-        if depth.shape != (height, width) or depth.dtype != np.uint16:
-            raise DeviceError(
-                f"{self.name}: its depth images are {depth.shape} {depth.dtype}, not {width} x {height} uint16"
-            )
-        xyz_m, pixel = self.calibration.seen_points(depth)
+        for image, kind, size, more in (
+            (capture.color, np.uint8, COLOR_SIZE, (4,)),
+            (capture.depth, np.uint16, DEPTH_SIZE, ()),
+        ):
+            if image.shape != (*size[::-1], *more) or image.dtype != kind:
+                raise DeviceError(f"{self.name}: its images are {image.shape} {image.dtype}, not {size[::-1]} {kind}")
+        rgb: np.ndarray = cv2.cvtColor(capture.color, cv2.COLOR_BGRA2RGB)
+        xyz_m, pixel = self.calibration.seen_points(capture.depth)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))
         number, self._frames = self._frames, self._frames + 1
         up = self._up(time_ns)
@@ -221,12 +221,3 @@ def _arrived_s(system_ns: int) -> float:
     """Returns the SDK's arrival time of an image, on the clock of `perf_counter`; now if that is implausible."""
     now, arrived_s = time.perf_counter(), 1e-9 * system_ns
     return arrived_s if 0 <= now - arrived_s < FIRST_FRAME_WITHIN_S else now
-
-
-def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    import cv2
-
-    width, height = COLOR_SIZE
-    if bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
-        raise DeviceError(f"{name}: its colour images are {bgra.shape} {bgra.dtype}, not {height} x {width} BGRA")
-    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGB))
