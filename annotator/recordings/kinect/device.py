@@ -193,7 +193,9 @@ class KinectDevice:
             (capture.depth, np.uint16, DEPTH_SIZE, ()),
         ):
             if image.shape != (*size[::-1], *more) or image.dtype != kind:
-                raise DeviceError(f"{self.name}: its images are {image.shape} {image.dtype}, not {size[::-1]} {kind}")
+                raise DeviceError(
+                    f"{self.name}: its images are {image.shape} {image.dtype}, not {size[::-1]} {kind.__name__}"
+                )
         rgb: np.ndarray = cv2.cvtColor(capture.color, cv2.COLOR_BGRA2RGB)
         xyz_m, pixel = self.calibration.seen_points(capture.depth)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))

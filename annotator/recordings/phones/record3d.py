@@ -145,8 +145,7 @@ def _opened(path: Path) -> zipfile.ZipFile:
 def list_entries(path: Path) -> frozenset[str]:
     """Lists the files of an archive by name, or of a folder and the folders in it."""
     if path.is_dir():
-        files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
-        return frozenset(file.relative_to(path).as_posix() for file in files)
+        return frozenset(file.relative_to(path).as_posix() for form in ("*", "*/*") for file in path.glob(form))
     return frozenset(_opened(path).namelist())
 
 
