@@ -303,7 +303,7 @@ def _alone(clouds: Topic) -> Pairs:
 
 def _fixed_frame(tf: TransformReader, image: ImageTopic, clouds: Topic, pairs: Pairs, camera_frame: str) -> str | None:
     """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
-    camera, cloud = camera_frame or image.frame, frame_of(clouds) or ""
+    camera, cloud = camera_frame or image.frame, frame_of(clouds)
     for number in pairs.image[[0, len(pairs.image) // 2, -1]].tolist():
         for links in islice(tf.windows(int(image.topic.log_ns[number])), 2):
             for fixed in FIXED_FRAMES:

@@ -91,29 +91,25 @@ class Chosen:
         return partner
 
 
+# Opening a bag asks several times; bags are cached.
+@lru_cache(maxsize=16)
 def image_topics(bag: Bag) -> list[ImageTopic]:
     """Returns the topics of images that have a readable message."""
-    found = (_image_topic(topic) for topic in bag.of_type(*IMAGE_TYPES, VIDEO_TYPE))
-    return [image for image in found if image is not None]
-
-
-# Opening a bag asks several times; bags are cached, so their topics stay the same.
-@lru_cache(maxsize=256)
-def _image_topic(topic: Topic) -> ImageTopic | None:
-    first = first_message(topic)
-    try:
-        return ImageTopic(topic, frame_in(topic, first), *describe(first, topic.name))
-    except FIELD_ERRORS:
-        return None
+    found = []
+    for topic in bag.of_type(*IMAGE_TYPES, VIDEO_TYPE):
+        with suppress(*FIELD_ERRORS):
+            first = first_message(topic)
+            found.append(ImageTopic(topic, frame_in(topic, first), *describe(first, topic.name)))
+    return found
 
 
 @lru_cache(maxsize=256)
-def frame_of(topic: Topic) -> str | None:
-    """Returns the tf frame of a topic's first readable message; None without one."""
+def frame_of(topic: Topic) -> str:
+    """Returns the tf frame of a topic's first readable message; "" without one."""
     try:
         return frame_in(topic, first_message(topic))
     except FIELD_ERRORS:
-        return None
+        return ""
 
 
 def first_message(topic: Topic) -> Any:
