@@ -230,7 +230,8 @@ class ScanBag(RosBag):
     def frame(self, i: int) -> Frame:
         if self.chosen.image is not None:
             return super().frame(i)
-        return virtual_frame(self.scan(i), self.key(i), i, VIRTUAL_CAMERA, T_CAMERA_LIDAR.rotation)
+        with self._errors(i) as key:
+            return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, T_CAMERA_LIDAR.rotation)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
