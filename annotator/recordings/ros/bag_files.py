@@ -160,29 +160,6 @@ class Content:
             return bytes(memoryview(self.data)[start:end])
 
 
-class _Kept:
-    """The contents that were read last, of all files, for all threads."""
-
-    def __init__(self) -> None:
-        self._contents: dict[tuple[ChunkedFile, int], Content] = {}
-        self._lock = Lock()
-
-    def content(self, file: ChunkedFile, number: int) -> Content:
-        """Returns the content of a chunk; the oldest ones beyond the limits are forgotten."""
-        with self._lock:
-            content = self._contents.pop((file, number), None) or file.opened(number)
-            self._contents[file, number] = content
-            while len(self._contents) > 1 and (
-                len(self._contents) > MOST_KEPT
-                or sum(len(each.data) for each in self._contents.values()) > MOST_KEPT_BYTES
-            ):
-                del self._contents[next(iter(self._contents))]
-            return content
-
-
-KEPT = _Kept()
-
-
 class ChunkedFile(BagFile):
     """A file with chunks. A chunk is decompressed only as far as its messages are needed."""
 
@@ -215,7 +192,18 @@ class ChunkedFile(BagFile):
             return self._stored(chunk.at + start, min(size, chunk.size - start))
         end = start + size if chunk.full_size is None else min(start + size, chunk.full_size)
         require_memory(more_bytes=end)
-        return KEPT.content(self, number).read(start, end)
+        with KEPT_LOCK:
+            content = KEPT.pop((self, number), None) or self.opened(number)
+            KEPT[self, number] = content
+            # the oldest ones are forgotten
+            while len(KEPT) > MOST_KEPT or sum(len(each.data) for each in KEPT.values()) > MOST_KEPT_BYTES:
+                del KEPT[next(iter(KEPT))]
+        return content.read(start, end)
+
+
+# The contents that were read last, of all files, for all threads.
+KEPT: dict[tuple[ChunkedFile, int], Content] = {}
+KEPT_LOCK = Lock()
 
 
 def unpacked_message(data: bytes, most: int | None = None) -> bytes:
