@@ -1,19 +1,72 @@
-"""Pairs the images of a bag with its clouds by time."""
+"""Pairs the images of a bag with its clouds by time.
+
+The header times of bags that are slow to read are kept in the user's cache folder: to find those of a bag that is
+compressed with bz2, half of it must be decompressed, half a minute for 2 GB.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import logging
 import os
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
 from annotator.types.messages import amount
+
+LOG = logging.getLogger("annotator.bags")
+# Faster topics are not kept.
+SLOW_S = 2.0
+
+
+def kept_times(topic: Topic, read: Callable[[], Int64[np.ndarray, "n"]]) -> Int64[np.ndarray, "n"]:
+    """Returns the times of a topic's messages: those that were kept for these files, else what `read` returns."""
+    path = cache_folder() / f"{_fingerprint(topic)}.npy"
+    try:
+        kept = np.load(io.BytesIO(read_file(path, TABLE_BYTES)), allow_pickle=False)
+        if kept.shape == (len(topic),) and kept.dtype == np.int64:
+            return np.asarray(kept)
+    except (OSError, ValueError, EOFError):  # not kept, or damaged
+        pass
+    started = time.monotonic()
+    times = read()
+    if time.monotonic() - started > SLOW_S:
+        content = io.BytesIO()
+        np.save(content, times)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, content.getvalue())
+        except OSError as error:
+            LOG.warning("%s: the times of %s cannot be kept (%s)", path, topic.name, error.strerror)
+    return times
+
+
+def cache_folder() -> Path:
+    """Returns the folder of the kept times, which may be removed at any time."""
+    place = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(place) if place else Path.home() / ".cache") / "annotator" / "bags"
+
+
+def _fingerprint(topic: Topic) -> str:
+    """Returns a name for a topic in these files, as they are now."""
+    parts = [topic.name, topic.type, str(len(topic))]
+    for file in topic.files:
+        stat = file.path.stat()
+        parts += [str(file.path.resolve()), str(stat.st_size), str(stat.st_mtime_ns)]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
 
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.
 MOST_APART_NS = SECOND
@@ -75,6 +128,10 @@ def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
 @lru_cache(maxsize=16)
 def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
     """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
+    return kept_times(topic, partial(_header_times, topic))
+
+
+def _header_times(topic: Topic) -> Int64[np.ndarray, "n"]:
     threads = (os.cpu_count() or 1) if any(file.is_slow for file in topic.files) else 1
     # neighbours are often in one chunk
     parts = np.array_split(np.arange(len(topic)), PARTS * threads)

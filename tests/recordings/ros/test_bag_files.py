@@ -14,7 +14,7 @@ from foxglove_takes import WRITERS, foxglove_take, picture_take, write_mcap
 from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
 
 from annotator.recordings import detect_format, open_recording
-from annotator.recordings.ros import pictures
+from annotator.recordings.ros import pairing, pictures
 from annotator.recordings.ros.bag import Topic, open_bag
 from annotator.types.errors import FrameError, RecordingError, UnknownFormatError
 
@@ -58,6 +58,29 @@ def test_the_parts_of_a_recording_are_one_bag_and_other_files_are_not(tmp_path: 
             shutil.copy(file, folder / name)
         with pytest.raises(UnknownFormatError, match="contains recordings; give the path of one of them: a"):
             open_recording(folder)
+
+
+def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(pairing, "SLOW_S", -1.0)
+    # bz2 is read by several threads
+    monkeypatch.setattr(pairing.os, "cpu_count", lambda: 4)
+    with BagWriter(tmp_path, "ros1", "bz2") as bag:
+        write_take(bag)
+    opened = open_bag(bag.path)
+    assert opened is not None
+    topic, expected = opened.topics["/points"], START_NS + np.arange(3) * 100 * MS
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    (file,) = pairing.cache_folder().iterdir()
+    # the second time they are read from there, unless the file is damaged or the bag has changed
+    with monkeypatch.context() as patched:
+        patched.setattr(pairing, "quick_stamp_ns", lambda *_: pytest.fail("the bag is read"))
+        np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    file.write_bytes(b"damaged")
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    bag.path.touch()
+    pairing.stamps_ns.__wrapped__(topic)
+    assert len(list(pairing.cache_folder().iterdir())) == 2
 
 
 def cut(path: Path, share: float) -> None:
