@@ -214,8 +214,8 @@ def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarra
     return np.array(up) / length
 
 
-# A PNG file's signature and first chunk.
-PNG_HEAD_BYTES = 33
+# What is before the pixels of a depth image.
+PNG_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, eq=False)
