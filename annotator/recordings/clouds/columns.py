@@ -16,7 +16,7 @@ scale. The first scans of a recording decide for all: one scale of reflectance, 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -268,40 +268,48 @@ def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray,
     return found, scale
 
 
-def text_columns(
-    body: bytes,
-    count: int,
-    names: tuple[str, ...],
-    first_line: int,
-    pick: Callable[[list[bytes]], list[bytes]] | None = None,
-) -> dict[str, np.ndarray]:
-    """Parses columns stored as text, one row per line.
+def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped: int = 0) -> dict[str, np.ndarray]:
+    """Parses columns stored as text, one row per line, from a byte on; what follows the rows is ignored.
+
+    Columns have the types of their header where their values fit these. Floats stay doubles: whole numbers beyond 24
+    bits (packed colours) would lose digits.
 
     Args:
-        body: the text; anything after the rows is ignored.
-        count: the number of rows.
-        first_line: line number of the body's first line in the file, for messages.
-        pick: returns the values of `names` among those of a line; None = they are its first.
+        dtype: of a row; a field of several values is split into as many columns.
+        skipped: lines before the rows.
     """
-    if not count:
-        raise ValueError("has no points")
+    kinds = dict(_flat(dtype))
     # each value needs two bytes: impossible counts are rejected before memory is allocated
-    if count * len(names) * 2 > len(body) + 1:
-        raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
-    require_memory(points=count, more_bytes=count * len(names) * 8)
-    lines = list(islice(filter(bytes.strip, body.splitlines()), count))
-    if len(lines) < count:
-        raise ValueError(f"declares {count} points but has {len(lines)}")
-    if pick is not None:
-        # numpy would skip lines without a value
-        lines = [b" ".join(pick(line.split())) or b"?" for line in lines]
+    if (count + skipped) * len(kinds) > len(data):
+        raise ValueError(f"declares {count} points, too many for its {len(data)} bytes")
+    require_memory(points=count, more_bytes=count * len(kinds) * 8)
+    body = data[offset:].splitlines()
+    lines = list(islice(filter(bytes.strip, body), skipped, skipped + count))
+    if len(lines) < count or not count:
+        raise ValueError(f"declares {count} points but has {len(lines)}" if count else "has no points")
     try:
-        table = np.loadtxt(lines, ndmin=2, usecols=range(len(names)), comments=None, encoding="ascii")
+        table = np.loadtxt(lines, ndmin=2, usecols=range(len(kinds)), comments=None, encoding="ascii")
     except ValueError:
-        numbers = [number for number, line in enumerate(body.splitlines(), first_line) if line.strip()]
-        places = zip(lines, numbers, strict=False)
-        table = np.array([_numbers(*place, row, len(names)) for row, place in enumerate(places, 1)])
-    return {name: table[:, column] for column, name in enumerate(names)}
+        first = data.count(b"\n", 0, offset) + 1
+        numbers = [number for number, line in enumerate(body, first) if line.strip()][skipped:]
+        places = enumerate(zip(lines, numbers, strict=False), 1)
+        table = np.array([_numbers(line, number, row, len(kinds)) for row, (line, number) in places])
+    return {name: _typed(table[:, column], kind) for column, (name, kind) in enumerate(kinds.items())}
+
+
+def _flat(dtype: np.dtype) -> Iterator[tuple[str, np.dtype]]:
+    """Yields name and type of each value of a row."""
+    for name in dtype.names or ():
+        values = int(np.prod(dtype[name].shape))
+        for number in range(values):
+            yield name if values == 1 else f"{name}_{number}", dtype[name].base
+
+
+def _typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        whole = values if dtype.kind == "f" else values.astype(dtype)
+    # writers put numbers into types that do not hold them, such as colours with alpha
+    return whole if (whole == values).all() else values
 
 
 def _numbers(line: bytes, number: int, row: int, columns: int) -> list[float]:
@@ -320,25 +328,6 @@ def _number(text: bytes) -> float:
     if HEXADECIMAL.fullmatch(text):
         return float(int(text.lstrip(b"#"), 16))
     return np.nan if NOT_A_NUMBER.fullmatch(text) else to_number(text.decode("utf-8", "replace"))
-
-
-def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
-    """Returns a column of text in the type that its header declares; as it is if its values do not fit the type.
-
-    Floats stay doubles: whole numbers beyond 24 bits (packed colours) would lose digits.
-    """
-    if dtype.kind == "f":
-        return values
-    known = values[np.isfinite(values)]
-    limits = np.iinfo(dtype)
-    if len(known) < len(values) or not (np.rint(values) == values).all():
-        return values
-    # other writers put the bits of unsigned numbers into signed types, or the numbers themselves
-    if dtype.kind == "i" and known.max(initial=0) > limits.max and known.min(initial=0) >= 0:
-        dtype = np.dtype(f"u{dtype.itemsize}")
-        limits = np.iinfo(dtype)
-    fits = known.min(initial=0) >= limits.min and known.max(initial=0) <= limits.max
-    return values.astype(dtype) if fits else values
 
 
 def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
