@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,10 @@ from pydantic import ValidationError
 
 from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.messages import first_few, first_problem
+from annotator.types.messages import first_problem
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("(?:0(?=[0-9]))*([0-9]+)")
-# Files about a data set, which no reader needs.
-DOCUMENTS = ("README*", "LICENSE*", "LICENCE*")
-MOST_NAMED = 8
 
 REMEDIES = {
     errno.ENAMETOOLONG: "give a shorter path",
@@ -84,22 +80,6 @@ def joined(names: set[str], *others: set[str]) -> set[str]:
         forms = set(map(normal, names))
         names = names | {name for name in other if normal(name) not in forms}
     return names
-
-
-def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None:
-    """Returns a sentence that names the entries of a folder that no reader of its format knows; None if there are none.
-
-    Args:
-        known: patterns of the names that are read.
-        labels: where the labels are read from.
-    """
-    with path_errors(folder), os.scandir(folder) as entries:
-        names = sorted(entry.name + "/" * entry.is_dir() for entry in entries if entry.name[0] != ".")
-    patterns = (*known, *DOCUMENTS)
-    unread = [name for name in names if not any(fnmatch(name.rstrip("/"), pattern) for pattern in patterns)]
-    if not unread:
-        return None
-    return f"not read: {first_few(unread, MOST_NAMED)}; labels are read from {labels}"
 
 
 def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:

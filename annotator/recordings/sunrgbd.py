@@ -45,7 +45,6 @@ from annotator.recordings.listing import (
     require_size,
     sorted_keys,
     stems,
-    unread_note,
 )
 from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
 from annotator.recordings.recording import KeyedFrames
@@ -112,18 +111,6 @@ def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None 
     return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
-# What is read here and by annotator.formats.
-EXTRACTED_READ = (
-    "image",
-    "calib",
-    "depth",
-    "points",
-    "label",
-    "*_data_idx.txt",
-    "SUNRGBDMeta*.mat",
-    "frames.csv",
-    "classes.txt",
-)
 # A cloud is organised if its points project to pixel centres within this distance.
 ON_PIXEL_PX = 0.05
 
@@ -139,11 +126,6 @@ class SunRgbdExtracted(KeyedFrames):
     clouds: Path
     format: ClassVar[str] = "sunrgbd_extracted"
     is_sequence: ClassVar[bool] = False
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        note = unread_note(self.path, EXTRACTED_READ, "label/KEY.txt")
-        return () if note is None else (note,)
 
     def files(self, i: int) -> tuple[Path, Path]:
         key, suffix = self.key(i), ".mat" if self.clouds.name == "depth" else ".npz"
@@ -239,9 +221,6 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
-LABELS = "annotation3Dfinal/index.json"
-# What is read here and by annotator.formats.
-SCENES_READ = (MARK, *SCENE_MARKS, *DEPTH_FOLDERS, "annotation3Dfinal")
 KEY_SEPARATOR = "__"
 
 
@@ -256,12 +235,6 @@ class SunRgbdScenes(KeyedFrames):
     folders: tuple[str, ...]
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Names what the first scene has besides."""
-        note = unread_note(Path(self.folders[0]), SCENES_READ, LABELS)
-        return () if note is None else (f"in the first scene, {note}",)
 
     @cached_property
     def scenes(self) -> tuple[Path, ...]:

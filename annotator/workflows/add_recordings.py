@@ -197,7 +197,8 @@ def _chosen(
         return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
 
     one = opened(_first(scenes), _first(cameras))
-    for scene in _names(path, "scene", scenes, one.scenes, one.scene) if isinstance(one, Scenes) else (None,):
+    several = one if isinstance(one, Scenes) and one.scenes else None
+    for scene in _names(path, "scene", scenes, several.scenes, several.scene) if several else (None,):
         # opened without the name of what nobody named, so that its notes tell of the others
         asked = scene if scenes else None
         one = opened(asked, _first(cameras))
