@@ -31,7 +31,6 @@ from annotator.frame_limits import read_frame_file
 from annotator.recordings.clouds.columns import (
     NO_RETURN,
     REFLECTANCE_SCALES,
-    CommonScale,
     RawCloud,
     files_like,
     fractions,
@@ -146,11 +145,9 @@ class Scans:
 
     Attributes:
         columns: the option `columns`: values per point of all files, which are not examined then; None = not given.
-        scale: of their reflectance.
     """
 
     columns: int | None = None
-    scale: CommonScale = field(default_factory=CommonScale)
     _found: dict[Path, int | None] = field(default_factory=dict)
 
     def read(self, path: Path) -> RawCloud:
@@ -158,15 +155,12 @@ class Scans:
 
         Points that are no returns (`are_returns`) are left out, and those whose reflectance is not finite.
         """
-        return self.scale.apply(path.parent, self._read(path), lambda: files_like(path), self._read)
-
-    def _read(self, path: Path) -> RawCloud:
         data = scan_bytes(path)
         rows = read_scan_rows(path, data, self._columns(path, data))
         has_reflectance = rows.shape[1] > 3 and _is_reflectance(rows[:, 3])
         rows = valid_rows(path, rows, 4 if has_reflectance else 3)
         xyz_m = rows[:, :3].astype(np.float64)
-        return RawCloud(xyz_m, None, *fractions(rows[:, 3])) if has_reflectance else RawCloud(xyz_m)
+        return RawCloud(xyz_m, None, fractions(rows[:, 3])) if has_reflectance else RawCloud(xyz_m)
 
     @property
     def notes(self) -> tuple[str, ...]:
