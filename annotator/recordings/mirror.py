@@ -11,17 +11,15 @@ other formats tell it (`file_owners`).
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from annotator.files import unfinished_folder
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.sunrgbd import KEY_SEPARATOR
@@ -54,15 +52,16 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
         from fsspec.core import url_to_fs
 
         system, root = url_to_fs(url)
-        sizes = {path: _size(info) for path, info in system.find(root, detail=True).items()}
+        sizes = {path: int(info.get("size") or 0) for path, info in system.find(root, detail=True).items()}
     name = PurePosixPath(root).name or "recording"
     is_file = list(sizes) == [root]
     files = {name: (root, sizes[root])} if is_file else dict(_below(url, root, sizes))
     if not files:
         raise RecordingError(f"{url}: has no files; give the URL of a recording")
-    place = _process_folder(folder)
-    store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
-    try:
+    # what killed processes have left is removed
+    with ExitStack() as stack:
+        place = stack.enter_context(unfinished_folder(folder, "recording"))
+        store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
         for path, (_, size) in files.items():
             store.empty(path)
             is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
@@ -70,10 +69,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
                 store.keep(path)
         with store.url_in_errors():
             opened = open_recording(place / name, options)
-    except BaseException:
-        shutil.rmtree(place, ignore_errors=True)
-        raise
-    return Mirror(opened, store, weakref.finalize(store, shutil.rmtree, place, True))
+        return Mirror(opened, store, weakref.finalize(store, stack.pop_all().close))
 
 
 class Mirror:
@@ -207,10 +203,6 @@ def _storage_errors(url: str) -> Iterator[None]:
         raise RecordingError(problem) from error
 
 
-def _size(info: dict[str, Any]) -> int:
-    return int(info.get("size") or 0)
-
-
 def _below(url: str, root: str, sizes: dict[str, int]) -> Iterator[tuple[str, tuple[str, int]]]:
     """Yields path relative to the root, path in the storage and size; rejects names that lead out of the folder."""
     for path, size in sizes.items():
@@ -226,25 +218,3 @@ def _owner(path: str, keys: Mapping[str, str]) -> str | None:
     *folders, name = PurePosixPath(normal(path)).parts
     scenes = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
     return next((keys[each] for each in (PurePosixPath(name).stem, *scenes) if each in keys), None)
-
-
-def _process_folder(folder: Path) -> Path:
-    """Creates a folder for this process and removes those of processes that no longer run."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for other in folder.iterdir():
-        pid = other.name.partition("-")[0]
-        if pid.isdigit() and not _is_alive(int(pid)):
-            shutil.rmtree(other, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=folder))
-
-
-def _is_alive(pid: int) -> bool:
-    if os.name == "nt":  # on Windows, os.kill would terminate the process
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

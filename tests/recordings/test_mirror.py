@@ -104,7 +104,7 @@ def test_a_folder_that_is_not_a_recording_leaves_no_copy(tmp_path: Path) -> None
 
 
 def test_copies_of_killed_processes_are_removed(bucket: str, tmp_path: Path) -> None:
-    left = tmp_path / "4194999-abc"  # above the largest process id of Linux
+    left = tmp_path / ".recording.01234567.unfinished"
     left.mkdir()
     (left / "file").touch()
     open_mirror(bucket, tmp_path, 50 * MEGABYTE)
