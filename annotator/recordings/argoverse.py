@@ -25,13 +25,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.feather import Kind, read_feather
 from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
-from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole, pinhole
+from annotator.recordings.plausible import are_plausible, is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
@@ -46,7 +46,7 @@ POSES, MOUNTS, INTRINSICS = (
 )
 FRONT, LIDAR = "ring_front_center", "up_lidar"
 REMEDY = "copy it again from the data set"
-MOST_INTENSITY = np.float32(255.0)
+MOST_INTENSITY = 255
 # Half the period of the LiDAR.
 TOLERANCE_S = 0.05
 # 64 bits have 19 digits.
@@ -140,12 +140,9 @@ class ArgoverseLog(KeyedFrames):
         """Returns the valid points in the ego frame."""
         path = self._sweep_file(key)
         columns = _table(path, {"x": "float", "y": "float", "z": "float", "intensity": "int"})
-        xyz_m = np.stack([columns[name] for name in "xyz"], axis=1)
-        valid = are_returns(xyz_m)
-        if not valid.any():
-            raise FrameError(path, "has no points", REMEDY)
-        intensity = columns["intensity"][valid].astype(np.float32)
-        return RawCloud(xyz_m[valid], None, np.clip(intensity / MOST_INTENSITY, 0, 1))
+        columns["intensity"] = columns["intensity"].clip(0, MOST_INTENSITY).astype(np.uint8)
+        with file_errors(path, REMEDY):
+            return from_columns(columns)
 
     def _T_city_ego(self, time_ns: str) -> RigidTransform:
         poses = _poses(self.path / POSES)

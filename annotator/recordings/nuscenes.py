@@ -34,14 +34,13 @@ from annotator.nuscenes_tables import (
     read_rows,
 )
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole, pinhole
 from annotator.recordings.recording import KeyedFrames, ReaderOptions
-from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
+from annotator.recordings.scan_file import NUSCENES, Scans
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -208,7 +207,7 @@ def _table(model: type[Record]) -> str:
 FRONT = "CAM_FRONT"
 # The origins of an export's frames; nuScenes itself has no such file.
 EXPORT_MARK = "frames.csv"
-MOST_INTENSITY = np.float32(255.0)
+SCANS = Scans(NUSCENES)
 GLOBAL_UP = np.array([0.0, 0.0, 1.0])
 # x of the vehicle's frame
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -282,7 +281,7 @@ class NuScenes(KeyedFrames):
         rgb = picture.rgb
         camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(scan_file)
+        points = SCANS.read(scan_file)
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
@@ -305,7 +304,7 @@ class NuScenes(KeyedFrames):
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(self.files(i)[-1])
+        points = SCANS.read(self.files(i)[-1])
         R_lidar_global = T_global_lidar.rotation.inv()
         if self.camera:
             ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
@@ -375,12 +374,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
         raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
     notes = _notes(data, camera, moments, scenes, options)
     return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
-
-
-def read_scan(path: Path) -> RawCloud:
-    """Returns the valid points of a scan: x y z intensity (0..255) ring."""
-    rows = valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
-    return RawCloud(rows[:, :3].astype(np.float64), None, np.clip(rows[:, 3] / MOST_INTENSITY, 0, 1))
 
 
 def _knows_world(shot: Shot) -> bool:

@@ -22,22 +22,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Never
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import (
-    NO_RETURN,
-    REFLECTANCE_SCALES,
-    RawCloud,
-    files_like,
-    fractions,
-)
+from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, files_like, from_columns
 from annotator.recordings.listing import file_errors
-from annotator.recordings.plausible import LARGEST, are_returns
-from annotator.types.errors import FrameError, UnclearError
+from annotator.types.errors import UnclearError
 
 BYTES_PER_VALUE = 4
 # Longer rows than are read are recognised, so that they are not taken for one of their divisors.
@@ -136,7 +128,6 @@ NUSCENES_SUFFIX, NUSCENES_FOLDER = ".pcd.bin", "LIDAR_TOP"
 KITTI_FOLDERS = ("velodyne", "velodyne_points")
 # Scans of a folder that are examined together.
 SCANS = 8
-REMEDY = "copy the scan again from the data set"
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +142,18 @@ class Scans:
     _found: dict[Path, int | None] = field(default_factory=dict)
 
     def read(self, path: Path) -> RawCloud:
-        """Returns the valid points of a scan.
-
-        Points that are no returns (`are_returns`) are left out, and those whose reflectance is not finite.
-        """
-        data = scan_bytes(path)
-        rows = read_scan_rows(path, data, self._columns(path, data))
-        has_reflectance = rows.shape[1] > 3 and _is_reflectance(rows[:, 3])
-        rows = valid_rows(path, rows, 4 if has_reflectance else 3)
-        xyz_m = rows[:, :3].astype(np.float64)
-        return RawCloud(xyz_m, None, fractions(rows[:, 3])) if has_reflectance else RawCloud(xyz_m)
+        """Returns the valid points of a scan."""
+        with file_errors(path, "copy the scan again from the data set, or remove the frame"):
+            data = read_frame_file(path)
+            if not data:
+                raise ValueError("the file is empty")
+            columns = self._columns(path, data)
+            if len(data) % (BYTES_PER_VALUE * columns):
+                unit = f"{BYTES_PER_VALUE * columns} ({columns} 32-bit floats per point)"
+                raise ValueError(f"the scan is truncated: {len(data)} bytes are not a multiple of {unit}")
+            rows = np.frombuffer(data, "<f4").reshape(-1, columns)
+            named = 4 if columns > 3 and _is_reflectance(rows[:, 3]) else 3
+            return from_columns(dict(zip(("x", "y", "z", "reflectance")[:named], rows.T, strict=False)))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -213,33 +206,6 @@ class Scans:
         return self._found[folder]
 
 
-def read_scan_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c"]:
-    """Returns the points of a scan's content."""
-    if len(data) % (BYTES_PER_VALUE * columns):
-        _raise_truncated(path, len(data), BYTES_PER_VALUE * columns, f"{columns} 32-bit floats per point")
-    return np.frombuffer(data, "<f4").reshape(-1, columns)
-
-
-def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Float32[np.ndarray, "m c"]:
-    """Returns the points that are returns, and of which the first `checked` values are plausible numbers."""
-    # false also for infinity and NaN
-    valid = are_returns(rows[:, :3]) & (np.abs(rows[:, 3:checked]) < LARGEST).all(axis=1)
-    if not valid.any():
-        raise FrameError(path, NO_RETURN, REMEDY)
-    return rows[valid]
-
-
-def scan_bytes(path: Path) -> bytes:
-    """Returns the content of a scan."""
-    with file_errors(path, "copy it from the data set"):
-        data = read_frame_file(path)
-    if not data:
-        raise FrameError(path, "the file is empty", REMEDY)
-    if len(data) % BYTES_PER_VALUE:
-        _raise_truncated(path, len(data), BYTES_PER_VALUE, "32-bit floats")
-    return data
-
-
 def said_columns(path: Path) -> tuple[int, str] | None:
     """Returns the number of values per point that a scan's name or place says, and which of them; None if neither."""
     if path.name.lower().endswith(NUSCENES_SUFFIX):
@@ -249,14 +215,6 @@ def said_columns(path: Path) -> tuple[int, str] | None:
         return NUSCENES, f"its place ({NUSCENES_FOLDER}/, nuScenes)"
     name = next((folder for folder in folders if folder in KITTI_FOLDERS), None)
     return None if name is None else (KITTI, f"its place ({name}/, KITTI)")
-
-
-def _raise_truncated(path: Path, size: int, unit: int, what: str) -> Never:
-    raise FrameError(
-        path,
-        f"the scan is truncated: {size} bytes are not a multiple of {unit} ({what})",
-        REMEDY + ", or remove the frame",
-    )
 
 
 def _is_reflectance(values: Float32[np.ndarray, "n"]) -> bool:
