@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
@@ -194,15 +194,13 @@ def _organised(
     size = np.array([camera.width_px, camera.height_px])
     with np.errstate(invalid="ignore"):
         on_pixel = (np.abs(px - nearest) < ON_PIXEL_PX).all(axis=1) & ((nearest >= 0) & (nearest < size)).all(axis=1)
-    if not on_pixel.all():
-        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
-    pixel: Int32[np.ndarray, "n"] = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
-    depth_m = np.zeros(camera.height_px * camera.width_px, np.float32)
-    depth_m[pixel] = xyz[:, 2]
-    if np.count_nonzero(depth_m) < len(pixel):
-        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
-    cloud = PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance, pixel_index=pixel)
-    return cloud, depth_m.reshape(camera.height_px, camera.width_px)
+    depth_m, pixel = np.zeros(camera.height_px * camera.width_px, np.float32), None
+    if on_pixel.all():
+        pixel = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
+        depth_m[pixel] = xyz[:, 2]
+    is_organised = pixel is not None and np.count_nonzero(depth_m) == len(pixel)
+    cloud = PointCloud(xyz, _colors(raw, px, rgb), raw.reflectance, pixel if is_organised else None)
+    return cloud, depth_m.reshape(camera.height_px, camera.width_px) if is_organised else None
 
 
 def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None:
