@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -311,6 +311,7 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
 
 
 CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+RAW_TIMES = "image_02/timestamps.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,12 +334,9 @@ class KittiRaw(KittiFolder):
         )
 
     def time_ns(self, number: int) -> int:
-        path = self.path / "image_02" / "timestamps.txt"
-        if not path.is_file():
+        times, path = self._times, self.path / RAW_TIMES
+        if times is None:
             return number * PERIOD_NS
-        with file_errors(path, "copy it again from the data set"):
-            stat = path.stat()
-            times = _times(path, stat.st_mtime_ns, stat.st_size)
         time_ns = times[number] if number < len(times) else None
         if time_ns is None:
             raise FrameError(
@@ -348,11 +346,14 @@ class KittiRaw(KittiFolder):
             )
         return time_ns
 
-
-@lru_cache(maxsize=4)
-def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
-    """Returns the time of each line, nanoseconds since the epoch; None for an invalid line."""
-    return tuple(_nanoseconds(line.strip()) for line in read_text_file(path, TABLE_BYTES).splitlines())
+    @cached_property
+    def _times(self) -> tuple[int | None, ...] | None:
+        """The time of each line, nanoseconds since the epoch; None for an invalid line. None without the file."""
+        path = self.path / RAW_TIMES
+        if not path.is_file():
+            return None
+        with file_errors(path, "copy it again from the data set"):
+            return tuple(_nanoseconds(line.strip()) for line in read_text_file(path, TABLE_BYTES).splitlines())
 
 
 def _nanoseconds(line: str) -> int | None:

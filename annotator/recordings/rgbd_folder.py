@@ -114,17 +114,18 @@ def camera_file(folder: Path) -> Path:
     expected = folder / FILE_NAME
     if expected.is_file():
         return expected
+    found: list[Path] = []
     for place in (folder, folder.resolve().parent):
-        files = [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
-        if len(files) == 1:
-            return files[0]
-        if files:
-            names = ", ".join(path.name for path in files)
-            raise FrameError(
-                expected, f"missing, and {place} has several cameras ({names})", f"copy the right one to {FILE_NAME}"
-            )
+        found = found or [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(path.name for path in found)
     raise FrameError(
-        expected, "missing", "write width, height and intrinsic_matrix (column-major) of the colour camera"
+        expected,
+        f"missing, and {found[0].parent} has several cameras ({names})" if found else "missing",
+        f"copy the right one to {FILE_NAME}"
+        if found
+        else "write width, height and intrinsic_matrix (column-major) of the colour camera",
     )
 
 

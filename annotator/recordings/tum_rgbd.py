@@ -49,8 +49,6 @@ NEIGHBOURS = 3
 REMEDY = "correct the line, or remove it"
 # Between the values of a line, as in TUM's own tools.
 SEPARATOR = re.compile(r"[\s,]+")
-# Seconds and their decimals, with another value after them.
-DECIMAL_COMMA = re.compile(r"\d+,\d+[\s,;]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,11 +182,6 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line) for number, line in rows if line and not line.startswith("#")]
 
 
-def _require_points(path: Path, number: int, line: str) -> None:
-    if DECIMAL_COMMA.match(line):
-        raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
-
-
 def _time_ns(path: Path, number: int, text: str) -> int:
     try:
         time_s = Decimal(text)
@@ -205,7 +198,6 @@ def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
     """Returns the times (ns) and files of a list, in time order."""
     images = []
     for number, line in _lines(path):
-        _require_points(path, number, line)
         time, rest = (*SEPARATOR.split(line, maxsplit=1), "")[:2]
         # further columns are ignored, but a name may have blanks
         names = (SEPARATOR.split(rest)[0], rest)
@@ -253,11 +245,7 @@ def _poses(path: Path) -> Poses | None:
 
 
 def _quaternion(path: Path, number: int, line: str) -> list[float]:
-    words = line.replace(",", " ").split()
-    if len(words) > 8:
-        _require_points(path, number, line)
-        # commas within values that blanks separate
-        words = line.split()
+    words = SEPARATOR.split(line)
     with file_errors(path, REMEDY, f"line {number}: ", RecordingError):
         numbers = [to_number(word) for word in words[4:8]]
     if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:

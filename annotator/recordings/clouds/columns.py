@@ -14,7 +14,6 @@ Where a file does not say whether its reflectances are fractions, 8 or 16 bits, 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -25,7 +24,6 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import require_memory
 from annotator.recordings.plausible import are_returns
-from annotator.text import to_number
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
@@ -131,9 +129,6 @@ REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_ref
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Share of the points that may be at the limit of one coordinate's type.
 MOST_SATURATED = 0.01
-HEXADECIMAL = re.compile(rb"(?:0[xX]|#)[0-9a-fA-F]{1,8}")
-# Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either.
-NOT_A_NUMBER = re.compile(rb"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,33 +173,30 @@ def from_columns(columns: Mapping[str, np.ndarray]) -> RawCloud:
 def at_limits(xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
     """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
 
-    If they are all points, or many along one axis only, what was measured did not fit the type: a FrameError.
+    If they are all points, or many in which another coordinate is none, what was measured did not fit the type: a
+    ValueError.
     """
-    stored = [_at_limit(values) for values in xyz]
-    if not any(limited.any() for limited in stored):
-        return stored[0]
+    stored = np.stack([_at_limit(values) for values in xyz])
     # all three: what NaN became, or a driver's "no return"
-    some, every = np.any(stored, axis=0), np.all(stored, axis=0)
-    for name, values, limited in zip("xyz", xyz, stored, strict=True):
-        single = np.count_nonzero(limited & ~every)
-        if single > MOST_SATURATED * len(some) or (len(some) and every.all()):
-            problem = (
-                f"{name} is at the limit of {values.dtype.name} in {np.count_nonzero(limited)} of {len(some)} points"
-            )
-            raise ValueError(
-                f"its coordinates are saturated: {problem}; an offset near the points, or larger steps help"
-            )
+    some, every = np.asarray(stored.any(axis=0)), np.asarray(stored.all(axis=0))
+    if len(some) and (every.all() or (some & ~every).mean() > MOST_SATURATED):
+        kinds = " ".join(sorted({values.dtype.name for values in xyz}))
+        raise ValueError(
+            f"its coordinates are saturated: {np.count_nonzero(some)} of {len(some)} points are at the limit of "
+            f"{kinds}; an offset near the points, or larger steps help"
+        )
     return some
 
 
 def _at_limit(values: np.ndarray) -> Bool[np.ndarray, "n"]:
     """Bytes use their whole range, and the limits of longer floats are beyond `LARGEST`."""
     dtype = values.dtype
-    if dtype != np.float16 and (dtype.kind not in "iu" or dtype.itemsize == 1):
+    if dtype == np.float16:
+        return np.abs(values) == np.finfo(dtype).max
+    if dtype.kind not in "iu" or dtype.itemsize == 1:
         return np.zeros(len(values), bool)
-    limits = np.finfo(np.float16) if dtype.kind == "f" else np.iinfo(dtype)
-    highest = values == limits.max
-    return highest if dtype.kind == "u" else highest | (values == limits.min)
+    limits = np.iinfo(dtype)
+    return (values == limits.max) | ((values == limits.min) & (dtype.kind == "i"))
 
 
 def fractions(values: Float[np.ndarray, "n"]) -> Float32[np.ndarray, "n"] | None:
@@ -251,17 +243,11 @@ def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped:
     if (count + skipped) * len(kinds) > len(data):
         raise ValueError(f"declares {count} points, too many for its {len(data)} bytes")
     require_memory(points=count, more_bytes=count * len(kinds) * 8)
-    body = data[offset:].splitlines()
-    lines = list(islice(filter(bytes.strip, body), skipped, skipped + count))
+    lines = list(islice(filter(bytes.strip, data[offset:].splitlines()), skipped, skipped + count))
     if len(lines) < count or not count:
         raise ValueError(f"declares {count} points but has {len(lines)}" if count else "has no points")
-    try:
-        table = np.loadtxt(lines, ndmin=2, usecols=range(len(kinds)), comments=None, encoding="ascii")
-    except ValueError:
-        first = data.count(b"\n", 0, offset) + 1
-        numbers = [number for number, line in enumerate(body, first) if line.strip()][skipped:]
-        places = enumerate(zip(lines, numbers, strict=False), 1)
-        table = np.array([_numbers(line, number, row, len(kinds)) for row, (line, number) in places])
+    # numpy's errors say the row and the column
+    table = np.loadtxt(lines, ndmin=2, usecols=range(len(kinds)), comments=None, encoding="ascii")
     return {name: _typed(table[:, column], kind) for column, (name, kind) in enumerate(kinds.items())}
 
 
@@ -278,24 +264,6 @@ def _typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
         whole = values if dtype.kind == "f" else values.astype(dtype)
     # writers put numbers into types that do not hold them, such as colours with alpha
     return whole if (whole == values).all() else values
-
-
-def _numbers(line: bytes, number: int, row: int, columns: int) -> list[float]:
-    """Returns the numbers of a line, also those that numpy does not know."""
-    values = line.split()[:columns]
-    if len(values) < columns:
-        raise ValueError(f"line {number} has {len(values)} values instead of {columns}")
-    try:
-        return [*map(_number, values)]
-    except ValueError as error:
-        raise ValueError(f"point {row}: {error}") from None
-
-
-def _number(text: bytes) -> float:
-    """Returns a number as programs write it: decimal, hexadecimal (colours), or one of the names of NaN."""
-    if HEXADECIMAL.fullmatch(text):
-        return float(int(text.lstrip(b"#"), 16))
-    return np.nan if NOT_A_NUMBER.fullmatch(text) else to_number(text.decode("utf-8", "replace"))
 
 
 def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:

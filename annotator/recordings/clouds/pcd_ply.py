@@ -73,19 +73,17 @@ def parse_pcd(data: bytes) -> RawCloud:
     """Parses the points of a PCD file, in the frame that they are stored in (`VIEWPOINT` is not applied)."""
     header, offset = _pcd_header(data)
     try:
-        dtype, count = _pcd_dtype(header), _pcd_count(header)
+        dtype = _pcd_dtype(header)
+        count = int(header["POINTS"][0]) if header.get("POINTS") else int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
         if count < 0:
             raise ValueError(f"{count} points")
     except (ValueError, TypeError, LookupError) as error:
         raise ValueError(f"the PCD header is damaged ({error})") from error
-    encoding = header["DATA"][0] if header["DATA"] else ""
-    if encoding == "ascii":
-        return from_columns(text_columns(data, offset, count, dtype))
-    if encoding == "binary":
-        return from_columns(binary_columns(data, offset, count, dtype))
-    if encoding == "binary_compressed":
-        return from_columns(_compressed(data, offset, count, dtype))
-    raise ValueError(f"the PCD encoding {encoding[:40]!r} is unknown; save it as ascii, binary or binary_compressed")
+    encoding = " ".join(header["DATA"][:1])
+    readers = {"ascii": text_columns, "binary": binary_columns, "binary_compressed": _compressed}
+    if encoding not in readers:
+        raise ValueError(f"the PCD encoding {encoding[:40]!r} is unknown; save it as {' or '.join(readers)}")
+    return from_columns(readers[encoding](data, offset, count, dtype))
 
 
 def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
@@ -117,14 +115,6 @@ def _pcd_dtype(header: dict[str, list[str]]) -> np.dtype:
     if dtype.itemsize > LARGEST_POINT:
         raise ValueError(f"points of {dtype.itemsize} bytes")
     return dtype
-
-
-def _pcd_count(header: dict[str, list[str]]) -> int:
-    if header.get("POINTS"):
-        return int(header["POINTS"][0])
-    if header.get("WIDTH") and header.get("HEIGHT"):
-        return int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
-    raise ValueError("it has neither POINTS nor WIDTH and HEIGHT")
 
 
 def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:

@@ -91,8 +91,6 @@ TEXTS = [
     pytest.param("i4", [str(each) for each in PACKED | ALPHA], id="large-I"),
     pytest.param("f4", [f"{each:.9e}" for each in PACKED], id="scientific"),
     pytest.param("f4", [f"{each:.9g}" for each in FLOATS], id="bits"),
-    pytest.param("u4", [f"0xff{each:06x}" for each in PACKED], id="hexadecimal-alpha"),
-    pytest.param("u4", [f"#{each:06x}" for each in PACKED], id="hash"),
 ]
 
 
@@ -102,11 +100,9 @@ def test_packed_colours_in_text(tmp_path: Path, kind: str, texts: list[str]):
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
 
 
-@pytest.mark.parametrize("nan", ["nan", "-1.#IND", "1.#R", "-nan(ind)"])
-def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path, nan: str):
-    texts = [nan, *map(str, PACKED[1:])]
-    body = lines(texts).splitlines(keepends=True)
-    body[1] = f"1 {nan} 2 7\n".encode()
+def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path):
+    body = lines(["nan", *map(str, PACKED[1:])]).splitlines(keepends=True)
+    body[1] = b"1 nan 2 7\n"
     (tmp_path / "a.pcd").write_bytes(pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", b"".join(body)))
     cloud = read_cloud(tmp_path / "a.pcd")
     np.testing.assert_array_equal(cloud.rgb, [[0, 0, 0], *RGB[2:]])
