@@ -1,7 +1,7 @@
 """`.bin` scans: rows of 32-bit floats without a header: x, y, z and, in rows of four or more, reflectance.
 
-How many values a row has is never guessed. It is said by an option, by the file's name or place, or by the values of
-several scans, if only one number is plausible. Without the option, each scan must agree.
+How many values a row has is never guessed. It is said by an option, by the file's name or place, or by its values, if
+only one number is plausible. Without the option, the values must not contradict.
 
     *.pcd.bin, LIDAR_TOP/*.bin            5, nuScenes: x y z intensity ring
     velodyne/*.bin, velodyne_points/...   4, KITTI: x y z reflectance
@@ -18,8 +18,6 @@ with the option only. The limits are set so that doubt is refused.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,7 +25,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, files_like, from_columns
+from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, from_columns
 from annotator.recordings.listing import file_errors
 from annotator.types.errors import UnclearError
 
@@ -53,35 +51,21 @@ FIRST_EXPONENT, LAST_EXPONENT = 100, 160
 KINDS = 3 + 4 * (LAST_EXPONENT - FIRST_EXPONENT + 1)
 
 
-def weigh_columns(scans: Sequence[bytes]) -> int | None:
-    """Returns the number of columns that explains the contents of some `.bin` files of one sensor; None in doubt."""
-    values = [np.frombuffer(scan, "<f4", len(scan) // BYTES_PER_VALUE) for scan in scans]
-    counts = np.zeros((LONGEST + 1, LONGEST, KINDS), np.int64)
-    for each in values:
-        _count(each, counts)
-    total = int(counts[1].sum())
-    lengths = range(1, LONGEST + 1)
-    bits = np.array([_information(counts[length, :length]) for length in lengths])
-    if total == 0 or bits.max() < LEAST_BITS + BITS_OF_CHANCE / total:
+def weigh_columns(scan: bytes) -> int | None:
+    """Returns the number of columns that explains the content of a `.bin` file; None in doubt."""
+    values = np.frombuffer(scan, "<f4", len(scan) // BYTES_PER_VALUE)
+    places = np.arange(len(values))
+    if len(values) > EXAMINED:
+        places = np.random.default_rng(0).integers(0, len(values), EXAMINED)
+    kinds, lengths = _kinds(values[places]), range(1, LONGEST + 1)
+    bits = np.array([_information(places % length, kinds, length) for length in lengths])
+    if not len(places) or bits.max() < LEAST_BITS + BITS_OF_CHANCE / len(places):
         return None
     share = dict(zip(lengths, bits / bits.max(), strict=True))
     best = next(length for length in lengths if share[length] >= EXPLAINS)
     # multiples of a number that explains the values always do, too
     doubted = any(share[length] > FAILS for length in lengths if length % best)
-    rows = [each[: len(each) // best * best].reshape(-1, best) for each in values]
-    return None if doubted or not _are_points(np.concatenate(rows)) else best
-
-
-def _count(values: Float32[np.ndarray, "n"], counts: Int64[np.ndarray, "c r k"]) -> None:
-    """Adds the kinds of a scan's values, for each length of row and position within it."""
-    places = np.arange(len(values))
-    if len(values) > EXAMINED:
-        places = np.random.default_rng(0).integers(0, len(values), EXAMINED)
-    kinds = _kinds(values[places])
-    for length in range(1, LONGEST + 1):
-        counts[length, :length] += np.bincount(places % length * KINDS + kinds, minlength=length * KINDS).reshape(
-            length, KINDS
-        )
+    return None if doubted or not _are_points(values[: len(values) // best * best].reshape(-1, best)) else best
 
 
 def _kinds(values: Float32[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
@@ -97,8 +81,9 @@ def _kinds(values: Float32[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
     return np.asarray(kinds)
 
 
-def _information(counts: Int64[np.ndarray, "r k"]) -> float:
-    """Returns the mutual information of position and kind, bits, corrected for chance (Miller and Madow)."""
+def _information(columns: Int64[np.ndarray, "n"], kinds: Int64[np.ndarray, "n"], length: int) -> float:
+    """Returns the mutual information of column and kind, bits, corrected for chance (Miller and Madow)."""
+    counts = np.bincount(columns * KINDS + kinds, minlength=length * KINDS).reshape(length, KINDS)
     return float(_entropy(counts.sum(axis=0, keepdims=True)).mean() - _entropy(counts).mean())
 
 
@@ -126,8 +111,6 @@ SCAN_SUFFIX = ".bin"
 NUSCENES, KITTI = 5, 4
 NUSCENES_SUFFIX, NUSCENES_FOLDER = ".pcd.bin", "LIDAR_TOP"
 KITTI_FOLDERS = ("velodyne", "velodyne_points")
-# Scans of a folder that are examined together.
-SCANS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +122,7 @@ class Scans:
     """
 
     columns: int | None = None
-    _found: dict[Path, int | None] = field(default_factory=dict)
+    _found: dict[Path, int] = field(default_factory=dict)
 
     def read(self, path: Path) -> RawCloud:
         """Returns the valid points of a scan."""
@@ -161,49 +144,33 @@ class Scans:
         return tuple(
             f"points in {folder.name}/*{SCAN_SUFFIX} have {columns} values each, which only their values say; "
             "--columns sets another number"
-            # a copy: another thread may be reading the first scan of a folder
+            # a copy: another thread may be reading a scan
             for folder, columns in [*self._found.items()]
-            if columns in TOLD
         )
 
     def _columns(self, path: Path, data: bytes) -> int:
         if self.columns is not None:
             return self.columns
-        own, said = weigh_columns([data]), said_columns(path)
-        columns, source = said or (self._of_folder(path), "its folder")
-        if columns not in TOLD:
+        own, said = weigh_columns(data), said_columns(path)
+        if said is not None:
+            columns, source = said
+            # two points in a row fit, too
+            if own is not None and own % columns:
+                raise UnclearError(
+                    path,
+                    f"{source} says {columns} values per point, but its values look like rows of {own}",
+                    f"give --columns {own} (or {columns} to read it so all the same)",
+                )
+            return columns
+        if own not in TOLD:
             raise UnclearError(
                 path,
-                "the number of values per point is not certain" + (f": rows of {columns} fit" if columns else ""),
+                "the number of values per point is not certain" + (f": rows of {own} fit" if own else ""),
                 "give --columns N if its points are rows of N 32-bit floats, x y z first, in metres; else save them as "
                 ".npy",
             )
-        # two points in a row fit, too
-        if own is not None and own % columns:
-            raise UnclearError(
-                path,
-                f"{source} says {columns} values per point, but its values look like rows of {own}",
-                f"give --columns {own} (or {columns} to read it so all the same), or put scans of different sensors "
-                "into different folders",
-            )
-        return columns
-
-    def _of_folder(self, path: Path) -> int | None:
-        """Returns the number of columns that some scans of a scan's folder have together."""
-        folder = path.parent
-        if folder not in self._found:
-            files = files_like(path)
-            chosen = {0, *np.linspace(0, len(files) - 1, SCANS).astype(int).tolist(), files.index(path)}
-            scans = list[bytes]()
-            for number in sorted(chosen):
-                # one that cannot be read is reported when its own frame is read; of remote ones, others may be empty
-                with suppress(OSError):
-                    scans += filter(None, [read_frame_file(files[number])])
-            found = weigh_columns(scans)
-            if found is None or len(scans) < len(chosen):
-                return found
-            self._found[folder] = found
-        return self._found[folder]
+        self._found[path.parent] = own
+        return own
 
 
 def said_columns(path: Path) -> tuple[int, str] | None:

@@ -35,14 +35,14 @@ def put(folder: Path, name: str, columns: int, count: int = COUNT) -> Path:
 @settings(max_examples=20, deadline=None)
 def test_made_up_scans_are_never_taken_for_others(seed: int):
     made = make_set(seed)
-    for scans in (made.scans, made.scans[:1]):
-        assert weigh_columns(scans) in (made.columns, None)
+    for scan in made.scans:
+        assert weigh_columns(scan) in (made.columns, None)
 
 
 def test_most_made_up_scans_are_recognised():
     sets = [make_set(seed) for seed in range(300, 320)]
     assert {made.columns for made in sets} == set(range(3, 9))
-    assert sum(weigh_columns(made.scans) == made.columns for made in sets) >= 18
+    assert sum(weigh_columns(made.scans[0]) == made.columns for made in sets) >= 18
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -71,16 +71,6 @@ def test_values_that_contradict_name_or_place_are_refused(tmp_path: Path):
         with pytest.raises(UnclearError, match=f"its (place|name) .* but its values look like rows of {columns}; give"):
             Scans().read(put(tmp_path, place, columns))
         assert len(Scans(columns).read(tmp_path / place).xyz_m) == COUNT
-
-
-def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path):
-    for number in range(40):
-        put(tmp_path, f"{number}.bin", 4)
-    put(tmp_path, "12.bin", 6)  # not among the scans that are examined first
-    recording = open_recording(tmp_path)
-    assert len(recording.frame(0).cloud) == COUNT
-    with pytest.raises(UnclearError, match=r"12\.bin: its folder says 4 values .* look like rows of 6"):
-        recording.frame(12)
 
 
 @pytest.mark.parametrize(("columns", "reason"), [(3, ""), (8, ": rows of 8 fit")])
