@@ -12,10 +12,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from annotator.fenced_files import MatFileError, read_mat
 from annotator.files import new_folder
 from annotator.formats.kitti_rows import read_rows
 from annotator.formats.reading import write_text
-from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.sunrgbd import SunRgbdScenes

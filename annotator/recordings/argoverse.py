@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.feather import Kind, read_feather
+from annotator.fenced_files import Kind, read_feather
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.frame_times import nearest

@@ -28,10 +28,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.fenced_files import read_mat
 from annotator.files import open_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
-from annotator.mat_file import read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import ColorImage, decode_depth, read_color_image, read_depth

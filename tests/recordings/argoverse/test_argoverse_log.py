@@ -13,7 +13,7 @@ from argoverse_samples import DELAYS_US, PERIOD_US, put, write_log
 from nuscenes_samples import HEIGHT, START_US, WIDTH, K, ego_pose, mount, scan_points
 from pyarrow import feather
 
-from annotator.feather import read_feather
+from annotator.fenced_files import read_feather
 from annotator.formats.argoverse import read_argoverse
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
