@@ -27,8 +27,6 @@ from annotator.recordings.plausible import are_returns
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
-# Columns of several values are split (`split_colors`).
-SPLIT_NAMES = tuple(tuple(f"{name}_{channel}" for channel in range(3)) for name in (*PACKED_NAMES, "color", "colors"))
 # Depths of cameras and scanners, bits; numbers of 16 bits may use fewer.
 DEPTHS = (8, 10, 12, 14, 16, 32)
 # Fractions may exceed 1 by rounding; or this share does not.
@@ -39,19 +37,13 @@ NAN_BITS = 0x7FC00000
 
 def point_colors(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
     """Returns the colours of columns with lower-case names; None without any."""
-    for names in (*NAMES, *SPLIT_NAMES):
+    for names in NAMES:
         if all(name in columns for name in names):
             return eight_bits([columns[name] for name in names])
     for name in PACKED_NAMES:
         if name in columns:
             return _unpacked(columns[name])
     return None
-
-
-def split_colors(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns columns for the values (n, k) of a field; none unless its name is that of colours."""
-    channels = {f"{name}_{channel}": values[:, channel] for channel in range(min(3, values.shape[1]))}
-    return channels if tuple(channels) in SPLIT_NAMES else {}
 
 
 def depth_bits(highest: float) -> int:
@@ -275,16 +267,9 @@ def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dic
 
 
 def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns the fields of a table by their names in lower case; of those with several values, only colours."""
-    columns: dict[str, np.ndarray] = {}
-    for name in rows.dtype.names or ():
-        if rows[name].dtype.kind not in "fiu":
-            continue
-        if rows[name].ndim == 1:
-            columns[name.lower()] = rows[name]
-        elif rows[name].ndim == 2:
-            columns |= split_colors(name.lower(), rows[name])
-    return columns
+    """Returns the fields of a table that are numbers, one a row, by their names in lower case."""
+    names = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "fiu"]
+    return {name.lower(): rows[name] for name in names}
 
 
 def files_like(path: Path) -> list[Path]:

@@ -109,20 +109,6 @@ def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Pat
     np.testing.assert_array_equal(cloud.xyz_m, np.delete(XYZ, 1, 0))
 
 
-@pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
-def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: str):
-    rows = np.zeros(N, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "u1", 4)])
-    rows["x"], rows["y"], rows["z"], rows["rgba"][:, :3] = *XYZ.T, RGB
-    if form == "npy":
-        (tmp_path / "a.npy").write_bytes(npy(rows))
-        np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").rgb, RGB)
-        return
-    head = f"FIELDS x y z rgba\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 4\nPOINTS {N}\nDATA {form[4:]}\n"
-    body = rows.tobytes() if form == "pcd binary" else lines([f"{r} {g} {b} 0" for r, g, b in RGB.tolist()])
-    (tmp_path / "a.pcd").write_bytes(head.encode() + body)
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
-
-
 def test_reflectances_that_are_all_saturated_are_none():
     for highest in (255, 65535):
         columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
