@@ -19,8 +19,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -227,29 +226,19 @@ class SunRgbdScenes(KeyedFrames):
     """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
 
     Attributes:
-        folders: the scenes' folders, in the order of the keys; strings, since creating ten thousand Paths is slow.
+        folders: the scenes' folders by key; strings, since creating ten thousand Paths is slow.
     """
 
-    folders: tuple[str, ...]
+    folders: dict[str, str] = field(repr=False)
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
 
-    @cached_property
-    def scenes(self) -> tuple[Path, ...]:
-        """The folders of all frames."""
-        return tuple(map(Path, self.folders))
-
     def scene(self, key: str) -> Path:
         """Returns the folder of a frame."""
-        return Path(self._by_key[key])
-
-    @cached_property
-    def _by_key(self) -> dict[str, str]:
-        return dict(zip(self.keys, self.folders, strict=True))
+        return Path(self.folders[key])
 
     def files(self, i: int) -> tuple[Path, Path, Path, Path]:
-        self.key(i)
-        scene = Path(self.folders[i])
+        scene = self.scene(self.key(i))
         image, depth = _latest(scene, ("image",), IMAGE_SUFFIXES), _latest(scene, DEPTH_FOLDERS, (".png",))
         return scene / MARK, _latest(scene, ("extrinsics",), (".txt",)), image, depth
 
@@ -277,15 +266,14 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | None:
     if not path.is_dir():
         return None
     if _is_scene(str(path)):
-        return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
+        return SunRgbdScenes(path, (path.resolve().name,), {path.resolve().name: str(path)})
     with path_errors(path):
         is_data_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
         levels = MOST_LEVELS if is_data_set else 1
         folders = dict(_scenes(str(path), levels))
     if not folders:
         return None
-    keys = sorted_keys(path, set(folders), MARK)
-    return SunRgbdScenes(path, keys, tuple(folders[key] for key in keys))
+    return SunRgbdScenes(path, sorted_keys(path, set(folders), MARK), folders)
 
 
 def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
