@@ -29,9 +29,9 @@ from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
-from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
+from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, level_turn, virtual_frame
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -57,7 +57,7 @@ UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ArgoverseLog(KeyedFrames):
+class ArgoverseLog(Scanned, RigCamera):
     """A `Recording` of a log's sweeps, in time order; labels are in the ego frame of the sweep's time.
 
     Attributes:

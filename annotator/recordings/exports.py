@@ -15,7 +15,7 @@ The keys are the ids. OpenLABEL of other programs is not opened: its clouds may 
 from __future__ import annotations
 
 import json
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
@@ -64,7 +64,7 @@ class Described(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ExportFolder(KeyedFrames, ABC):
+class ExportFolder(Recording):
     """A `Recording` of an export; labels are in the camera's frame."""
 
     is_sequence: ClassVar[bool] = False

@@ -21,7 +21,7 @@ has no colour and no label, and is dropped.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -37,9 +37,9 @@ from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
-from annotator.recordings.look_around import Scan
+from annotator.recordings.look_around import Scan, Scanned, Scenes
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
@@ -196,7 +196,7 @@ MOST_DIGITS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class KittiFolder(KeyedFrames, ABC):
+class KittiFolder(Scanned):
     """A `Recording` of image and scan pairs.
 
     Attributes:
@@ -372,7 +372,7 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
 
 
 @dataclass(frozen=True, eq=False)
-class KittiTracking(KittiFolder):
+class KittiTracking(KittiFolder, Scenes):
     """A `Recording` of one KITTI drive; its times count from the drive's frame 0.
 
     Attributes:

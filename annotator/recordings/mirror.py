@@ -69,45 +69,62 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
                 store.keep(path)
         with store.url_in_errors():
             opened = open_recording(place / name, options)
-        return Mirror(opened, store, weakref.finalize(store, stack.pop_all().close))
-
-
-class Mirror:
-    """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy."""
-
-    def __init__(self, opened: Recording, store: _Store, removed: weakref.finalize[Any, Any]) -> None:
-        self._opened, self._store, self._removed = opened, store, removed
-        self.path, self.root, self.name, self.format = opened.path, opened.root, opened.name, opened.format
-        self.keys, self.is_sequence = opened.keys, opened.is_sequence
-        self._of_key: dict[str, list[str]] = {}
-        self._shared: list[str] = []
         keys = {normal(key): key for key in opened.keys}
         listed: dict[str, str] = getattr(opened, "file_owners", {})
-        for path in store.files:
+        of_key: dict[str, list[str]] = {}
+        shared = list[str]()
+        for path in files:
             owner = listed.get(path) or _owner(path, keys)
-            (self._shared if owner is None else self._of_key.setdefault(owner, [])).append(path)
+            (shared if owner is None else of_key.setdefault(owner, [])).append(path)
+        removed = weakref.finalize(store, stack.pop_all().close)
+        return Mirror(opened.path, opened.keys, opened, store, removed, of_key, shared)
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror(Recording):
+    """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy.
+
+    Attributes:
+        opened: the recording of the copy.
+        removed: removes the copy, also when it is garbage.
+        of_key: the files of each frame, relative to the copy's folder.
+        shared: those of all frames.
+    """
+
+    opened: Recording
+    store: _Store
+    removed: weakref.finalize[Any, Any]
+    of_key: dict[str, list[str]]
+    shared: list[str]
+
+    @property
+    def format(self) -> str:  # type: ignore[override]
+        return self.opened.format
+
+    @property
+    def is_sequence(self) -> bool:  # type: ignore[override]
+        return self.opened.is_sequence
+
+    @property
+    def root(self) -> Path:
+        return self.opened.root
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """As of the recording."""
-        return self._opened.notes
-
-    def __len__(self) -> int:
-        return len(self._opened)
+        return self.opened.notes
 
     def frame(self, i: int) -> Frame:
         """Reads frame number `i`, 0-based."""
-        if not 0 <= i < len(self):
-            raise IndexError(f"frame {i} of a recording with {len(self)} frames")
-        for path in self._shared:
-            self._store.keep(path)
-        self._store.fill(self.keys[i], self._of_key.get(self.keys[i], []))
-        with self._store.url_in_errors():
-            return self._opened.frame(i)
+        key = self.key(i)
+        for path in self.shared:
+            self.store.keep(path)
+        self.store.fill(key, self.of_key.get(key, []))
+        with self.store.url_in_errors():
+            return self.opened.frame(i)
 
     def close(self) -> None:
         """Removes the copy; no frame can be read afterwards. Garbage collection also removes it."""
-        self._removed()
+        self.removed()
 
 
 @dataclass(eq=False)

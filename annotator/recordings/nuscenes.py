@@ -37,9 +37,9 @@ from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
-from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
+from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, Scenes, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, Scans
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
@@ -210,7 +210,7 @@ REMEDY = "copy it again from the data set"
 
 
 @dataclass(frozen=True, eq=False)
-class NuScenes(KeyedFrames):
+class NuScenes(Scanned, RigCamera, Scenes):
     """A `Recording` of a scene's samples and sweeps from one camera, in time order.
 
     Attributes:

@@ -35,7 +35,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.bases import FileRecord, Strict
@@ -211,7 +211,7 @@ PNG_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class RgbdFolder(KeyedFrames):
+class RgbdFolder(Recording):
     """A `Recording` of an Open3D RGB-D folder.
 
     The frames are assumed to be in time order, as is the convention.

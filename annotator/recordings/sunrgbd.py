@@ -46,7 +46,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.text import spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -115,7 +115,7 @@ ON_PIXEL_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class SunRgbdExtracted(KeyedFrames):
+class SunRgbdExtracted(Recording):
     """A `Recording` of VoteNet's layout.
 
     Attributes:
@@ -222,7 +222,7 @@ KEY_SEPARATOR = "__"
 
 
 @dataclass(frozen=True, eq=False)
-class SunRgbdScenes(KeyedFrames):
+class SunRgbdScenes(Recording):
     """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
 
     Attributes:

@@ -28,7 +28,7 @@ from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
 from annotator.recordings.plausible import are_plausible
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
@@ -72,7 +72,7 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class TumRgbd(KeyedFrames):
+class TumRgbd(Recording):
     """A `Recording` in TUM's format. Frames are named by their colour images.
 
     Attributes:

@@ -78,7 +78,7 @@ def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_pa
     for _ in range(3):
         with pytest.raises(RecordingError, match=r"people/depth/000002\.png: cannot be reached"):
             mirror.frame(2)
-    assert held_bytes(tmp_path) == held == mirror._store.used_bytes
+    assert held_bytes(tmp_path) == held == mirror.store.used_bytes
     memory.pipe("/bucket/people/depth/000002.png", depth)
     mirror.frame(2)
 

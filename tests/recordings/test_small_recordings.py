@@ -15,7 +15,7 @@ from small_recordings import cloud_folder, kitti_object, kitti_raw, kitti_tracki
 
 from annotator.recordings import open_recording
 from annotator.recordings.frame_times import has_times, known_times, read_times, recorded_times
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.types.errors import FrameError, RecordingError
 from annotator.workflows.recorded.condition import broken_frames
 
@@ -61,7 +61,7 @@ def test_a_frame_has_these_files_and_an_empty_one_is_seen(
     folder.mkdir()
     build(folder)
     recording = open_recording(folder)
-    assert isinstance(recording, KeyedFrames)
+    assert isinstance(recording, Recording)
     files = recording.files(0)
     found = [file.relative_to(folder).as_posix() for file in files]
     assert len(found) == len(names) and all(map(fnmatch, found, names))

@@ -35,8 +35,8 @@ from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
-from annotator.recordings.look_around import Scan
-from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.look_around import Scan, Scanned
+from annotator.recordings.recording import Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
 from annotator.text import normal, spelled
@@ -80,7 +80,7 @@ class CloudCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class CloudFolder(KeyedFrames):
+class CloudFolder(Scanned):
     """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
 
     Attributes:

@@ -33,7 +33,7 @@ from annotator.recordings.image_file import VideoFile, open_video, read_confiden
 from annotator.recordings.listing import file_errors, frame_file, require_size
 from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
@@ -47,7 +47,7 @@ SOME = 200
 
 
 @dataclass(frozen=True, eq=False)
-class StrayScanner(KeyedFrames):
+class StrayScanner(Recording):
     """A `Recording` of Stray Scanner. Frames are named by the numbers in `odometry.csv`.
 
     Attributes:

@@ -27,8 +27,8 @@ from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.image_file import FIRST, Levels
 from annotator.recordings.kitti import UP, visible_cloud
-from annotator.recordings.look_around import Scan, level_turn
-from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.look_around import Scan, Scanned, level_turn
+from annotator.recordings.recording import Place, ReaderOptions, Recording, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import (
     FIELD_ERRORS,
@@ -68,7 +68,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class RosBag(KeyedFrames):
+class RosBag(Recording):
     """A `Recording` of a bag.
 
     Attributes:
@@ -287,7 +287,7 @@ class RosBag(KeyedFrames):
 
 
 @dataclass(frozen=True, eq=False)
-class ScanBag(RosBag):
+class ScanBag(RosBag, Scanned):
     """A bag whose partner of the images are clouds."""
 
     def scan(self, i: int) -> Scan:
