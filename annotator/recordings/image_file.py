@@ -30,12 +30,9 @@ from annotator.files import check_file
 from annotator.frame_limits import most_pixels, read_frame_file, require_memory
 from annotator.geometry.projection import in_metres
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
-from annotator.recordings.clouds.columns import depth_bits, files_like
+from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.recordings.listing import file_errors
 from annotator.types.errors import FrameError
-
-# Images of a folder, or a topic, that decide for all.
-FIRST = 3
 
 
 @dataclass(frozen=True)

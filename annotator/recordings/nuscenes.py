@@ -274,7 +274,7 @@ class NuScenes(Scanned, RigCamera, Scenes):
         rgb = picture.rgb
         camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = SCANS.read(scan_file)
+        points = SCANS.read_alone(scan_file)
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
@@ -297,7 +297,7 @@ class NuScenes(Scanned, RigCamera, Scenes):
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = SCANS.read(self.files(i)[-1])
+        points = SCANS.read_alone(self.files(i)[-1])
         R_lidar_global = T_global_lidar.rotation.inv()
         if self.camera:
             ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))

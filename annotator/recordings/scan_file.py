@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, from_columns
+from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, CommonScale, RawCloud, files_like, from_columns
 from annotator.recordings.listing import file_errors
 from annotator.types.errors import UnclearError
 
@@ -119,13 +119,19 @@ class Scans:
 
     Attributes:
         columns: the option `columns`: values per point of all files, which are not examined then; None = not given.
+        scale: of their reflectance.
     """
 
     columns: int | None = None
+    scale: CommonScale = field(default_factory=CommonScale)
     _found: dict[Path, int] = field(default_factory=dict)
 
     def read(self, path: Path) -> RawCloud:
-        """Returns the valid points of a scan."""
+        """Returns the valid points of a scan, with the scale of reflectance of its folder's first ones."""
+        return self.scale.apply(path.parent, self.read_alone(path), lambda: files_like(path), self.read_alone)
+
+    def read_alone(self, path: Path) -> RawCloud:
+        """Returns the valid points of a scan, whose own values say the scale of reflectance."""
         with file_errors(path, "copy the scan again from the data set, or remove the frame"):
             data = read_frame_file(path)
             if not data:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.scan_file import Scans, weigh_columns
 from annotator.types.errors import FrameError, UnclearError
 
@@ -97,6 +98,23 @@ def test_only_reflectances_are_read_as_reflectance(tmp_path: Path):
         assert (scan.reflectance is None) == (expected is None)
         if expected is not None:
             np.testing.assert_allclose(scan.reflectance, expected, atol=1e-6)
+
+
+def test_a_dark_scan_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
+    """Alone, its values up to 1 would be read as fractions."""
+    for number, most in enumerate((200, 1, 255, 1, 60_000)):
+        points = np.column_stack([SCAN[:, :3], np.linspace(0, most, COUNT)]).astype(np.float32)
+        (tmp_path / f"{number}.bin").write_bytes(points.tobytes())
+    options = ReaderOptions(columns=4)
+    for order in ((1, 3, 0, 4), (4, 3, 1, 0)):
+        recording = open_recording(tmp_path, options)
+        assert isinstance(recording, CloudFolder)
+        for number in order:
+            reflectance = recording.scan(number).raw.reflectance
+            assert reflectance is not None
+            # the last one is beyond the scale of the others
+            expected = {0: 200 / 255, 1: 1 / 255, 3: 1 / 255, 4: 60_000 / 65_535}[number]
+            assert reflectance.max() == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.shared

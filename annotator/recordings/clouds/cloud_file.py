@@ -30,6 +30,7 @@ from annotator.recordings.clouds.columns import (
     RawCloud,
     at_limits,
     field_columns,
+    files_like,
     from_columns,
 )
 from annotator.recordings.clouds.pcd_ply import parse_pcd, parse_ply
@@ -187,10 +188,15 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
     """Returns the valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
 
     Args:
-        scans: reads `.bin` files; None = this file alone decides.
+        scans: reads `.bin` files, and has the scale of reflectance; None = this file alone decides.
     """
     if path.suffix.lower() == SCAN_SUFFIX:
         return (scans or Scans()).read(path)
+    raw = _parsed(path)
+    return raw if scans is None else scans.scale.apply(path.parent, raw, lambda: files_like(path), _parsed)
+
+
+def _parsed(path: Path) -> RawCloud:
     with file_errors(path, CLOUD_REMEDY):
         data = read_frame_file(path)
         if not data:

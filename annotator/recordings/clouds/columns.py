@@ -9,21 +9,25 @@ Colours, of any type of number, become 8 bits: three columns, or a packed one. A
 Text has no types: there, the values themselves say which of these they are. A colour that is not finite is black, and
 a cloud without any finite colour has none.
 
-Where a file does not say whether its reflectances are fractions, 8 or 16 bits, their highest does.
+Many files do not say whether their values are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
+scale. The first scans of a recording decide for all: one scale of reflectance, and one of colours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import require_memory
 from annotator.recordings.plausible import are_returns
+from annotator.types.errors import FrameError
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
@@ -34,15 +38,19 @@ MOST_FRACTION, FRACTIONS = 1.005, 0.99
 # The bits of NaN as programs write it; other bits of NaNs are colours with alpha.
 NAN_BITS = 0x7FC00000
 
+Colors = tuple[UInt8[np.ndarray, "n 3"], float | None]
+"""Colours, and the value that became 255; None if the type says it."""
 
-def point_colors(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
+
+def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
     """Returns the colours of columns with lower-case names; None without any."""
     for names in NAMES:
         if all(name in columns for name in names):
             return eight_bits([columns[name] for name in names])
     for name in PACKED_NAMES:
         if name in columns:
-            return _unpacked(columns[name])
+            rgb = _unpacked(columns[name])
+            return None if rgb is None else (rgb, None)
     return None
 
 
@@ -51,11 +59,11 @@ def depth_bits(highest: float) -> int:
     return next((bits for bits in DEPTHS if highest < 2**bits), DEPTHS[-1])
 
 
-def eight_bits(channels: Sequence[np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
+def eight_bits(channels: Sequence[np.ndarray]) -> Colors | None:
     """Returns colours of three columns of any type; None if no value is finite."""
     values = _native(np.stack(channels, axis=1))
     if values.dtype in (np.uint8, np.int8):
-        return values.view(np.uint8)
+        return values.view(np.uint8), None
     if values.dtype == np.int16 and (values < 0).any():
         values = values.view(np.uint16)
     levels = _finite(values)
@@ -63,11 +71,11 @@ def eight_bits(channels: Sequence[np.ndarray]) -> UInt8[np.ndarray, "n 3"] | Non
         return None
     highest = float(levels.max(initial=0.0))
     if values.dtype.kind == "f" and (highest <= MOST_FRACTION or _are_fractions(levels)):
-        return np.rint(np.clip(levels, 0, 1) * 255).astype(np.uint8)
+        return np.rint(np.clip(levels, 0, 1) * 255).astype(np.uint8), 1.0
     bits = depth_bits(highest)
     # of more bits, the upper eight: exact both for c * 257 and for c * 256
     levels = np.rint(levels) if bits == 8 else np.floor(levels / 2 ** (bits - 8))
-    return np.clip(levels, 0, 255).astype(np.uint8)
+    return np.clip(levels, 0, 255).astype(np.uint8), 2.0**bits - 1
 
 
 def _are_fractions(levels: np.ndarray) -> bool:
@@ -121,6 +129,7 @@ REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_ref
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Share of the points that may be at the limit of one coordinate's type.
 MOST_SATURATED = 0.01
+Scales = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,11 +140,20 @@ class RawCloud:
         xyz_m: (n, 3), n > 0, finite.
         rgb: colours, or None.
         reflectance: 0..1, or None.
+        scale: the reflectance that became 1, if only the values told; None = the file says it, or no reflectance.
+        color_scale: the same for colours: the value that became 255.
     """
 
     xyz_m: Float64[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"] | None = None
     reflectance: Float32[np.ndarray, "n"] | None = None
+    scale: float | None = None
+    color_scale: float | None = None
+
+    @property
+    def scales(self) -> Scales:
+        """Both scales; 0 = said by the file, or not there."""
+        return self.scale or 0.0, self.color_scale or 0.0
 
     def select(self, keep: np.ndarray) -> RawCloud:
         """Returns the points of a mask (n,), of which one is true at least."""
@@ -145,6 +163,17 @@ class RawCloud:
             rgb=None if self.rgb is None else self.rgb[keep],
             reflectance=None if self.reflectance is None else self.reflectance[keep],
         )
+
+    def with_scales(self, least: Scales) -> RawCloud:
+        """Returns the cloud with at least these scales of reflectance and colours."""
+        cloud = self
+        if self.reflectance is not None and self.scale is not None and self.scale < least[0]:
+            share = np.float32(self.scale / least[0])
+            cloud = replace(cloud, reflectance=self.reflectance * share, scale=least[0])
+        if self.rgb is not None and self.color_scale is not None and self.color_scale < least[1]:
+            rgb = np.rint(self.rgb * (self.color_scale / least[1])).astype(np.uint8)
+            cloud = replace(cloud, rgb=rgb, color_scale=least[1])
+        return cloud
 
 
 def from_columns(columns: Mapping[str, np.ndarray]) -> RawCloud:
@@ -159,7 +188,9 @@ def from_columns(columns: Mapping[str, np.ndarray]) -> RawCloud:
     if not valid.any():
         problem = NO_RETURN if len(valid) else "has no points"
         raise ValueError(problem)
-    return RawCloud(xyz_m, point_colors(columns), _reflectance(columns)).select(valid)
+    colors, (reflectance, scale) = point_colors(columns), _reflectance(columns)
+    rgb, color_scale = (None, None) if colors is None else colors
+    return RawCloud(xyz_m, rgb, reflectance, scale, color_scale).select(valid)
 
 
 def at_limits(xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
@@ -191,16 +222,16 @@ def _at_limit(values: np.ndarray) -> Bool[np.ndarray, "n"]:
     return (values == limits.max) | ((values == limits.min) & (dtype.kind == "i"))
 
 
-def fractions(values: Float[np.ndarray, "n"]) -> Float32[np.ndarray, "n"] | None:
-    """Returns reflectances as 0..1, by the first of the usual scales that holds all of them.
+def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
+    """Returns reflectances as 0..1, and their scale: of the usual ones, the first that holds all of them.
 
     None if all are the highest number of 8 or 16 bits, which says nothing: they are a filling, or saturated.
     """
     highest = float(values.max(initial=0.0))
     if len(values) > 1 and highest in REFLECTANCE_SCALES[1:] and float(values.min()) == highest:
-        return None
+        return None, None
     scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
-    return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32)
+    return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32), scale
 
 
 def _real(values: np.ndarray) -> np.ndarray:
@@ -209,15 +240,16 @@ def _real(values: np.ndarray) -> np.ndarray:
         return values.astype(np.float64)
 
 
-def _reflectance(columns: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n"] | None:
+def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
+    """Returns reflectances and their scale, if the values tell it."""
     name = next((name for name in REFLECTANCE_NAMES if name in columns), None)
     if name is None:
-        return None
+        return None, None
     values = np.nan_to_num(_real(columns[name]), nan=0.0, posinf=0.0, neginf=0.0)
-    found = fractions(values)
+    found, scale = fractions(values)
     if found is not None and columns[name].dtype == np.uint8:
-        return np.asarray(values / REFLECTANCE_SCALES[1]).astype(np.float32)
-    return found
+        return np.asarray(values / REFLECTANCE_SCALES[1]).astype(np.float32), None
+    return found, scale
 
 
 def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped: int = 0) -> dict[str, np.ndarray]:
@@ -270,6 +302,39 @@ def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
     """Returns the fields of a table that are numbers, one a row, by their names in lower case."""
     names = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "fiu"]
     return {name.lower(): rows[name] for name in names}
+
+
+FIRST = 3
+
+Source = TypeVar("Source")
+
+
+class CommonScale:
+    """The scales of the places from which scans come: folders, topics."""
+
+    def __init__(self) -> None:
+        self._found: dict[Hashable, Scales] = {}
+
+    def apply(
+        self, place: Hashable, raw: RawCloud, scans: Callable[[], Iterable[Source]], read: Callable[[Source], RawCloud]
+    ) -> RawCloud:
+        """Returns a scan with the scales of its place, or its own, if its values are larger.
+
+        Args:
+            scans: returns the scans of the place, in a fixed order.
+            read: reads one of them; ValueError and FrameError = it is damaged, which its own frame tells.
+        """
+        if not any(raw.scales):
+            return raw
+        if place not in self._found:
+            scales = list[Scales]()
+            for scan in islice(scans(), FIRST):
+                with suppress(FrameError, ValueError):
+                    scales += filter(any, [read(scan).scales])
+            if not scales:
+                return raw
+            self._found[place] = (max(each for each, _ in scales), max(each for _, each in scales))
+        return raw.with_scales(self._found[place])
 
 
 def files_like(path: Path) -> list[Path]:

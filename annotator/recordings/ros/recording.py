@@ -23,9 +23,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA
-from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
-from annotator.recordings.image_file import FIRST, Levels
+from annotator.recordings.image_file import Levels
 from annotator.recordings.kitti import UP, visible_cloud
 from annotator.recordings.look_around import Scan, Scanned, level_turn
 from annotator.recordings.recording import Place, ReaderOptions, Recording, option_flag
@@ -80,6 +80,7 @@ class RosBag(Recording):
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         realsense: what RealSense's own topics say; None for other bags.
         told: the recording's notes.
+        scale: of the clouds' reflectance and colours.
         levels: of the first pictures of a topic.
         given_origin: the option `origin`, for clouds without images.
     """
@@ -92,6 +93,7 @@ class RosBag(Recording):
     fixed_frame: str | None
     realsense: RealSense | None
     told: tuple[str, ...]
+    scale: CommonScale = field(default_factory=CommonScale)
     levels: dict[Topic, list[Levels]] = field(default_factory=dict)
     given_origin: Place | None = None
     format: ClassVar[str] = "ros_bag"
@@ -195,9 +197,11 @@ class RosBag(Recording):
             return _content(image, number), reading.result()
 
     def _cloud(self, content: Any) -> RawCloud:
-        """Returns the cloud of a message."""
-        with _naming(self.chosen.partner):
-            return cloud_of(content)
+        """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
+        topic, first = self.chosen.partner, self.pairs.cloud
+        with _naming(topic):
+            raw = cloud_of(content)
+        return self.scale.apply(topic, raw, lambda: map(int, first), lambda number: cloud_of(message(topic, number)))
 
     def camera(self, log_ns: int) -> BagCamera:
         """Returns the camera of the images, as calibrated at a log time."""
