@@ -24,7 +24,7 @@ from annotator.files import open_file, read_text_file
 from annotator.geometry.projection import in_metres, pixel_colors, resized, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import ColorImage, decode_depth, read_color_image, read_depth
+from annotator.recordings.image_file import ColorImage, decode_depth, looks_rotated, read_color_image, read_depth
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
     file_errors,
@@ -39,7 +39,7 @@ from annotator.recordings.recording import Recording
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.bases import FileRecord, Strict
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, UnclearError
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
@@ -59,7 +59,7 @@ class IntrinsicFile(FileRecord):
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
         depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
-        depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits.
+        depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
         distortion: OpenCV's coefficients, see `Camera`; default none.
         depth_to_color, cloud_to_camera: transforms from the frame of the depth camera, or of the clouds, to that of the
             colour camera, metres, row by row; default none: the frames are the same.
@@ -69,7 +69,7 @@ class IntrinsicFile(FileRecord):
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
     depth_scale: Positive | None = None
-    depth_encoding: Literal["plain", "sunrgbd"] = "plain"
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
     distortion: tuple[Number, ...] = ()
     depth_to_color: Rows | None = None
     cloud_to_camera: Rows | None = None
@@ -96,7 +96,7 @@ class RgbdCamera:
     path: Path
     camera: Camera
     depth_scale: float
-    depth_encoding: Literal["plain", "sunrgbd"] = "plain"
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
     T_color_depth: RigidTransform = IDENTITY
     T_camera_cloud: RigidTransform = IDENTITY
 
@@ -152,9 +152,18 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
     return RgbdCamera(path, camera, scale, content.depth_encoding, *poses)
 
 
-def depth_metres(raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of a depth image."""
-    return decode_depth(raw) if camera.depth_encoding == "sunrgbd" else in_metres(raw, camera.depth_scale)
+def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of the depth image at `path`."""
+    if camera.depth_encoding == "sunrgbd":
+        return decode_depth(raw)
+    if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
+        raise UnclearError(
+            path,
+            f"its depth reaches {raw.max() / camera.depth_scale:.1f} m in steps of 8 units, as in SUN RGB-D, whose "
+            "depth has its bits rotated by three",
+            f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
+        )
+    return in_metres(raw, camera.depth_scale)
 
 
 def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[int, int]) -> RgbdCamera | None:
@@ -302,13 +311,15 @@ def read_images(
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
     if depth is None:
-        depth_m = depth_metres(raw, color)
+        depth_m = depth_metres(depth_path, raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
         problem = "no pixel has a depth, so the cloud is empty"
     else:
         require_size(depth_path, raw, depth.size, f"the camera in {depth.path.name} has", "correct the file")
-        cloud, depth_m = registered(depth_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
+        cloud, depth_m = registered(
+            depth_metres(depth_path, raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera
+        )
         problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
     if len(cloud) == 0:
         raise FrameError(depth_path, problem, "record the frame again, or remove it")

@@ -17,7 +17,8 @@ from annotator.geometry.projection import project
 from annotator.recordings import open_recording
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, UnclearError
+from annotator.workflows.checking.dataset_check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
@@ -181,10 +182,19 @@ def test_damage_is_an_error_with_file_cause_and_solution(
         assert recording.frame(1).key == "000001"  # the other frame can be read
 
 
-def test_the_camera_file_says_that_depth_is_sun_rgbds(folder: Path, depth: np.ndarray):
-    (folder / DEPTH).write_bytes(png(depth << np.uint16(3) | depth >> np.uint16(13)))
-    (folder / CAMERA).write_text(json.dumps(INTRINSICS | {"depth_encoding": "sunrgbd"}))
-    np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth / 1000, atol=1e-5)
+def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
+    """Its bits are rotated by three: read as millimetres, the room was 8 to 64 m away."""
+    rotated = depth << np.uint16(3) | depth >> np.uint16(13)
+    for key in ("000000", "000001"):
+        (folder / "depth" / f"{key}.png").write_bytes(png(rotated))
+    with pytest.raises(UnclearError, match=r"depth reaches 3\d\.\d m in steps of 8 units, as in SUN RGB-D") as caught:
+        open_recording(folder).frame(0)
+    assert '"depth_encoding": "sunrgbd"' in str(caught.value)
+    assert [finding.rule for finding in check_datasets(folder).findings] == ["unclear-file", "unclear-file"]
+    for encoding, expected in (("sunrgbd", depth / 1000), ("plain", rotated / 1000)):
+        camera = json.dumps(INTRINSICS | {"depth_encoding": encoding})
+        (folder / "camera_intrinsic.json").write_text(camera)
+        np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
 
 
 def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):

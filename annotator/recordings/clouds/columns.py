@@ -15,6 +15,7 @@ scale. The first scans of a recording decide for all: one scale of reflectance, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -129,6 +130,7 @@ REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_ref
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Share of the points that may be at the limit of one coordinate's type.
 MOST_SATURATED = 0.01
+NOT_A_NUMBER = re.compile(rb"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 Scales = tuple[float, float]
 
 
@@ -270,6 +272,8 @@ def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped:
     lines = list(islice(filter(bytes.strip, data[offset:].splitlines()), skipped, skipped + count))
     if len(lines) < count or not count:
         raise ValueError(f"declares {count} points but has {len(lines)}" if count else "has no points")
+    # Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either
+    lines = [NOT_A_NUMBER.sub(b"nan", line) if b"#" in line or b"(" in line else line for line in lines]
     # numpy's errors say the row and the column
     table = np.loadtxt(lines, ndmin=2, usecols=range(len(kinds)), comments=None, encoding="ascii")
     return {name: _typed(table[:, column], kind) for column, (name, kind) in enumerate(kinds.items())}

@@ -100,9 +100,10 @@ def test_packed_colours_in_text(tmp_path: Path, kind: str, texts: list[str]):
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
 
 
-def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path):
-    body = lines(["nan", *map(str, PACKED[1:])]).splitlines(keepends=True)
-    body[1] = b"1 nan 2 7\n"
+@pytest.mark.parametrize("nan", ["nan", "-1.#IND", "1.#R", "-nan(ind)"])
+def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path, nan: str):
+    body = lines([nan, *map(str, PACKED[1:])]).splitlines(keepends=True)
+    body[1] = f"1 {nan} 2 7\n".encode()
     (tmp_path / "a.pcd").write_bytes(pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", b"".join(body)))
     cloud = read_cloud(tmp_path / "a.pcd")
     np.testing.assert_array_equal(cloud.rgb, [[0, 0, 0], *RGB[2:]])
