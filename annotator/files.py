@@ -299,7 +299,9 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
         try:
             _clear_leftovers(out)
             _require_free(out, may_replace)
-            part = stack.enter_context(unfinished_folder(out.parent, out.name))
+            part = stack.enter_context(unfinished_folder(out.parent, out.name)) / out.name
+            # with the rights of new folders, unlike the hidden one around it
+            part.mkdir()
         except OSError as error:
             raise FormatError(out, f"cannot be created ({error.strerror}); choose another folder") from error
         yield part
@@ -410,20 +412,9 @@ def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
         )
 
 
-def _mode_of_folders(place: Path) -> int:
-    """The rights of new folders in `place`; to read the umask itself, the whole process would have to set it."""
-    probe = place / f".{uuid.uuid4().hex}"
-    probe.mkdir()
-    try:
-        return stat.S_IMODE(probe.stat().st_mode)
-    finally:
-        probe.rmdir()
-
-
 def _put_in_place(part: Path, out: Path) -> None:
     """Renames `part` to `out`. An existing `out` is moved aside first, and restored if the renaming fails."""
     try:
-        part.chmod(_mode_of_folders(part))
         if not out.exists():
             part.rename(out)
             return

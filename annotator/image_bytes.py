@@ -1,8 +1,7 @@
 """PNG and JPEG files: strict decoding, and the EXIF orientation.
 
-OpenCV decodes a truncated file without an error and fills the missing part with grey. So the bytes are checked for
-completeness first: truncated, damaged and too large images are errors. PNG: W3C "PNG Specification", section 5 (chunks,
-CRC). JPEG: ITU-T T.81, annex B (markers, frame header).
+Truncated, damaged and too large images are errors. OpenCV decodes; PIL reads the header before, and checks a PNG's
+parts, of which OpenCV's decoder would complain on the terminal.
 
 EXIF orientation: how an image file asks to be turned or mirrored when it is shown. Viewers, browsers and most labelling
 tools turn the image; a camera's calibration and a depth image usually belong to the pixels as they are stored. One rule
@@ -17,31 +16,21 @@ Source: CIPA DC-008 (Exif 2.32), 4.6.4, tag Orientation; PNG third edition, 11.3
 
 from __future__ import annotations
 
-import re
-import struct
-import zlib
-from collections.abc import Iterator
+import io
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from annotator.frame_limits import read_frame_file, require_pixels
 from annotator.types import Box2D
 
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
+
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START = b"\xff\xd8"
-JPEG_END = 0xD9
-JPEG_SCAN = 0xDA
-# A marker inside entropy-coded data: 0xFF followed by neither a stuffed 0x00, a fill 0xFF nor a restart marker.
-JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
-# The markers of frame headers: 0xC0 to 0xCF except those for tables and extensions.
-JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# Markers without a length, and bytes that are not markers; they are invalid before a frame header.
-JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
-
-
 JPEG_QUALITY = 95
 
 
@@ -89,97 +78,39 @@ def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.nd
     """
     import cv2
 
-    problem = image_problem(data)
-    if problem:
-        raise ValueError(problem)
-    width, height = declared_size(data)
-    if width * height == 0:
+    if not data:
+        raise ValueError("the file is empty")
+    file = _opened(data)
+    if file is None:
         raise ValueError("cannot be decoded as a PNG or JPEG image; convert images of other formats to one of these")
-    require_pixels(width, height, give_points=give_points)
+    require_pixels(*file.size, give_points=give_points)
     try:
+        file.verify()
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        # OpenCV has size limits of its own
+    # of a damaged file, PIL raises any
+    except Exception:
         image = None
     if image is None:
-        raise ValueError("cannot be decoded as an image")
+        raise ValueError("the image is damaged or truncated")
     return np.asarray(image)
 
 
-def image_problem(data: bytes) -> str:
-    """Why a PNG or JPEG file is unusable; "" for a complete file and for other formats."""
-    if not data:
-        return "the file is empty"
-    if data.startswith(PNG_SIGNATURE):
-        return _png_problem(data)
-    if data.startswith(JPEG_START):
-        return _jpeg_problem(data)
-    return ""
+def _opened(data: bytes) -> ImageFile | None:
+    """Returns a PNG or JPEG file whose header is read; None for other formats, and a damaged header."""
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
 
-
-def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
-    """Yields kind, start and end of the content of each part of a PNG file; the last one may be cut."""
-    at = len(PNG_SIGNATURE)
-    while at + 12 <= len(data):
-        end = at + 8 + int.from_bytes(data[at : at + 4])
-        yield data[at + 4 : at + 8], at + 8, end
-        at = end + 4
-
-
-def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yields marker, start and end of the content of the segments of a JPEG file, up to the first damage."""
-    at = len(JPEG_START)
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        if data[at + 1] == 0xFF:  # fill byte
-            at += 1
-            continue
-        end = at + 2 + int.from_bytes(data[at + 2 : at + 4])
-        yield data[at + 1], at + 4, end
-        at = end
-
-
-def _png_problem(data: bytes) -> str:
-    for kind, start, end in _chunks(data):
-        if end + 4 > len(data):
-            break
-        if zlib.crc32(data[start - 4 : end]) != int.from_bytes(data[end : end + 4]):
-            return f"the PNG image is damaged (checksum of its {kind.decode('latin-1')} part)"
-        if kind == b"IEND":
-            return ""
-    return "the PNG image is truncated"
-
-
-def _jpeg_problem(data: bytes) -> str:
-    at = len(JPEG_START)
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        if data[at + 1] == 0xFF:  # fill byte
-            at += 1
-            continue
-        if data[at + 1] == JPEG_END:
-            return ""
-        is_scan = data[at + 1] == JPEG_SCAN
-        at += 2 + int.from_bytes(data[at + 2 : at + 4])
-        if is_scan:
-            marker = JPEG_MARKER.search(data, at)
-            if marker is None:
-                break
-            if marker.group()[1] == JPEG_END:
-                return ""
-            at = marker.start()
-    return "the JPEG image is truncated"
+    try:
+        # not PIL's own `open`, which has another limit of pixels
+        return (PngImageFile if data.startswith(PNG_SIGNATURE) else JpegImageFile)(io.BytesIO(data))
+    except Exception:
+        return None
 
 
 def declared_size(data: bytes) -> tuple[int, int]:
     """Width and height from the header of a PNG or JPEG file; (0, 0) for other formats or without a header."""
-    if data.startswith(PNG_SIGNATURE) and data[12:16] == b"IHDR":
-        return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
-    for marker, start, _ in _segments(data) if data.startswith(JPEG_START) else ():
-        if marker in JPEG_FRAMES:
-            return int.from_bytes(data[start + 3 : start + 5]), int.from_bytes(data[start + 1 : start + 3])
-        if marker in JPEG_WITHOUT_LENGTH:
-            # a decoder would continue after this byte and might find another header
-            break
-    return 0, 0
+    file = _opened(data)
+    return (0, 0) if file is None else file.size
 
 
 Size = tuple[int, int]
@@ -196,23 +127,20 @@ HOW = {
 }
 # The others are their own inverses.
 INVERSE = {6: 8, 8: 6}
-APP1, EXIF_MARK, ORIENTATION_TAG, SHORT = 0xE1, b"Exif\0\0", 0x0112, 3
-ENTRY_BYTES = 12
+ORIENTATION_TAG = 0x0112
 
 
 def orientation_of(data: bytes) -> int:
     """Returns the EXIF orientation of a PNG or JPEG file, 1 to 8; 1 without a valid one."""
-    tiff = _exif(data)
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
-    if order is None or len(tiff) < 8:
+    from PIL.Image import Exif
+
+    file, exif = _opened(data), Exif()
+    try:
+        exif.load(b"" if file is None else file.info.get("exif", b""))
+        orientation = exif.get(ORIENTATION_TAG)
+    except Exception:
         return UPRIGHT
-    at = int(struct.unpack_from(order + "I", tiff, 4)[0])
-    count = int(struct.unpack_from(order + "H", tiff, at)[0]) if at + 2 <= len(tiff) else 0
-    for entry in range(at + 2, min(at + 2 + count * ENTRY_BYTES, len(tiff) - ENTRY_BYTES + 1), ENTRY_BYTES):
-        tag, kind, _, value = struct.unpack_from(order + "HHIH", tiff, entry)
-        if tag == ORIENTATION_TAG and kind == SHORT:
-            return value if value in HOW else UPRIGHT
-    return UPRIGHT
+    return int(orientation) if orientation in HOW else UPRIGHT
 
 
 def is_turned(orientation: int, stored: Size, said: Size | None) -> bool | None:
@@ -271,15 +199,3 @@ def box_as_stored(box: Box2D, orientation: int, stored: Size) -> Box2D:
 def described(orientation: int) -> str:
     """Returns the words for an orientation other than 1."""
     return f"EXIF orientation {orientation} ({HOW[orientation]} when it is shown)"
-
-
-def _exif(data: bytes) -> bytes:
-    """Returns the TIFF part of a PNG or JPEG file; empty without one."""
-    if data.startswith(PNG_SIGNATURE):
-        return next((data[start:end] for kind, start, end in _chunks(data) if kind == b"eXIf"), b"")
-    for marker, start, end in _segments(data) if data.startswith(JPEG_START) else ():
-        if marker == JPEG_SCAN:
-            break
-        if marker == APP1 and data.startswith(EXIF_MARK, start):
-            return data[start + len(EXIF_MARK) : end]
-    return b""

@@ -6,6 +6,7 @@ Names and paths are of any system, in any Unicode form, and never lead out of th
 from __future__ import annotations
 
 import codecs
+import os
 import re
 import unicodedata
 from pathlib import Path, PurePosixPath
@@ -135,12 +136,5 @@ def spelled(folder: Path, name: str) -> Path:
     if name.isascii():
         return path
     forms = (path, *(folder / unicodedata.normalize(form, name) for form in ("NFC", "NFD")))
-    return next((form for form in forms if _exists(form)), path)
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        # too long, a null byte
-        return False
+    # unlike `Path.exists`, this is false for a name that is too long, or has a null byte
+    return next(filter(os.path.exists, forms), path)

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from annotator.fenced_files import read_mat
 from annotator.files import new_folder
 from annotator.formats.kitti_rows import read_rows
 from annotator.formats.reading import write_text
-from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.sunrgbd import SunRgbdScenes
@@ -126,8 +126,7 @@ def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None
     folders, files = LAYOUTS[recording.format]
     with new_folder(folder, lambda _: True) as out:
         if isinstance(recording, SunRgbdScenes):
-            scenes = dict(zip(recording.keys, recording.scenes, strict=True))
-            _link(folder, ((scenes[key], out / key) for key in keys))
+            _link(folder, ((recording.scene(key), out / key) for key in keys))
             return
         stems = set(keys)
         for name in folders:
@@ -174,7 +173,7 @@ def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
     """Training and test keys from the toolbox's cell arrays `alltrain` and `alltest`, which list paths of scenes."""
     try:
         train, test = (read_mat(path, name, MOST_LIST_BYTES) for name in ("alltrain", "alltest"))
-    except (OSError, MatFileError) as error:
+    except (OSError, ValueError) as error:
         raise FormatError(path, f"the list of scenes cannot be read ({error})") from error
     if not isinstance(train, list) or not isinstance(test, list):
         raise FormatError(path, "alltrain and alltest are not lists of scenes")

@@ -22,7 +22,7 @@ from pyarrow import feather
 from scipy.io import savemat
 
 from annotator import files
-from annotator.feather import read_feather
+from annotator.fenced_files import read_feather
 from annotator.files import (
     MOST_DIRECTORY_BYTES,
     check_file,
@@ -253,7 +253,7 @@ def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv(VARIABLE, "1")
     with pytest.raises(FrameError, match=rf"limit is 1 MiB \(.*{VARIABLE} sets another, such as 2\)"):
         read_cloud(tmp_path / "a.npy")
-    with pytest.raises(FrameError, match=f"is larger than 0 MiB; .*raise {VARIABLE}"):
+    with pytest.raises(FrameError, match=f"larger than 0.5 MiB, .*raise {VARIABLE}"):
         _read_mat(tmp_path / "a.mat")
     monkeypatch.setenv(VARIABLE, "16")
     assert len(read_cloud(tmp_path / "a.npy").xyz_m) == 100_000

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.feather import FeatherError, Kind, read_feather
+from annotator.fence import FenceError
+from annotator.fenced_files import Kind, read_feather
 from annotator.geometry.transforms import Quaternions
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -36,7 +37,7 @@ def read_argoverse(path: Path) -> dict[int, list[Truth]]:
         table = read_feather(path, COLUMNS)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    except FeatherError as error:
+    except FenceError as error:
         raise FormatError(path, str(error)) from error
     rows = np.stack([table[name] for name in NUMBERS], axis=1)
     quaternions = Quaternions()

@@ -47,6 +47,7 @@ from jaxtyping import Float32, Float64
 from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.fenced_files import read_mat
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.losses import Lost
@@ -57,7 +58,6 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
 from annotator.geometry.transforms import level_pose
 from annotator.image_bytes import encoded_image
-from annotator.mat_file import MatFileError, read_mat
 from annotator.text import spelled
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.bases import FileRecord
@@ -179,7 +179,7 @@ def read_meta(path: Path) -> dict[str, LabelledFrame]:
     """
     try:
         table = read_mat(path, VARIABLE, MAX_BYTES)
-    except MatFileError as error:
+    except ValueError as error:
         raise FormatError(path, f"{error}; copy the file again") from error
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error

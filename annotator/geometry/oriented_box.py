@@ -30,9 +30,6 @@ CORNER_SIGNS.flags.writeable = False
 # The 12 edges as pairs of corner indices: around the bottom, around the top, and the four vertical ones.
 EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
-# The arrow of the heading ends so far in front of the box, share of its mean side. As in web_assets/js/box3d.js.
-ARROW_BEYOND = 0.2
-
 
 def corners(
     center: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "*n 3 3"], size: Float[np.ndarray, "*n 3"]
@@ -55,12 +52,6 @@ def corners(
 def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     """The corners of one box in the camera frame, metres, in the order of `CORNER_SIGNS`."""
     return corners(box.center_m, box.rotation, box.size_m)
-
-
-def heading_arrow(box: OrientedBox) -> Float64[np.ndarray, "2 3"]:
-    """The arrow that shows a box's heading: from its centre through its front (+x) face; camera frame, metres."""
-    reach_m = 0.5 * box.size_m[0] + ARROW_BEYOND * box.size_m.mean()
-    return np.stack([box.center_m, box.center_m + reach_m * box.rotation[:, 0]])
 
 
 def contains_parts(
@@ -193,9 +184,7 @@ def _made_upright(
     axis = np.cross(R[:, 2], up)
     norm = np.linalg.norm(axis)
     axis = axis / norm if norm > 1e-12 else R[:, 0]
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turn = np.eye(3) + math.sin(tilt) * K + (1 - math.cos(tilt)) * K @ K
-    return OrientedBox.from_parts(box.center_m, turn @ R, size_m), tilt
+    return OrientedBox.from_parts(box.center_m, Rotation.from_rotvec(tilt * axis).as_matrix() @ R, size_m), tilt
 
 
 # The rotations of a grid that are refined, by turns of `FIRST_TURN_RAD` that are halved down to `LAST_TURN_RAD`.

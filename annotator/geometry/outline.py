@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Float64
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import intersection_volume_pairs
-from annotator.geometry.oriented_box import EDGES, box_corners, corners, heading_arrow
+from annotator.geometry.oriented_box import EDGES, box_corners, corners
 from annotator.geometry.projection import CameraKey, camera_key, project, radius_limit_squared, undistort_px
 from annotator.types import Box2D, Camera, OrientedBox
 
@@ -186,6 +186,8 @@ def _border_px(camera: Camera) -> Float64[np.ndarray, "n 2"]:
 # Pieces per edge on a distorted image.
 PIECES_DISTORTED = 8
 
+# The arrow of the heading ends so far in front of the box, share of its mean side. As in web_assets/js/box3d.js.
+ARROW_BEYOND = 0.2
 # An arrow that ends farther from the image than so many times its longer side is not drawn.
 FARTHEST_SIZES = 4
 # Angle between an arrow's shaft and the lines of its head.
@@ -195,7 +197,7 @@ _ENDS = np.array(EDGES)
 
 
 def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
-    """The arrow of a box's heading on the image, not clipped to it.
+    """The arrow of a box's heading on the image, from its centre through its front (+x) face, not clipped to it.
 
     Args:
         box: in the camera frame.
@@ -205,7 +207,8 @@ def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.n
         (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's lines; (0, 2, 2) if it reaches behind the
         camera or far from the image.
     """
-    shaft = project(camera, heading_arrow(box))
+    reach_m = 0.5 * box.size_m[0] + ARROW_BEYOND * box.size_m.mean()
+    shaft = project(camera, np.stack([box.center_m, box.center_m + reach_m * box.rotation[:, 0]]))
     if not (np.abs(shaft) < FARTHEST_SIZES * max(camera.width_px, camera.height_px)).all():
         return np.zeros((0, 2, 2))
     tip = shaft[1]

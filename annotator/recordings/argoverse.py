@@ -14,29 +14,28 @@ k1 k2 k3 of the intrinsics belong to the images before they were undistorted, an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.feather import Kind, read_feather
-from annotator.image_bytes import Size
+from annotator.fenced_files import Kind, read_feather
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
-from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, sorted_keys, stems
-from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
-from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
+from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, level_turn, virtual_frame
+from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole, pinhole
+from annotator.recordings.recording import ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.types.messages import amount
+from annotator.types.messages import amount, first_few
 
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"
 POSES, MOUNTS, INTRINSICS = (
@@ -46,29 +45,33 @@ POSES, MOUNTS, INTRINSICS = (
 )
 FRONT, LIDAR = "ring_front_center", "up_lidar"
 REMEDY = "copy it again from the data set"
-MOST_INTENSITY = np.float32(255.0)
+MOST_INTENSITY = 255
 # Half the period of the LiDAR.
 TOLERANCE_S = 0.05
 # 64 bits have 19 digits.
 LONGEST_TIME = 19
-POSE: dict[str, Kind] = dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float")
+POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+# Rows that a message names.
+MOST_NAMED = 12
 UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ArgoverseLog(KeyedFrames):
+class ArgoverseLog(Scanned, RigCamera):
     """A `Recording` of a log's sweeps, in time order; labels are in the ego frame of the sweep's time.
 
     Attributes:
         camera: name of the camera; "" for the virtual one of a log without images.
         cameras: names of all cameras.
         images: the time of each frame's image, as in its file's name; empty without images.
+        poses: of the vehicle, by time.
         notes: what was left out.
     """
 
     camera: str
     cameras: tuple[str, ...]
     images: tuple[str, ...]
+    poses: dict[int, np.ndarray] = field(repr=False)
     notes: tuple[str, ...] = ()
     format: ClassVar[str] = "argoverse2"
     is_sequence: ClassVar[bool] = True
@@ -90,21 +93,22 @@ class ArgoverseLog(KeyedFrames):
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
         sweep, image = self.files(i)
-        picture = read_color_image(image, self._size())
-        rgb = picture.rgb
-        camera = self._intrinsics(rgb.shape[1], rgb.shape[0])
+        camera = self._intrinsics
+        size = camera.width_px, camera.height_px
+        picture = read_color_image(image, size)
+        require_size(image, picture.rgb, size, "the calibration says", REMEDY)
         T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
         T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
         raw = self._sweep(key)
         xyz_m = T_camera_ego.apply(raw.xyz_m)
-        cloud = visible_cloud(sweep, camera, xyz_m, raw, rgb, f"check {MOUNTS} and {POSES}")
+        cloud = visible_cloud(sweep, camera, xyz_m, raw, picture.rgb, f"check {MOUNTS} and {POSES}")
         up = T_city_camera.rotation.inv().apply(UP)
         time_ns = int(self.images[i])
         return Frame(
             key,
             i,
             camera,
-            rgb,
+            picture.rgb,
             cloud,
             None,
             up,
@@ -140,44 +144,29 @@ class ArgoverseLog(KeyedFrames):
         """Returns the valid points in the ego frame."""
         path = self._sweep_file(key)
         columns = _table(path, {"x": "float", "y": "float", "z": "float", "intensity": "int"})
-        xyz_m = np.stack([columns[name] for name in "xyz"], axis=1)
-        valid = are_returns(xyz_m)
-        if not valid.any():
-            raise FrameError(path, "has no points", REMEDY)
-        intensity = columns["intensity"][valid].astype(np.float32)
-        return RawCloud(xyz_m[valid], None, np.clip(intensity / MOST_INTENSITY, 0, 1))
+        columns["intensity"] = columns["intensity"].clip(0, MOST_INTENSITY).astype(np.uint8)
+        with file_errors(path, REMEDY):
+            return from_columns(columns)
 
     def _T_city_ego(self, time_ns: str) -> RigidTransform:
-        poses = _poses(self.path / POSES)
-        if int(time_ns) not in poses:
-            raise FrameError(self.path / POSES, f"has no pose for the time {time_ns}", REMEDY)
-        return _rigid(self.path / POSES, time_ns, poses[int(time_ns)])
+        return _rigid(self.path / POSES, time_ns, self.poses, int(time_ns))
 
     def _mount(self, sensor: str) -> RigidTransform:
-        mounts = _named(self.path / MOUNTS, tuple(POSE))
-        if sensor not in mounts:
-            raise FrameError(self.path / MOUNTS, f"has no row for {sensor} (it has {', '.join(mounts)})", REMEDY)
-        return _rigid(self.path / MOUNTS, sensor, mounts[sensor])
+        return _rigid(self.path / MOUNTS, sensor, self._mounts, sensor)
 
-    def _size(self) -> Size | None:
-        """Returns the size of the images that the calibration names; None if it does not."""
-        try:
-            rows = _named(self.path / INTRINSICS, ("width_px", "height_px"))
-        except FrameError:  # without these columns; those that are needed are required below
-            return None
-        width_px, height_px = rows[self.camera].tolist() if self.camera in rows else (0.0, 0.0)
-        return None if min(width_px, height_px) < 1 else (int(width_px), int(height_px))
+    @cached_property
+    def _mounts(self) -> dict[str, np.ndarray]:
+        return _rows(self.path / MOUNTS, "sensor_name", "text", POSE)
 
-    def _intrinsics(self, width_px: int, height_px: int) -> Camera:
+    @cached_property
+    def _intrinsics(self) -> Camera:
         path = self.path / INTRINSICS
-        rows = _named(path, ("fx_px", "fy_px", "cx_px", "cy_px"))
-        if self.camera not in rows:
-            raise FrameError(path, f"has no row for {self.camera} (it has {', '.join(rows)})", REMEDY)
-        fx, fy, cx, cy = rows[self.camera].tolist()
+        rows = _rows(path, "sensor_name", "text", ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px"))
+        fx, fy, cx, cy, width_px, height_px = _row(path, self.camera, rows, self.camera).tolist()
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        if not is_pinhole(K):
+        if not (is_pinhole(K) and 1 <= min(width_px, height_px) <= max(width_px, height_px) <= LARGEST_SIDE_PX):
             raise FrameError(path, f"{self.camera} is not a pinhole camera", REMEDY)
-        return pinhole(K, width_px, height_px)
+        return pinhole(K, int(width_px), int(height_px))
 
 
 def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
@@ -185,7 +174,7 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
     if not is_argoverse2(path):
         return None
     keys = sorted_keys(path, _times(path / SWEEPS, (".feather",)), f"{SWEEPS}/TIME_NS.feather")
-    _poses(path / POSES)
+    poses = _rows(path / POSES, "timestamp_ns", "int", POSE)
     folders = sorted(folder.name for folder in (path / CAMERAS).glob("*/")) if (path / CAMERAS).is_dir() else []
     times = {name: _times(path / CAMERAS / name, IMAGE_SUFFIXES) for name in folders}
     cameras = tuple(name for name in folders if times[name])
@@ -193,7 +182,7 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
     if camera and camera not in cameras:
         raise ConfigError(f"{path}: has no images of a camera {camera}; it has {', '.join(cameras) or 'none'}")
     if not camera:
-        return ArgoverseLog(path, keys, "", (), (), (f"{CAMERAS}/ has no images; a virtual camera looks ahead",))
+        return ArgoverseLog(path, keys, "", (), (), poses, (f"{CAMERAS}/ has no images; a virtual camera looks ahead",))
     within_s = options.tolerance_s or TOLERANCE_S
     pairs = _pairs(keys, times[camera], within_s)
     if not pairs:
@@ -206,7 +195,7 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | None:
         notes.append(
             f"left out: {amount(alone, 'sweep')} without an image within {within_s:g} s (--tolerance changes it)"
         )
-    return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), tuple(notes))
+    return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), poses, tuple(notes))
 
 
 def is_argoverse2(path: Path) -> bool:
@@ -236,26 +225,20 @@ def _table(path: Path, columns: dict[str, Kind]) -> dict[str, np.ndarray]:
         return read_feather(path, columns)
 
 
-def _poses(path: Path) -> dict[int, np.ndarray]:
-    """Returns the vehicle's poses by time; cached, because every frame needs two of a log's thousands."""
-    with file_errors(path, REMEDY):
-        status = path.stat()
-    return _read_poses(path, status.st_mtime_ns, status.st_size)
+def _rows(path: Path, name: str, kind: Kind, columns: tuple[str, ...]) -> dict[Any, np.ndarray]:
+    """Returns the numbers of each row by the value of its column `name`."""
+    table = _table(path, {name: kind, **dict.fromkeys(columns, "float")})
+    return dict(zip(table[name].tolist(), np.stack([table[each] for each in columns], axis=1), strict=True))
 
 
-@lru_cache(maxsize=4)
-def _read_poses(path: Path, changed_ns: int, size: int) -> dict[int, np.ndarray]:
-    table = _table(path, {"timestamp_ns": "int", **POSE})
-    return dict(zip(table["timestamp_ns"].tolist(), np.stack([table[name] for name in POSE], axis=1), strict=True))
+def _row(path: Path, name: str, rows: dict[Any, np.ndarray], key: int | str) -> np.ndarray:
+    if key not in rows:
+        raise FrameError(path, f"has no row for {name} (it has {first_few([*map(str, rows)], MOST_NAMED)})", REMEDY)
+    return rows[key]
 
 
-def _named(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Returns the numbers of each sensor, by its name."""
-    table = _table(path, {"sensor_name": "text", **dict.fromkeys(columns, "float")})
-    return dict(zip(table["sensor_name"].tolist(), np.stack([table[name] for name in columns], axis=1), strict=True))
-
-
-def _rigid(path: Path, name: str, row: np.ndarray) -> RigidTransform:
+def _rigid(path: Path, name: str, rows: dict[Any, np.ndarray], key: int | str) -> RigidTransform:
+    row = _row(path, name, rows, key)
     if not (are_plausible(row) and 0.5 < np.linalg.norm(row[:4]) < 2.0):
         raise FrameError(path, f"the pose of {name} is not a unit quaternion and a position", REMEDY)
     return RigidTransform.from_components(row[4:], Rotation.from_quat(row[:4], scalar_first=True))

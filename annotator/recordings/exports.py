@@ -15,7 +15,8 @@ The keys are the ids. OpenLABEL of other programs is not opened: its clouds may 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +33,7 @@ from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, require_size, sorted_keys, stems
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.recordings.rgbd_folder import Four, Number, Positive, Side, unit_up
 from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
@@ -53,46 +54,51 @@ def read_document(path: Path) -> Any:
         raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
 
 
-def exported_files(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
-    """Returns the paths of files that a document names."""
-    try:
-        return tuple(inside(folder, name) for name in names)
-    except OutsideError as error:
-        raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
+class Described(NamedTuple):
+    """The camera, direction against gravity, time and place of a frame."""
+
+    camera: Camera
+    up: Float64[np.ndarray, "3"] | None
+    timestamp_ns: int | None
+    T_world_camera: RigidTransform | None
 
 
-def exported_frame(
-    key: str,
-    index: int,
-    files: tuple[Path, ...],
-    camera: Camera,
-    up: Float64[np.ndarray, "3"] | None,
-    timestamp_ns: int | None,
-    T_world_camera: RigidTransform | None,
-) -> Frame:
-    """Reads the image and the cloud of a frame.
+@dataclass(frozen=True, eq=False)
+class ExportFolder(Recording):
+    """A `Recording` of an export; labels are in the camera's frame."""
 
-    Args:
-        files: image and cloud.
-    """
-    image, cloud = files
-    picture = read_color_image(image, (camera.width_px, camera.height_px))
-    require_size(image, picture.rgb, (camera.width_px, camera.height_px), "its camera has", REMEDY)
-    if cloud.suffix.lower() not in CLOUD_SUFFIXES:
-        raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
-    raw = read_cloud(cloud)
-    points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-    return Frame(
-        key,
-        index,
-        camera,
-        picture.rgb,
-        points,
-        up=up,
-        timestamp_ns=timestamp_ns,
-        T_world_camera=T_world_camera,
-        exif_orientation=picture.exif_orientation,
-    )
+    is_sequence: ClassVar[bool] = False
+
+    @abstractmethod
+    def named(self, key: str) -> tuple[str, ...]:
+        """Returns the names of a frame's files; the image and the cloud are the last ones."""
+
+    @abstractmethod
+    def described(self, key: str) -> Described:
+        """Returns what a frame's document says."""
+
+    def files(self, i: int) -> tuple[Path, ...]:
+        try:
+            return tuple(inside(self.path, name) for name in self.named(self.key(i)))
+        except OutsideError as error:
+            raise FrameError(self.path, f"has a frame whose file {error}", REMEDY) from error
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`."""
+        key = self.key(i)
+        *_, image, cloud = self.files(i)
+        camera, up, timestamp_ns, T_world_camera = self.described(key)
+        size = camera.width_px, camera.height_px
+        picture = read_color_image(image, size)
+        require_size(image, picture.rgb, size, "its camera has", REMEDY)
+        if cloud.suffix.lower() not in CLOUD_SUFFIXES:
+            raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
+        raw = read_cloud(cloud)
+        points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
+        orientation = picture.exif_orientation
+        return Frame(
+            key, i, camera, picture.rgb, points, None, up, None, timestamp_ns, None, T_world_camera, orientation
+        )
 
 
 Vector = tuple[Number, Number, Number]
@@ -152,8 +158,8 @@ class DocumentFrame(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class OpenLabelFolder(KeyedFrames):
-    """A `Recording` of exported OpenLABEL documents; labels are in the camera's frame.
+class OpenLabelFolder(ExportFolder):
+    """A `Recording` of exported OpenLABEL documents.
 
     Attributes:
         documents: the documents; they are large, and read with the first frame.
@@ -161,19 +167,17 @@ class OpenLabelFolder(KeyedFrames):
 
     documents: tuple[Path, ...]
     format: ClassVar[str] = "openlabel"
-    is_sequence: ClassVar[bool] = False
 
     def document(self, key: str) -> Path:
         """Returns the document of a frame, which has its labels."""
         return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
 
-    def files(self, i: int) -> tuple[Path, ...]:
-        listed = self._listed(self.key(i))
-        return exported_files(self.path, (listed.image, listed.cloud))
+    def named(self, key: str) -> tuple[str, ...]:
+        listed = self._listed(key)
+        return listed.image, listed.cloud
 
-    def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its up direction is unknown."""
-        key = self.key(i)
+    def described(self, key: str) -> Described:
+        """Returns what the document says; the up direction is unknown."""
         listed = self._listed(key)
         with file_errors(listed.document, REMEDY, f"frame {key}: "):
             camera = IntrinsicsRecord.model_validate(listed.intrinsics).camera()
@@ -181,7 +185,7 @@ class OpenLabelFolder(KeyedFrames):
             if listed.place is not None:
                 place = TransformRecord.model_validate(listed.place).transform_src_to_dst
                 world = place.transform(w_first=False) * T_BASE_CAMERA
-        return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
+        return Described(camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
         listed = self._frames.get(normal(key))
@@ -288,32 +292,27 @@ class FrameFile(FileRecord):
 
 
 @dataclass(frozen=True, eq=False)
-class RcvFolder(KeyedFrames):
-    """A `Recording` of an `rcv` dataset; labels are in the camera's frame."""
+class RcvFolder(ExportFolder):
+    """A `Recording` of an `rcv` dataset."""
 
     format: ClassVar[str] = "rcv"
-    is_sequence: ClassVar[bool] = False
 
-    def files(self, i: int) -> tuple[Path, ...]:
-        path, record = self._record(self.key(i))
-        return path, *exported_files(self.path, (record.image, record.cloud))
+    def named(self, key: str) -> tuple[str, ...]:
+        record = self._record(key)
+        return f"{LABELS}/{key}.json", record.image, record.cloud
 
-    def frame(self, i: int) -> Frame:
-        """Reads frame `i`."""
-        key = self.key(i)
-        path, record = self._record(key)
+    def described(self, key: str) -> Described:
+        path, record = self.path / LABELS / f"{key}.json", self._record(key)
         with file_errors(path, REMEDY, "does not describe a frame: "):
             camera = Camera(**record.camera.model_dump())
             world = None if record.world is None else record.world.transform(w_first=True)
         up = None if record.up is None else unit_up(path, record.up, REMEDY)
-        files = exported_files(self.path, (record.image, record.cloud))
-        return exported_frame(key, i, files, camera, up, record.timestamp_ns, world)
+        return Described(camera, up, record.timestamp_ns, world)
 
-    def _record(self, key: str) -> tuple[Path, FrameFile]:
-        """Returns the path and the content of a frame's file."""
+    def _record(self, key: str) -> FrameFile:
         path = self.path / LABELS / f"{key}.json"
         with file_errors(path, REMEDY):
-            return path, FrameFile.model_validate_json(read_text_file(path))
+            return FrameFile.model_validate_json(read_text_file(path))
 
 
 def open_rcv(path: Path) -> RcvFolder | None:

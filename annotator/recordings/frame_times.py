@@ -33,11 +33,6 @@ SINCE_1970_US = (946_684_800 * 10**6, 4_102_444_800 * 10**6)
 Times = tuple[int | None, ...]
 
 
-def line(key: str, timestamp_ns: int) -> str:
-    """Returns one line of the file."""
-    return f"{key},{timestamp_ns}\n"
-
-
 def known_times(times_ns: Times) -> Times:
     """Returns the times of frames in order, None for those that are 0: not set by their writer.
 

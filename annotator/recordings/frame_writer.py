@@ -70,7 +70,7 @@ class FrameWriter:
             else:
                 _put(self.folder / CLOUDS / f"{key}.npz", _npz(frame.cloud))
             with (self.folder / frame_times.FILE_NAME).open("a", encoding="utf-8") as times:
-                times.write(frame_times.line(key, timestamp_ns))
+                times.write(f"{key},{timestamp_ns}\n")
             _put(self.folder / COLOR / f"{key}.jpg", encoded_image(frame.rgb, "jpg"))
         except OSError as error:
             raise RecordingError(

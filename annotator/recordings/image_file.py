@@ -126,6 +126,27 @@ def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
     return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
 
 
+# Depths below 8.192 m become multiples of eight, which few plain values are.
+LEAST_MULTIPLES = 0.9
+# Read as they are, their far parts are beyond this, metres: farther than depth cameras see.
+FAR_M, FAR_SHARE = 8.192, 0.95
+
+
+def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of a SUN RGB-D depth image."""
+    return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
+
+
+def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
+    """True if a depth image of so many units per metre is rather one of SUN RGB-D."""
+    known = measured(raw)
+    count = np.count_nonzero(known)
+    # counted without a copy of the values: nearly all images end here
+    if count == 0 or 1 - np.count_nonzero((raw & np.uint16(7)).astype(bool) & known) / count < LEAST_MULTIPLES:
+        return False
+    return bool(np.quantile(raw[known], FAR_SHARE) / depth_scale > FAR_M)
+
+
 def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
     """Reads an image of the depth's confidence."""
     return _plane(path, np.uint8, "an image of confidence", REMEDY)
@@ -150,27 +171,6 @@ def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, 
     with file_errors(path, REMEDY):
         data = read_frame_file(path)
         return data, decode_image(data, flags, give_points=give_points)
-
-
-# Depths below 8.192 m become multiples of eight, which few plain values are.
-LEAST_MULTIPLES = 0.9
-# Read as they are, their far parts are beyond this, metres: farther than depth cameras see.
-FAR_M, FAR_SHARE = 8.192, 0.95
-
-
-def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of a SUN RGB-D depth image."""
-    return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
-
-
-def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
-    """True if a depth image of so many units per metre is rather one of SUN RGB-D."""
-    known = measured(raw)
-    count = np.count_nonzero(known)
-    # counted without a copy of the values: nearly all images end here
-    if count == 0 or 1 - np.count_nonzero((raw & np.uint16(7)).astype(bool) & known) / count < LEAST_MULTIPLES:
-        return False
-    return bool(np.quantile(raw[known], FAR_SHARE) / depth_scale > FAR_M)
 
 
 # An edit list of the container would leave images out that have depth.

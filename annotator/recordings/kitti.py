@@ -21,11 +21,9 @@ has no colour and no label, and is dropped.
 
 from __future__ import annotations
 
-import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -39,9 +37,9 @@ from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, joined, sorted_keys, stems
-from annotator.recordings.look_around import Scan
+from annotator.recordings.look_around import Scan, Scanned, Scenes
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
@@ -198,7 +196,7 @@ MOST_DIGITS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class KittiFolder(KeyedFrames, ABC):
+class KittiFolder(Scanned):
     """A `Recording` of image and scan pairs.
 
     Attributes:
@@ -313,7 +311,7 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | None:
 
 
 CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
-TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
+RAW_TIMES = "image_02/timestamps.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,12 +334,9 @@ class KittiRaw(KittiFolder):
         )
 
     def time_ns(self, number: int) -> int:
-        path = self.path / "image_02" / "timestamps.txt"
-        if not path.is_file():
+        times, path = self._times, self.path / RAW_TIMES
+        if times is None:
             return number * PERIOD_NS
-        with file_errors(path, "copy it again from the data set"):
-            stat = path.stat()
-            times = _times(path, stat.st_mtime_ns, stat.st_size)
         time_ns = times[number] if number < len(times) else None
         if time_ns is None:
             raise FrameError(
@@ -351,22 +346,22 @@ class KittiRaw(KittiFolder):
             )
         return time_ns
 
-
-@lru_cache(maxsize=4)
-def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
-    """Returns the time of each line, nanoseconds since the epoch; None for an invalid line."""
-    return tuple(_nanoseconds(line) for line in read_text_file(path, TABLE_BYTES).splitlines())
+    @cached_property
+    def _times(self) -> tuple[int | None, ...] | None:
+        """The time of each line, nanoseconds since the epoch; None for an invalid line. None without the file."""
+        path = self.path / RAW_TIMES
+        if not path.is_file():
+            return None
+        with file_errors(path, "copy it again from the data set"):
+            return tuple(_nanoseconds(line.strip()) for line in read_text_file(path, TABLE_BYTES).splitlines())
 
 
 def _nanoseconds(line: str) -> int | None:
-    match = TIME.fullmatch(line.strip())
-    if match is None:
-        return None
     try:
-        moment = datetime.fromisoformat(match[1]).replace(tzinfo=UTC)
-    except ValueError:  # such as the 31st of February
+        time = np.datetime64(line, "ns")
+    except ValueError:
         return None
-    return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
+    return None if np.isnat(time) else int(time.astype(np.int64))
 
 
 def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
@@ -377,45 +372,35 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | None:
 
 
 @dataclass(frozen=True, eq=False)
-class KittiTracking(KittiFolder):
-    """A `Recording` of one KITTI drive; its times count from the drive's frame 0."""
+class KittiTracking(KittiFolder, Scenes):
+    """A `Recording` of one KITTI drive; its times count from the drive's frame 0.
 
+    Attributes:
+        scene: name of the drive within a data set; "" for a folder of one drive.
+        scenes: names of all drives of the data set.
+        notes: what was left out.
+    """
+
+    scene: str = ""
+    scenes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     format: ClassVar[str] = "kitti_tracking"
     is_sequence: ClassVar[bool] = True
 
     @property
+    def name(self) -> str:
+        return self.scene or super().name
+
+    @property
     def label_file(self) -> Path:
         """The file of the labels, which may be missing."""
-        return self.root / "label_02.txt"
+        return self._of_drive("label_02")
 
     def calibration(self, key: str) -> KittiCalibration:
-        return read_calibration(self.path / "calib.txt")
+        return read_calibration(self._of_drive("calib"))
 
-
-@dataclass(frozen=True, eq=False)
-class KittiSequence(KittiTracking):
-    """One drive of a KITTI tracking data set.
-
-    Attributes:
-        scene: name of the drive.
-        scenes: names of all drives.
-        notes: what was left out.
-    """
-
-    scene: str
-    scenes: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        return self.scene
-
-    @property
-    def label_file(self) -> Path:
-        return self.root / "label_02" / f"{self.scene}.txt"
-
-    def calibration(self, key: str) -> KittiCalibration:
-        return read_calibration(self.root / "calib" / f"{self.scene}.txt")
+    def _of_drive(self, kind: str) -> Path:
+        return self.root / kind / f"{self.scene}.txt" if self.scene else self.root / f"{kind}.txt"
 
 
 def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | None:
@@ -443,7 +428,7 @@ def _drives(root: Path) -> list[str]:
     return sorted(file.stem for file in (root / "calib").glob("*.txt") if (root / IMAGES / file.stem).is_dir())
 
 
-def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions) -> KittiSequence:
+def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions) -> KittiTracking:
     scene = options.scene or drives[0]
     if scene not in drives:
         raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(drives)}")
@@ -452,4 +437,4 @@ def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions)
     notes: tuple[str, ...] = ()
     if len(drives) > 1 and options.scene is None:
         notes = (f"{len(drives)} drives: {', '.join(drives)}; this is the first (--scene names another, or all)",)
-    return KittiSequence(path, keys, root, images, scans, scene, tuple(drives), notes, reader=Scans(options.columns))
+    return KittiTracking(path, keys, root, images, scans, scene, tuple(drives), notes, reader=Scans(options.columns))

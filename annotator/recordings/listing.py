@@ -6,8 +6,7 @@ import errno
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
-from fnmatch import fnmatch
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,31 +14,21 @@ from pydantic import ValidationError
 
 from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.messages import first_few, first_problem
+from annotator.types.messages import first_problem
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("(?:0(?=[0-9]))*([0-9]+)")
-# Files about a data set, which no reader needs.
-DOCUMENTS = ("README*", "LICENSE*", "LICENCE*")
-MOST_NAMED = 8
 
-REMEDIES = {
+REMEDIES: dict[int | None, str] = {
     errno.ENAMETOOLONG: "give a shorter path",
     errno.EACCES: "allow this user to read it, or give another path",
     errno.EPERM: "allow this user to read it, or give another path",
 }
 
 
-@contextmanager
-def path_errors(path: Path) -> Iterator[None]:
+def path_errors(path: Path) -> AbstractContextManager[None]:
     """Converts an OSError while `path` is inspected into a RecordingError."""
-    try:
-        yield
-    except OSError as error:
-        remedy = REMEDIES.get(error.errno or 0, "check the path and its disk")
-        raise RecordingError(
-            f"{error.filename or path}: cannot be read: {error.strerror or error}; {remedy}"
-        ) from error
+    return file_errors(path, "check the path and its disk", kind=RecordingError)
 
 
 @contextmanager
@@ -54,7 +43,7 @@ def file_errors(path: Path, remedy: str, what: str = "", kind: type[RecordingErr
     except (OSError, ValueError) as error:
         problem = f"{what}{error}"
         if isinstance(error, OSError):
-            problem = f"{what}cannot be read ({error.strerror or error})"
+            problem, remedy = f"{what}cannot be read ({error.strerror or error})", REMEDIES.get(error.errno, remedy)
         elif isinstance(error, ValidationError):
             problem = what + first_problem(error)
         if kind is FrameError:
@@ -86,22 +75,6 @@ def joined(names: set[str], *others: set[str]) -> set[str]:
     return names
 
 
-def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None:
-    """Returns a sentence that names the entries of a folder that no reader of its format knows; None if there are none.
-
-    Args:
-        known: patterns of the names that are read.
-        labels: where the labels are read from.
-    """
-    with path_errors(folder), os.scandir(folder) as entries:
-        names = sorted(entry.name + "/" * entry.is_dir() for entry in entries if entry.name[0] != ".")
-    patterns = (*known, *DOCUMENTS)
-    unread = [name for name in names if not any(fnmatch(name.rstrip("/"), pattern) for pattern in patterns)]
-    if not unread:
-        return None
-    return f"not read: {first_few(unread, MOST_NAMED)}; labels are read from {labels}"
-
-
 def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
     """Returns the keys in natural order ("2" before "10")."""
     if not keys:
@@ -114,15 +87,13 @@ def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) 
     """Returns the file of frame `key` in `folder`; `partner` names the file it belongs to, for the message."""
     candidates = [spelled(folder, key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
     # by inode: on a case-insensitive file system both spellings are the same file
-    try:
+    expected = folder / (key + suffixes[0])
+    with file_errors(expected, "check the path and its disk"):
         files = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}
-    except OSError as error:
-        remedy = REMEDIES.get(error.errno or 0, "check the path and its disk")
-        raise FrameError(folder / (key + suffixes[0]), f"cannot be read: {error.strerror or error}", remedy) from error
     if not files:
         names = " or ".join(key + suffix for suffix in suffixes)
-        raise FrameError(folder / (key + suffixes[0]), "missing", f"put {names} beside {partner}, or remove the frame")
+        raise FrameError(expected, "missing", f"put {names} beside {partner}, or remove the frame")
     if len(files) > 1:
         names = ", ".join(sorted(path.name for path in files.values()))
-        raise FrameError(folder / (key + suffixes[0]), f"ambiguous: the folder has {names}", "keep one of them")
+        raise FrameError(expected, f"ambiguous: the folder has {names}", "keep one of them")
     return next(iter(files.values()))

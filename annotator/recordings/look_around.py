@@ -8,10 +8,11 @@ one of them. The image is rendered from the points; the cloud is the whole scan.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from math import pi, radians, tan
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -20,41 +21,33 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.transforms import right_handed_axes
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import virtual_image
-from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, Recording, files_of, origin_of
+from annotator.recordings.recording import Place, ReaderOptions, Recording
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
 
 
-@runtime_checkable
-class RigCamera(Recording, Protocol):
+class RigCamera(Recording):
     """A recording of one camera of a rig."""
 
-    @property
-    def camera(self) -> str:
-        """The camera's name."""
+    # the camera's name, and those of all cameras of the rig
+    camera: str
+    cameras: tuple[str, ...]
 
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """The names of all cameras of the rig."""
-
+    @abstractmethod
     def moment(self, i: int) -> str:
         """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together."""
 
+    @abstractmethod
     def T_rig_camera(self, i: int) -> RigidTransform:
         """Returns the pose of frame `i`'s camera in a frame that is the same for all frames of a moment."""
 
 
-@runtime_checkable
-class Scenes(Recording, Protocol):
+class Scenes(Recording):
     """A recording of one scene of a dataset."""
 
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """The names of all scenes of the dataset."""
-
-    @property
-    def scene(self) -> str:
-        """The scene's name."""
+    # the scene's name, and those of all scenes of the dataset
+    scene: str
+    scenes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +73,10 @@ class Scan:
     T_world_scan: RigidTransform | None = None
 
 
-@runtime_checkable
-class Scanned(Recording, Protocol):
+class Scanned(Recording):
     """A recording of a LiDAR."""
 
+    @abstractmethod
     def scan(self, i: int) -> Scan:
         """Reads the scan of frame `i`."""
 
@@ -108,18 +101,18 @@ AHEAD = "around-000"
 
 
 @dataclass(frozen=True, eq=False)
-class LookAround(KeyedFrames):
+class LookAround(Scanned, RigCamera):
     """A `Recording` of one virtual camera at the LiDAR of another recording.
 
     Attributes:
         base: the recording of the LiDAR.
-        count: number of virtual cameras.
+        cameras: the names of all virtual cameras.
         camera: this camera's name: `around-060` looks 60 degrees to the left of ahead.
         others: a note on the other cameras; "" if this one was chosen.
     """
 
     base: Scanned
-    count: int
+    cameras: tuple[str, ...]
     camera: str
     others: str = ""
     format: ClassVar[str] = "look_around"
@@ -142,15 +135,10 @@ class LookAround(KeyedFrames):
 
     @property
     def origin(self) -> Place | None:
-        return origin_of(self.base)
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """The names of all virtual cameras."""
-        return camera_names(self.count)
+        return self.base.origin
 
     def files(self, i: int) -> tuple[Path, ...]:
-        return files_of(self.base, i)
+        return self.base.files(i)
 
     def moment(self, i: int) -> str:
         """Returns the frame's key, which all cameras share."""
@@ -167,10 +155,12 @@ class LookAround(KeyedFrames):
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`."""
-        return virtual_frame(self.base.scan(i), self.key(i), i, virtual_camera(self.count), self._R_camera_level())
+        return virtual_frame(
+            self.base.scan(i), self.key(i), i, virtual_camera(len(self.cameras)), self._R_camera_level()
+        )
 
     def _R_camera_level(self) -> Rotation:
-        yaw = 2 * pi * self.cameras.index(self.camera) / self.count
+        yaw = 2 * pi * self.cameras.index(self.camera) / len(self.cameras)
         return R_CAMERA_LEVEL * Rotation.from_rotvec([0.0, 0.0, -yaw])
 
 
@@ -182,7 +172,7 @@ def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
     if camera not in names:
         raise ConfigError(f"{base.path}: has no virtual camera {camera}; it has {', '.join(names)}")
     others = "" if options.camera else f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
-    return LookAround(base.path, base.keys, base, options.look_around, camera, others)
+    return LookAround(base.path, base.keys, base, names, camera, others)
 
 
 def camera_names(count: int) -> tuple[str, ...]:

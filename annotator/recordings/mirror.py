@@ -11,17 +11,15 @@ other formats tell it (`file_owners`).
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from annotator.files import unfinished_folder
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.sunrgbd import KEY_SEPARATOR
@@ -54,15 +52,16 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
         from fsspec.core import url_to_fs
 
         system, root = url_to_fs(url)
-        sizes = {path: _size(info) for path, info in system.find(root, detail=True).items()}
+        sizes = {path: int(info.get("size") or 0) for path, info in system.find(root, detail=True).items()}
     name = PurePosixPath(root).name or "recording"
     is_file = list(sizes) == [root]
     files = {name: (root, sizes[root])} if is_file else dict(_below(url, root, sizes))
     if not files:
         raise RecordingError(f"{url}: has no files; give the URL of a recording")
-    place = _process_folder(folder)
-    store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
-    try:
+    # what killed processes have left is removed
+    with ExitStack() as stack:
+        place = stack.enter_context(unfinished_folder(folder, "recording"))
+        store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
         for path, (_, size) in files.items():
             store.empty(path)
             is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
@@ -70,48 +69,62 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
                 store.keep(path)
         with store.url_in_errors():
             opened = open_recording(place / name, options)
-    except BaseException:
-        shutil.rmtree(place, ignore_errors=True)
-        raise
-    return Mirror(opened, store, weakref.finalize(store, shutil.rmtree, place, True))
-
-
-class Mirror:
-    """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy."""
-
-    def __init__(self, opened: Recording, store: _Store, removed: weakref.finalize[Any, Any]) -> None:
-        self._opened, self._store, self._removed = opened, store, removed
-        self.path, self.root, self.name, self.format = opened.path, opened.root, opened.name, opened.format
-        self.keys, self.is_sequence = opened.keys, opened.is_sequence
-        self._of_key: dict[str, list[str]] = {}
-        self._shared: list[str] = []
         keys = {normal(key): key for key in opened.keys}
         listed: dict[str, str] = getattr(opened, "file_owners", {})
-        for path in store.files:
+        of_key: dict[str, list[str]] = {}
+        shared = list[str]()
+        for path in files:
             owner = listed.get(path) or _owner(path, keys)
-            (self._shared if owner is None else self._of_key.setdefault(owner, [])).append(path)
+            (shared if owner is None else of_key.setdefault(owner, [])).append(path)
+        removed = weakref.finalize(store, stack.pop_all().close)
+        return Mirror(opened.path, opened.keys, opened, store, removed, of_key, shared)
+
+
+@dataclass(frozen=True, eq=False)
+class Mirror(Recording):
+    """A `Recording` in remote storage; its files are downloaded when frames are read. `path` is the local copy.
+
+    Attributes:
+        opened: the recording of the copy.
+        removed: removes the copy, also when it is garbage.
+        of_key: the files of each frame, relative to the copy's folder.
+        shared: those of all frames.
+    """
+
+    opened: Recording
+    store: _Store
+    removed: weakref.finalize[Any, Any]
+    of_key: dict[str, list[str]]
+    shared: list[str]
+
+    @property
+    def format(self) -> str:  # type: ignore[override]
+        return self.opened.format
+
+    @property
+    def is_sequence(self) -> bool:  # type: ignore[override]
+        return self.opened.is_sequence
+
+    @property
+    def root(self) -> Path:
+        return self.opened.root
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """As of the recording."""
-        return self._opened.notes
-
-    def __len__(self) -> int:
-        return len(self._opened)
+        return self.opened.notes
 
     def frame(self, i: int) -> Frame:
         """Reads frame number `i`, 0-based."""
-        if not 0 <= i < len(self):
-            raise IndexError(f"frame {i} of a recording with {len(self)} frames")
-        for path in self._shared:
-            self._store.keep(path)
-        self._store.fill(self.keys[i], self._of_key.get(self.keys[i], []))
-        with self._store.url_in_errors():
-            return self._opened.frame(i)
+        key = self.key(i)
+        for path in self.shared:
+            self.store.keep(path)
+        self.store.fill(key, self.of_key.get(key, []))
+        with self.store.url_in_errors():
+            return self.opened.frame(i)
 
     def close(self) -> None:
         """Removes the copy; no frame can be read afterwards. Garbage collection also removes it."""
-        self._removed()
+        self.removed()
 
 
 @dataclass(eq=False)
@@ -207,10 +220,6 @@ def _storage_errors(url: str) -> Iterator[None]:
         raise RecordingError(problem) from error
 
 
-def _size(info: dict[str, Any]) -> int:
-    return int(info.get("size") or 0)
-
-
 def _below(url: str, root: str, sizes: dict[str, int]) -> Iterator[tuple[str, tuple[str, int]]]:
     """Yields path relative to the root, path in the storage and size; rejects names that lead out of the folder."""
     for path, size in sizes.items():
@@ -226,25 +235,3 @@ def _owner(path: str, keys: Mapping[str, str]) -> str | None:
     *folders, name = PurePosixPath(normal(path)).parts
     scenes = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
     return next((keys[each] for each in (PurePosixPath(name).stem, *scenes) if each in keys), None)
-
-
-def _process_folder(folder: Path) -> Path:
-    """Creates a folder for this process and removes those of processes that no longer run."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for other in folder.iterdir():
-        pid = other.name.partition("-")[0]
-        if pid.isdigit() and not _is_alive(int(pid)):
-            shutil.rmtree(other, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=folder))
-
-
-def _is_alive(pid: int) -> bool:
-    if os.name == "nt":  # on Windows, os.kill would terminate the process
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

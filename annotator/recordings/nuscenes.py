@@ -11,7 +11,7 @@ before. The vehicle's poses at both times move the scan to the image's time. Lab
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
@@ -34,14 +34,13 @@ from annotator.nuscenes_tables import (
     read_rows,
 )
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import file_errors
-from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
+from annotator.recordings.look_around import R_CAMERA_LEVEL, RigCamera, Scan, Scanned, Scenes, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
-from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
+from annotator.recordings.recording import ReaderOptions
+from annotator.recordings.scan_file import NUSCENES, Scans
 from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -71,22 +70,16 @@ class Shot:
     width_px: int
     height_px: int
 
+    @property
+    def folder(self) -> str:
+        return self.file.rpartition("/")[0]
+
     def T_global_sensor(self) -> RigidTransform:
         """Returns the sensor's pose when it was taken."""
         return pose(self.ego.translation, self.ego.rotation) * pose(self.mount.translation, self.mount.rotation)
 
 
-@dataclass(frozen=True, eq=False)
-class SceneData:
-    """The images of each camera and the scans of the LiDAR of a scene, in time order.
-
-    Attributes:
-        missing: folders that are not there; their files are left out.
-    """
-
-    cameras: dict[str, tuple[Shot, ...]]
-    scans: tuple[Shot, ...]
-    missing: tuple[str, ...]
+Shots = tuple[Shot, ...]
 
 
 def table_folders(path: Path) -> list[Path]:
@@ -108,23 +101,26 @@ def scene_names(tables: Path) -> dict[str, str]:
     return names
 
 
-def read_scene(tables: Path, token: str) -> SceneData:
-    """Reads a scene; the last few scenes are cached, because each of its cameras is a recording."""
+def read_scene(tables: Path, token: str) -> tuple[dict[str, Shots], Shots, list[str]]:
+    """Returns the images of each camera and the scans of the LiDAR of a scene, in time order; and missing folders.
+
+    Sweeps are a separate download, so whole folders may be missing; their files are left out. The last few scenes are
+    cached, because each of its cameras is a recording.
+    """
     names = ("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose")
     try:
         status = [(tables / f"{name}.json").stat() for name in names]
     except OSError as error:
         raise RecordingError(f"{error.filename}: cannot be read: {error.strerror}; {REMEDY}") from error
     shots = _read_scene(tables, token, tuple((each.st_mtime_ns, each.st_size) for each in status))
-    # sweeps are a separate download, so whole folders may be missing
-    folders = {_folder(shot) for each in shots.values() for shot in each}
+    folders = {shot.folder for each in shots.values() for shot in each}
     missing = {folder for folder in folders if not (tables.parent / folder).is_dir()}
-    present = {sensor: tuple(shot for shot in each if _folder(shot) not in missing) for sensor, each in shots.items()}
+    present = {sensor: tuple(shot for shot in each if shot.folder not in missing) for sensor, each in shots.items()}
     cameras = {channel: each for (modality, channel), each in present.items() if modality == "camera" and each}
     lidars = {channel: each for (modality, channel), each in present.items() if modality == "lidar" and each}
     if len(lidars) > 1 and LIDAR not in lidars:
         raise RecordingError(f"{tables}: has several LiDARs ({', '.join(lidars)}), but none is called {LIDAR}")
-    return SceneData(cameras, lidars.get(LIDAR, next(iter(lidars.values()), ())), tuple(sorted(missing)))
+    return cameras, lidars.get(LIDAR, next(iter(lidars.values()), ())), sorted(missing)
 
 
 @lru_cache(maxsize=8)
@@ -178,10 +174,6 @@ def _inside(tables: Path, token: str, name: str) -> str:
     return str(path)
 
 
-def _folder(shot: Shot) -> str:
-    return shot.file.rpartition("/")[0]
-
-
 def _has_tables(folder: Path) -> bool:
     return (folder / "sample_data.json").is_file() and (folder / "scene.json").is_file()
 
@@ -208,7 +200,7 @@ def _table(model: type[Record]) -> str:
 FRONT = "CAM_FRONT"
 # The origins of an export's frames; nuScenes itself has no such file.
 EXPORT_MARK = "frames.csv"
-MOST_INTENSITY = np.float32(255.0)
+SCANS = Scans(NUSCENES)
 GLOBAL_UP = np.array([0.0, 0.0, 1.0])
 # x of the vehicle's frame
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -218,14 +210,14 @@ REMEDY = "copy it again from the data set"
 
 
 @dataclass(frozen=True, eq=False)
-class NuScenes(KeyedFrames):
+class NuScenes(Scanned, RigCamera, Scenes):
     """A `Recording` of a scene's samples and sweeps from one camera, in time order.
 
     Attributes:
         tables: the folder of the tables.
         scenes: names of all scenes of the dataset.
         scene, camera: names of the scene and of the camera's channel; "" for the virtual one of a scene without images.
-        data: the images and scans of all its cameras.
+        cameras: names of the scene's cameras.
         moments: image and scan of each frame; without images, twice the scan.
         notes: what was left out.
     """
@@ -234,7 +226,7 @@ class NuScenes(KeyedFrames):
     scenes: tuple[str, ...]
     scene: str
     camera: str
-    data: SceneData
+    cameras: tuple[str, ...]
     moments: tuple[tuple[Shot, Shot], ...]
     notes: tuple[str, ...] = ()
     format: ClassVar[str] = "nuscenes"
@@ -282,7 +274,7 @@ class NuScenes(KeyedFrames):
         rgb = picture.rgb
         camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(scan_file)
+        points = SCANS.read_alone(scan_file)
         xyz_m = (T_camera_global * T_global_lidar).apply(points.xyz_m)
         cloud = visible_cloud(scan_file, camera, xyz_m, points, rgb, "check the poses in the tables")
         up = T_camera_global.rotation.apply(GLOBAL_UP)
@@ -305,7 +297,7 @@ class NuScenes(KeyedFrames):
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(self.files(i)[-1])
+        points = SCANS.read_alone(self.files(i)[-1])
         R_lidar_global = T_global_lidar.rotation.inv()
         if self.camera:
             ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
@@ -319,11 +311,6 @@ class NuScenes(KeyedFrames):
             timestamp_ns=scan.time_us * 1000,
             T_world_scan=T_global_lidar if _knows_world(scan) else None,
         )
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """The names of the scene's cameras."""
-        return tuple(sorted(self.data.cameras))
 
     def moment(self, i: int) -> str:
         """Returns the name of the scan's file."""
@@ -357,30 +344,33 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | None:
     scene = options.scene or next(iter(scenes))
     if scene not in scenes:
         raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(scenes)}")
-    data = read_scene(tables, scenes[scene])
-    if not data.scans:
-        missing = f" (missing folders: {', '.join(data.missing)})" if data.missing else ""
-        raise RecordingError(f"{path}: no frames; {scene} has no scan{missing}; copy its samples/ beside the tables")
-    camera = options.camera or (FRONT if FRONT in data.cameras else next(iter(data.cameras), ""))
-    if camera and camera not in data.cameras:
-        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(sorted(data.cameras)) or 'none'}")
-    if camera:
-        moments = _pairs(data, camera, options.tolerance_s or TOLERANCE_S)
-    else:
-        moments = tuple((scan, scan) for scan in data.scans)
+    images, scans, missing = read_scene(tables, scenes[scene])
+    if not scans:
+        why = f" (missing folders: {', '.join(missing)})" if missing else ""
+        raise RecordingError(f"{path}: no frames; {scene} has no scan{why}; copy its samples/ beside the tables")
+    cameras, within_s = tuple(sorted(images)), options.tolerance_s or TOLERANCE_S
+    camera = options.camera or (FRONT if FRONT in images else next(iter(images), ""))
+    if camera and camera not in images:
+        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(cameras) or 'none'}")
+    moments = _pairs(images[camera], scans, within_s) if camera else tuple((scan, scan) for scan in scans)
     keys = tuple(PurePosixPath(image.file).stem.removesuffix(".pcd") for image, _ in moments)
     if not keys:
         raise RecordingError(f"{path}: no frames; no image of {camera} has a scan within its time; set --tolerance")
     if len(set(keys)) < len(keys):
         raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
-    notes = _notes(data, camera, moments, scenes, options)
-    return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
-
-
-def read_scan(path: Path) -> RawCloud:
-    """Returns the valid points of a scan: x y z intensity (0..255) ring."""
-    rows = valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
-    return RawCloud(rows[:, :3].astype(np.float64), None, np.clip(rows[:, 3] / MOST_INTENSITY, 0, 1))
+    notes = []
+    if len(scenes) > 1 and options.scene is None:
+        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another, or all)")
+    if len(cameras) > 1 and options.camera is None:
+        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
+    if missing:
+        notes.append(f"left out, because these folders are missing: {', '.join(missing)}")
+    if not camera:
+        notes.append("has no images; a virtual camera looks ahead")
+    elif alone := len(images[camera]) - len(moments):
+        without = f"{amount(alone, 'image')} without a scan within {within_s:g} s"
+        notes.append(f"left out: {without} (--tolerance changes it)")
+    return NuScenes(path, keys, tables, tuple(scenes), scene, camera, cameras, moments, tuple(notes))
 
 
 def _knows_world(shot: Shot) -> bool:
@@ -395,36 +385,17 @@ def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:
     return pinhole(K, width_px, height_px)
 
 
-def _pairs(data: SceneData, camera: str, tolerance_s: float) -> tuple[tuple[Shot, Shot], ...]:
-    of_sample = {scan.sample: scan for scan in data.scans if scan.sample is not None}
-    times_us = np.array([scan.time_us for scan in data.scans])
+def _pairs(images: Shots, scans: Shots, tolerance_s: float) -> tuple[tuple[Shot, Shot], ...]:
+    of_sample = {scan.sample: scan for scan in scans if scan.sample is not None}
+    times_us = np.array([scan.time_us for scan in scans])
     pairs = []
-    for image in data.cameras[camera]:
+    for image in images:
         scan = of_sample.get(image.sample) if image.sample is not None else None
         if scan is None:
             after = int(np.searchsorted(times_us, image.time_us))
             # a scan's time is its end: the next scan was being taken, so all cameras get the same one
-            near = [*data.scans[after : after + 1], *data.scans[max(after - 1, 0) : after]]
+            near = [*scans[after : after + 1], *scans[max(after - 1, 0) : after]]
             scan = next((each for each in near if abs(each.time_us - image.time_us) <= tolerance_s * 1e6), None)
         if scan is not None:
             pairs.append((image, scan))
     return tuple(pairs)
-
-
-def _notes(
-    data: SceneData, camera: str, moments: Sequence[tuple[Shot, Shot]], scenes: dict[str, str], options: ReaderOptions
-) -> tuple[str, ...]:
-    notes = []
-    if len(scenes) > 1 and options.scene is None:
-        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another, or all)")
-    if len(data.cameras) > 1 and options.camera is None:
-        notes.append(f"{len(data.cameras)} cameras: {', '.join(sorted(data.cameras))} (--camera names another, or all)")
-    if data.missing:
-        notes.append(f"left out, because these folders are missing: {', '.join(data.missing)}")
-    if not camera:
-        return (*notes, "has no images; a virtual camera looks ahead")
-    alone = len(data.cameras[camera]) - len(moments)
-    if alone:
-        within = options.tolerance_s or TOLERANCE_S
-        notes.append(f"left out: {amount(alone, 'image')} without a scan within {within:g} s (--tolerance changes it)")
-    return tuple(notes)

@@ -6,9 +6,10 @@ library), a FrameError when a frame is read, an IndexError where there is no suc
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationError
 
@@ -94,57 +95,15 @@ def option_flag(name: str) -> str:
     return {"tf_frame": "--frame", "tolerance_s": "--tolerance"}.get(name, "--" + name.replace("_", "-"))
 
 
-@runtime_checkable
-class Recording(Protocol):
-    """A folder or file of frames. Opening it lists the frames; `frame` reads one without caching it."""
-
-    @property
-    def path(self) -> Path:
-        """The path that was opened, as given."""
-
-    @property
-    def root(self) -> Path:
-        """The folder of the frames (and labels): `path`, or its `training` subfolder."""
-
-    @property
-    def format(self) -> str:
-        """The reader's name in `annotator.recordings.open`."""
-
-    @property
-    def name(self) -> str:
-        """A short name to display: that of the folder or file."""
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The frames' names, unique and stable, in order."""
-
-    @property
-    def is_sequence(self) -> bool:
-        """True if the frames are in time order."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What a user should know about how it is read, such as images without a cloud; one sentence each."""
-
-    def __len__(self) -> int:
-        """The number of frames, including broken ones."""
-
-    def frame(self, i: int) -> Frame:
-        """Reads frame number `i`, 0-based.
-
-        Raises:
-            FrameError: this frame cannot be read; others may be readable.
-            IndexError: there is no such frame.
-        """
-
-
 @dataclass(frozen=True, eq=False)
-class KeyedFrames:
-    """The common base of the readers' recordings; each adds its `format`, `is_sequence` and `frame`.
+class Recording(ABC):
+    """A folder or file of frames. Opening it lists the frames; `frame` reads one without caching it.
 
     Attributes:
-        path: the path that was opened.
-        keys: the frames' names, in order.
+        path: the path that was opened, as given.
+        keys: the frames' names, unique and stable, in order.
+        format: the reader's name in `annotator.recordings.open`.
+        is_sequence: True if the frames are in time order.
         is_parallel: several threads may call `frame` at the same time.
     """
 
@@ -154,25 +113,38 @@ class KeyedFrames:
     is_sequence: ClassVar[bool]
     is_parallel: ClassVar[bool] = False
 
+    @abstractmethod
+    def frame(self, i: int) -> Frame:
+        """Reads frame number `i`, 0-based.
+
+        Raises:
+            FrameError: this frame cannot be read; others may be readable.
+            IndexError: there is no such frame.
+        """
+
     @property
     def root(self) -> Path:
+        """The folder of the frames (and labels): `path`, or its `training` subfolder."""
         return self.path
 
     @property
     def name(self) -> str:
+        """A short name to display: that of the folder or file."""
         path = self.path.resolve()
         return path.stem if path.is_file() else path.name
 
     @property
     def notes(self) -> tuple[str, ...]:
+        """What a user should know about how it is read, such as images without a cloud; one sentence each."""
         return ()
 
     @property
     def origin(self) -> Place | None:
-        """The origin in map coordinates (`clouds.origin`); None in a sensor's coordinates, or with a real camera."""
+        """The origin in map coordinates; None in a sensor's coordinates, or with a real camera. It may read a cloud."""
         return None
 
     def __len__(self) -> int:
+        """The number of frames, including broken ones."""
         return len(self.keys)
 
     def files(self, i: int) -> tuple[Path, ...]:
@@ -185,18 +157,3 @@ class KeyedFrames:
         if not 0 <= i < len(self.keys):
             raise IndexError(f"frame {i} of a recording with {len(self.keys)} frames")
         return self.keys[i]
-
-
-def is_parallel(recording: Recording) -> bool:
-    """True if several threads may read frames of a recording at the same time."""
-    return isinstance(recording, KeyedFrames) and recording.is_parallel
-
-
-def files_of(recording: Recording, i: int) -> tuple[Path, ...]:
-    """Returns the files that only frame `i` is read from, `KeyedFrames.files`."""
-    return recording.files(i) if isinstance(recording, KeyedFrames) else ()
-
-
-def origin_of(recording: Recording) -> Place | None:
-    """Returns the origin of a recording in map coordinates, `KeyedFrames.origin`. It may read a cloud."""
-    return recording.origin if isinstance(recording, KeyedFrames) else None

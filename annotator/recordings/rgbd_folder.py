@@ -35,7 +35,7 @@ from annotator.recordings.listing import (
     stems,
 )
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.bases import FileRecord, Strict
@@ -114,17 +114,18 @@ def camera_file(folder: Path) -> Path:
     expected = folder / FILE_NAME
     if expected.is_file():
         return expected
+    found: list[Path] = []
     for place in (folder, folder.resolve().parent):
-        files = [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
-        if len(files) == 1:
-            return files[0]
-        if files:
-            names = ", ".join(path.name for path in files)
-            raise FrameError(
-                expected, f"missing, and {place} has several cameras ({names})", f"copy the right one to {FILE_NAME}"
-            )
+        found = found or [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(path.name for path in found)
     raise FrameError(
-        expected, "missing", "write width, height and intrinsic_matrix (column-major) of the colour camera"
+        expected,
+        f"missing, and {found[0].parent} has several cameras ({names})" if found else "missing",
+        f"copy the right one to {FILE_NAME}"
+        if found
+        else "write width, height and intrinsic_matrix (column-major) of the colour camera",
     )
 
 
@@ -214,12 +215,12 @@ def unit_up(path: Path, up: tuple[float, ...], remedy: str) -> Float64[np.ndarra
     return np.array(up) / length
 
 
-# A PNG file's signature and first chunk.
-PNG_HEAD_BYTES = 33
+# What is before the pixels of a depth image.
+PNG_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class RgbdFolder(KeyedFrames):
+class RgbdFolder(Recording):
     """A `Recording` of an Open3D RGB-D folder.
 
     The frames are assumed to be in time order, as is the convention.

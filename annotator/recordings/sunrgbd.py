@@ -19,19 +19,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.fenced_files import read_mat
 from annotator.files import open_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
-from annotator.mat_file import read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import ColorImage, decode_depth, read_color_image, read_depth
@@ -45,10 +44,9 @@ from annotator.recordings.listing import (
     require_size,
     sorted_keys,
     stems,
-    unread_note,
 )
 from annotator.recordings.plausible import is_pinhole, is_rotation, pinhole
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.text import spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -112,24 +110,12 @@ def _calibration(path: Path, K: np.ndarray, R: np.ndarray, of_tilt: Path | None 
     return SunCalibration(path, K, RigidTransform.from_rotation(Rotation.from_matrix(R.T)))
 
 
-# What is read here and by annotator.formats.
-EXTRACTED_READ = (
-    "image",
-    "calib",
-    "depth",
-    "points",
-    "label",
-    "*_data_idx.txt",
-    "SUNRGBDMeta*.mat",
-    "frames.csv",
-    "classes.txt",
-)
 # A cloud is organised if its points project to pixel centres within this distance.
 ON_PIXEL_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class SunRgbdExtracted(KeyedFrames):
+class SunRgbdExtracted(Recording):
     """A `Recording` of VoteNet's layout.
 
     Attributes:
@@ -139,11 +125,6 @@ class SunRgbdExtracted(KeyedFrames):
     clouds: Path
     format: ClassVar[str] = "sunrgbd_extracted"
     is_sequence: ClassVar[bool] = False
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        note = unread_note(self.path, EXTRACTED_READ, "label/KEY.txt")
-        return () if note is None else (note,)
 
     def files(self, i: int) -> tuple[Path, Path]:
         key, suffix = self.key(i), ".mat" if self.clouds.name == "depth" else ".npz"
@@ -212,15 +193,13 @@ def _organised(
     size = np.array([camera.width_px, camera.height_px])
     with np.errstate(invalid="ignore"):
         on_pixel = (np.abs(px - nearest) < ON_PIXEL_PX).all(axis=1) & ((nearest >= 0) & (nearest < size)).all(axis=1)
-    if not on_pixel.all():
-        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
-    pixel: Int32[np.ndarray, "n"] = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
-    depth_m = np.zeros(camera.height_px * camera.width_px, np.float32)
-    depth_m[pixel] = xyz[:, 2]
-    if np.count_nonzero(depth_m) < len(pixel):
-        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
-    cloud = PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance, pixel_index=pixel)
-    return cloud, depth_m.reshape(camera.height_px, camera.width_px)
+    depth_m, pixel = np.zeros(camera.height_px * camera.width_px, np.float32), None
+    if on_pixel.all():
+        pixel = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
+        depth_m[pixel] = xyz[:, 2]
+    is_organised = pixel is not None and np.count_nonzero(depth_m) == len(pixel)
+    cloud = PointCloud(xyz, _colors(raw, px, rgb), raw.reflectance, pixel if is_organised else None)
+    return cloud, depth_m.reshape(camera.height_px, camera.width_px) if is_organised else None
 
 
 def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None:
@@ -239,46 +218,27 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
-LABELS = "annotation3Dfinal/index.json"
-# What is read here and by annotator.formats.
-SCENES_READ = (MARK, *SCENE_MARKS, *DEPTH_FOLDERS, "annotation3Dfinal")
 KEY_SEPARATOR = "__"
 
 
 @dataclass(frozen=True, eq=False)
-class SunRgbdScenes(KeyedFrames):
+class SunRgbdScenes(Recording):
     """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
 
     Attributes:
-        folders: the scenes' folders, in the order of the keys; strings, since creating ten thousand Paths is slow.
+        folders: the scenes' folders by key; strings, since creating ten thousand Paths is slow.
     """
 
-    folders: tuple[str, ...]
+    folders: dict[str, str] = field(repr=False)
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Names what the first scene has besides."""
-        note = unread_note(Path(self.folders[0]), SCENES_READ, LABELS)
-        return () if note is None else (f"in the first scene, {note}",)
-
-    @cached_property
-    def scenes(self) -> tuple[Path, ...]:
-        """The folders of all frames."""
-        return tuple(map(Path, self.folders))
-
     def scene(self, key: str) -> Path:
         """Returns the folder of a frame."""
-        return Path(self._by_key[key])
-
-    @cached_property
-    def _by_key(self) -> dict[str, str]:
-        return dict(zip(self.keys, self.folders, strict=True))
+        return Path(self.folders[key])
 
     def files(self, i: int) -> tuple[Path, Path, Path, Path]:
-        self.key(i)
-        scene = Path(self.folders[i])
+        scene = self.scene(self.key(i))
         image, depth = _latest(scene, ("image",), IMAGE_SUFFIXES), _latest(scene, DEPTH_FOLDERS, (".png",))
         return scene / MARK, _latest(scene, ("extrinsics",), (".txt",)), image, depth
 
@@ -306,15 +266,14 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | None:
     if not path.is_dir():
         return None
     if _is_scene(str(path)):
-        return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
+        return SunRgbdScenes(path, (path.resolve().name,), {path.resolve().name: str(path)})
     with path_errors(path):
         is_data_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
         levels = MOST_LEVELS if is_data_set else 1
         folders = dict(_scenes(str(path), levels))
     if not folders:
         return None
-    keys = sorted_keys(path, set(folders), MARK)
-    return SunRgbdScenes(path, keys, tuple(folders[key] for key in keys))
+    return SunRgbdScenes(path, sorted_keys(path, set(folders), MARK), folders)
 
 
 def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:

@@ -28,7 +28,7 @@ from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors
 from annotator.recordings.plausible import are_plausible
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
@@ -49,8 +49,6 @@ NEIGHBOURS = 3
 REMEDY = "correct the line, or remove it"
 # Between the values of a line, as in TUM's own tools.
 SEPARATOR = re.compile(r"[\s,]+")
-# Seconds and their decimals, with another value after them.
-DECIMAL_COMMA = re.compile(r"\d+,\d+[\s,;]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,7 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class TumRgbd(KeyedFrames):
+class TumRgbd(Recording):
     """A `Recording` in TUM's format. Frames are named by their colour images.
 
     Attributes:
@@ -184,11 +182,6 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line) for number, line in rows if line and not line.startswith("#")]
 
 
-def _require_points(path: Path, number: int, line: str) -> None:
-    if DECIMAL_COMMA.match(line):
-        raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
-
-
 def _time_ns(path: Path, number: int, text: str) -> int:
     try:
         time_s = Decimal(text)
@@ -205,7 +198,6 @@ def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
     """Returns the times (ns) and files of a list, in time order."""
     images = []
     for number, line in _lines(path):
-        _require_points(path, number, line)
         time, rest = (*SEPARATOR.split(line, maxsplit=1), "")[:2]
         # further columns are ignored, but a name may have blanks
         names = (SEPARATOR.split(rest)[0], rest)
@@ -253,11 +245,7 @@ def _poses(path: Path) -> Poses | None:
 
 
 def _quaternion(path: Path, number: int, line: str) -> list[float]:
-    words = line.replace(",", " ").split()
-    if len(words) > 8:
-        _require_points(path, number, line)
-        # commas within values that blanks separate
-        words = line.split()
+    words = SEPARATOR.split(line)
     with file_errors(path, REMEDY, f"line {number}: ", RecordingError):
         numbers = [to_number(word) for word in words[4:8]]
     if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:

@@ -11,7 +11,6 @@ import numpy as np
 from annotator.project import BoxRotation, Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.recordings.look_around import RigCamera, Scenes
-from annotator.recordings.recording import origin_of
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import shared_clouds
@@ -102,7 +101,7 @@ def add_recordings(
         _require_unchanged(project.path.name, known, name, up)
         if known is None:
             if frame.T_world_camera is not None:
-                options = options.model_copy(update={"origin": origin_of(recording) or options.origin})
+                options = options.model_copy(update={"origin": recording.origin or options.origin})
             if not as_new:
                 require_not_moved(project, recording, options)
         ready.append((recording, options, frame))
@@ -197,7 +196,8 @@ def _chosen(
         return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
 
     one = opened(_first(scenes), _first(cameras))
-    for scene in _names(path, "scene", scenes, one.scenes, one.scene) if isinstance(one, Scenes) else (None,):
+    several = one if isinstance(one, Scenes) and one.scenes else None
+    for scene in _names(path, "scene", scenes, several.scenes, several.scene) if several else (None,):
         # opened without the name of what nobody named, so that its notes tell of the others
         asked = scene if scenes else None
         one = opened(asked, _first(cameras))

@@ -9,7 +9,6 @@ from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned
-from annotator.recordings.recording import origin_of
 from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Frame
 from annotator.types.bases import Strict
@@ -104,7 +103,7 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
         frame=None if frame is None else _report(recording, index, frame),
         broken=broken,
         notes=recording.notes,
-        origin=None if frame is None or frame.T_world_camera is None else origin_of(recording),
+        origin=None if frame is None or frame.T_world_camera is None else recording.origin,
         topics=bag_topics(path, options),
     )
 

@@ -78,7 +78,7 @@ def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_pa
     for _ in range(3):
         with pytest.raises(RecordingError, match=r"people/depth/000002\.png: cannot be reached"):
             mirror.frame(2)
-    assert held_bytes(tmp_path) == held == mirror._store.used_bytes
+    assert held_bytes(tmp_path) == held == mirror.store.used_bytes
     memory.pipe("/bucket/people/depth/000002.png", depth)
     mirror.frame(2)
 
@@ -104,7 +104,7 @@ def test_a_folder_that_is_not_a_recording_leaves_no_copy(tmp_path: Path) -> None
 
 
 def test_copies_of_killed_processes_are_removed(bucket: str, tmp_path: Path) -> None:
-    left = tmp_path / "4194999-abc"  # above the largest process id of Linux
+    left = tmp_path / ".recording.01234567.unfinished"
     left.mkdir()
     (left / "file").touch()
     open_mirror(bucket, tmp_path, 50 * MEGABYTE)

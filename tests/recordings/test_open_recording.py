@@ -62,13 +62,13 @@ def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(os, "scandir", refuse)
     monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(RecordingError, match=r"/take.*Permission denied; allow this user to read it"):
+    with pytest.raises(RecordingError, match=r"/take.*Permission denied\); allow this user to read it"):
         open_recording(tmp_path / "take")
 
 
 def test_a_path_that_is_too_long_is_an_error(tmp_path: Path):
     for ask in (open_recording, detect_format):
-        with pytest.raises(RecordingError, match="File name too long; give a shorter path"):
+        with pytest.raises(RecordingError, match=r"File name too long\); give a shorter path"):
             ask(tmp_path / ("n" * 300))
 
 

@@ -154,7 +154,7 @@ def image(array: np.ndarray) -> Callable[[Path], None]:
 
 COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
 DAMAGES = [
-    pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
+    pytest.param(COLOR, truncate, "the image is damaged or truncated", id="truncated-colour"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
     pytest.param(
         DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the col", id="depth-size"

@@ -16,7 +16,7 @@ is rendered from the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import ClassVar, Never
@@ -27,16 +27,16 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.frame_limits import memory_problem
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import UPRIGHT, Size
+from annotator.image_bytes import UPRIGHT
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
+from annotator.recordings.clouds.virtual_camera import Origin, is_far, virtual_image, without_strays
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti import UP, KittiCalibration, read_calibration, visible_cloud
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, require_size, sorted_keys, stems
-from annotator.recordings.look_around import Scan
-from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.listing import IMAGE_SUFFIXES, file_errors, frame_file, require_size, sorted_keys, stems
+from annotator.recordings.look_around import Scan, Scanned
+from annotator.recordings.recording import Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, read_camera, read_up
 from annotator.recordings.scan_file import Scans
 from annotator.text import normal, spelled
@@ -61,16 +61,16 @@ class CloudCamera:
         path: the calibration file, for messages.
         T_camera_cloud: from the clouds' own frame to the camera.
         up: unit vector against gravity in the camera frame; None if unknown.
-        kitti: KITTI's calibration; its matrices are used unchanged, though orthonormal only to seven digits.
         in_world: True if the clouds' frame is that of a map.
+        kitti: KITTI's calibration; its matrices are used unchanged, though orthonormal only to seven digits.
     """
 
     path: Path
     T_camera_cloud: RigidTransform
     camera: Camera
     up: Float64[np.ndarray, "3"] | None
-    kitti: KittiCalibration | None = None
     in_world: bool = False
+    kitti: KittiCalibration | None = None
 
     def to_camera(self, raw: RawCloud) -> PointCloud:
         """Returns a cloud in the camera frame."""
@@ -80,7 +80,7 @@ class CloudCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class CloudFolder(KeyedFrames):
+class CloudFolder(Scanned):
     """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
 
     Attributes:
@@ -125,9 +125,12 @@ class CloudFolder(KeyedFrames):
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
-            raw, image = self._raw(key), read_color_image(images[0], self._image_size(key))
+            path = self.calibration(key) or self._raise_no_calibration(key)
+            # KITTI's calibration does not say the size
+            size = read_camera(path).size if path.name == FILE_NAME else None
+            raw, image = self._raw(key), read_color_image(images[0], size)
             rgb, exif_orientation = image.rgb, image.exif_orientation
-            source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
+            source = self._camera(path, rgb)
             remedy = f"check that {source.path} belongs to this cloud and maps its frame to the camera's"
             xyz_m = source.to_camera(raw).xyz_m
             cloud = visible_cloud(cloud_path, source.camera, xyz_m, raw, rgb, remedy)
@@ -160,7 +163,7 @@ class CloudFolder(KeyedFrames):
 
     @property
     def origin(self) -> Place | None:
-        if self._cloud_camera(self.keys[0], None) is not None or not self._origin.xyz_m.any():
+        if self.calibration(self.keys[0]) is not None or not self._origin.xyz_m.any():
             return None
         return tuple(self._origin.xyz_m.tolist())
 
@@ -176,35 +179,35 @@ class CloudFolder(KeyedFrames):
 
     def _seen(self, key: str) -> tuple[CloudCamera, RawCloud]:
         """Returns the camera of a frame without an image, that of the calibration or a virtual one, and its points."""
-        raw, calibrated = self._raw(key), self._cloud_camera(key, None)
-        if calibrated is not None:
-            return calibrated, raw
+        raw, path = self._raw(key), self.calibration(key)
+        if path is not None:
+            return self._camera(path), raw
         place_m = self._origin.of(raw)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
         camera = CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
         return camera, without_strays(raw, place_m)
-
-    def _image_size(self, key: str) -> Size | None:
-        """Returns the size that the calibration says; None for KITTI's, which does not, and without one."""
-        path = self.calibration(key)
-        return None if path is None or path.name != FILE_NAME else read_camera(path).size
 
     def calibration(self, key: str) -> Path | None:
         """Returns the file of a frame's calibration, KITTI's or annotator's; None without one."""
         files = (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt", self.path / FILE_NAME)
         return next((path for path in files if path.is_file()), None)
 
-    def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
-        """Returns the camera from the folder's calibration; None without one."""
-        path = self.calibration(key)
-        if path is None:
-            return None
+    def _camera(self, path: Path, rgb: np.ndarray | None = None) -> CloudCamera:
+        """Returns the camera of a calibration file; without an image, KITTI's principal point is that of its middle."""
+        kitti = None
         if path.name == FILE_NAME:
-            return _in_world(_json_camera(path, rgb))
-        camera = _kitti_camera(path, rgb)
-        if (self.path / LEVEL_MARK).is_file():
-            camera = replace(camera, up=camera.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
-        return _in_world(camera)
+            read = read_camera(path)
+            if rgb is not None:
+                require_size(path, rgb, read.size, "the camera is for", "write the intrinsics for it")
+            T, camera, up = read.T_camera_cloud, read.camera, read_up(path.with_name("gravity.json"))
+        else:
+            kitti = read_calibration(path)
+            size = (2 * kitti.matrix[:2, 2] + 1).astype(int).tolist() if rgb is None else rgb.shape[1::-1]
+            with file_errors(path, "correct the calibration"):
+                camera = kitti.camera(*size)
+            T = kitti.T_camera_lidar
+            up = T.rotation.apply([0.0, 0.0, 1.0]) if (self.path / LEVEL_MARK).is_file() else UP
+        return CloudCamera(path, T, camera, up, is_far(T.inv().translation), kitti)
 
     def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
@@ -236,28 +239,3 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | None:
                 )
             return folder
     return None
-
-
-def _in_world(camera: CloudCamera) -> CloudCamera:
-    """Returns a calibrated camera; the clouds are in map coordinates if it is far from their origin."""
-    return replace(camera, in_world=world_pose(camera.T_camera_cloud) is not None)
-
-
-def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
-    """Returns colour camera 2; without an image, the principal point is assumed to be the middle of the image."""
-    calibration = read_calibration(path)
-    if rgb is not None:
-        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
-    else:
-        width, height = (int(2 * calibration.matrix[axis, 2]) + 1 for axis in (0, 1))
-        if min(width, height) <= 0:
-            raise FrameError(path, f"P2 implies an image of {width} x {height} pixels", "correct the calibration")
-        camera = calibration.camera(width, height)
-    return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
-
-
-def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
-    read = read_camera(path)
-    if rgb is not None:
-        require_size(path, rgb, read.size, "the camera is for", "write the intrinsics for it")
-    return CloudCamera(path, read.T_camera_cloud, read.camera, read_up(path.with_name("gravity.json")))

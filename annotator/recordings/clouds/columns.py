@@ -16,7 +16,7 @@ scale. The first scans of a recording decide for all: one scale of reflectance, 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -28,13 +28,10 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import require_memory
 from annotator.recordings.plausible import are_returns
-from annotator.text import to_number
 from annotator.types.errors import FrameError
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
-# Columns of several values are split (`split_colors`).
-SPLIT_NAMES = tuple(tuple(f"{name}_{channel}" for channel in range(3)) for name in (*PACKED_NAMES, "color", "colors"))
 # Depths of cameras and scanners, bits; numbers of 16 bits may use fewer.
 DEPTHS = (8, 10, 12, 14, 16, 32)
 # Fractions may exceed 1 by rounding; or this share does not.
@@ -48,7 +45,7 @@ Colors = tuple[UInt8[np.ndarray, "n 3"], float | None]
 
 def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
     """Returns the colours of columns with lower-case names; None without any."""
-    for names in (*NAMES, *SPLIT_NAMES):
+    for names in NAMES:
         if all(name in columns for name in names):
             return eight_bits([columns[name] for name in names])
     for name in PACKED_NAMES:
@@ -56,12 +53,6 @@ def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
             rgb = _unpacked(columns[name])
             return None if rgb is None else (rgb, None)
     return None
-
-
-def split_colors(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns columns for the values (n, k) of a field; none unless its name is that of colours."""
-    channels = {f"{name}_{channel}": values[:, channel] for channel in range(min(3, values.shape[1]))}
-    return channels if tuple(channels) in SPLIT_NAMES else {}
 
 
 def depth_bits(highest: float) -> int:
@@ -139,8 +130,6 @@ REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_ref
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Share of the points that may be at the limit of one coordinate's type.
 MOST_SATURATED = 0.01
-HEXADECIMAL = re.compile(rb"(?:0[xX]|#)[0-9a-fA-F]{1,8}")
-# Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either.
 NOT_A_NUMBER = re.compile(rb"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 Scales = tuple[float, float]
 
@@ -209,33 +198,30 @@ def from_columns(columns: Mapping[str, np.ndarray]) -> RawCloud:
 def at_limits(xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
     """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
 
-    If they are all points, or many along one axis only, what was measured did not fit the type: a FrameError.
+    If they are all points, or many in which another coordinate is none, what was measured did not fit the type: a
+    ValueError.
     """
-    stored = [_at_limit(values) for values in xyz]
-    if not any(limited.any() for limited in stored):
-        return stored[0]
+    stored = np.stack([_at_limit(values) for values in xyz])
     # all three: what NaN became, or a driver's "no return"
-    some, every = np.any(stored, axis=0), np.all(stored, axis=0)
-    for name, values, limited in zip("xyz", xyz, stored, strict=True):
-        single = np.count_nonzero(limited & ~every)
-        if single > MOST_SATURATED * len(some) or (len(some) and every.all()):
-            problem = (
-                f"{name} is at the limit of {values.dtype.name} in {np.count_nonzero(limited)} of {len(some)} points"
-            )
-            raise ValueError(
-                f"its coordinates are saturated: {problem}; an offset near the points, or larger steps help"
-            )
+    some, every = np.asarray(stored.any(axis=0)), np.asarray(stored.all(axis=0))
+    if len(some) and (every.all() or (some & ~every).mean() > MOST_SATURATED):
+        kinds = " ".join(sorted({values.dtype.name for values in xyz}))
+        raise ValueError(
+            f"its coordinates are saturated: {np.count_nonzero(some)} of {len(some)} points are at the limit of "
+            f"{kinds}; an offset near the points, or larger steps help"
+        )
     return some
 
 
 def _at_limit(values: np.ndarray) -> Bool[np.ndarray, "n"]:
     """Bytes use their whole range, and the limits of longer floats are beyond `LARGEST`."""
     dtype = values.dtype
-    if dtype != np.float16 and (dtype.kind not in "iu" or dtype.itemsize == 1):
+    if dtype == np.float16:
+        return np.abs(values) == np.finfo(dtype).max
+    if dtype.kind not in "iu" or dtype.itemsize == 1:
         return np.zeros(len(values), bool)
-    limits = np.finfo(np.float16) if dtype.kind == "f" else np.iinfo(dtype)
-    highest = values == limits.max
-    return highest if dtype.kind == "u" else highest | (values == limits.min)
+    limits = np.iinfo(dtype)
+    return (values == limits.max) | ((values == limits.min) & (dtype.kind == "i"))
 
 
 def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
@@ -268,77 +254,44 @@ def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray,
     return found, scale
 
 
-def text_columns(
-    body: bytes,
-    count: int,
-    names: tuple[str, ...],
-    first_line: int,
-    pick: Callable[[list[bytes]], list[bytes]] | None = None,
-) -> dict[str, np.ndarray]:
-    """Parses columns stored as text, one row per line.
+def text_columns(data: bytes, offset: int, count: int, dtype: np.dtype, skipped: int = 0) -> dict[str, np.ndarray]:
+    """Parses columns stored as text, one row per line, from a byte on; what follows the rows is ignored.
+
+    Columns have the types of their header where their values fit these. Floats stay doubles: whole numbers beyond 24
+    bits (packed colours) would lose digits.
 
     Args:
-        body: the text; anything after the rows is ignored.
-        count: the number of rows.
-        first_line: line number of the body's first line in the file, for messages.
-        pick: returns the values of `names` among those of a line; None = they are its first.
+        dtype: of a row; a field of several values is split into as many columns.
+        skipped: lines before the rows.
     """
-    if not count:
-        raise ValueError("has no points")
+    kinds = dict(_flat(dtype))
     # each value needs two bytes: impossible counts are rejected before memory is allocated
-    if count * len(names) * 2 > len(body) + 1:
-        raise ValueError(f"declares {count} points, too many for its {len(body)} bytes")
-    require_memory(points=count, more_bytes=count * len(names) * 8)
-    lines = list(islice(filter(bytes.strip, body.splitlines()), count))
-    if len(lines) < count:
-        raise ValueError(f"declares {count} points but has {len(lines)}")
-    if pick is not None:
-        # numpy would skip lines without a value
-        lines = [b" ".join(pick(line.split())) or b"?" for line in lines]
-    try:
-        table = np.loadtxt(lines, ndmin=2, usecols=range(len(names)), comments=None, encoding="ascii")
-    except ValueError:
-        numbers = [number for number, line in enumerate(body.splitlines(), first_line) if line.strip()]
-        places = zip(lines, numbers, strict=False)
-        table = np.array([_numbers(*place, row, len(names)) for row, place in enumerate(places, 1)])
-    return {name: table[:, column] for column, name in enumerate(names)}
+    if (count + skipped) * len(kinds) > len(data):
+        raise ValueError(f"declares {count} points, too many for its {len(data)} bytes")
+    require_memory(points=count, more_bytes=count * len(kinds) * 8)
+    lines = list(islice(filter(bytes.strip, data[offset:].splitlines()), skipped, skipped + count))
+    if len(lines) < count or not count:
+        raise ValueError(f"declares {count} points but has {len(lines)}" if count else "has no points")
+    # Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either
+    lines = [NOT_A_NUMBER.sub(b"nan", line) if b"#" in line or b"(" in line else line for line in lines]
+    # numpy's errors say the row and the column
+    table = np.loadtxt(lines, ndmin=2, usecols=range(len(kinds)), comments=None, encoding="ascii")
+    return {name: _typed(table[:, column], kind) for column, (name, kind) in enumerate(kinds.items())}
 
 
-def _numbers(line: bytes, number: int, row: int, columns: int) -> list[float]:
-    """Returns the numbers of a line, also those that numpy does not know."""
-    values = line.split()[:columns]
-    if len(values) < columns:
-        raise ValueError(f"line {number} has {len(values)} values instead of {columns}")
-    try:
-        return [*map(_number, values)]
-    except ValueError as error:
-        raise ValueError(f"point {row}: {error}") from None
+def _flat(dtype: np.dtype) -> Iterator[tuple[str, np.dtype]]:
+    """Yields name and type of each value of a row."""
+    for name in dtype.names or ():
+        values = int(np.prod(dtype[name].shape))
+        for number in range(values):
+            yield name if values == 1 else f"{name}_{number}", dtype[name].base
 
 
-def _number(text: bytes) -> float:
-    """Returns a number as programs write it: decimal, hexadecimal (colours), or one of the names of NaN."""
-    if HEXADECIMAL.fullmatch(text):
-        return float(int(text.lstrip(b"#"), 16))
-    return np.nan if NOT_A_NUMBER.fullmatch(text) else to_number(text.decode("utf-8", "replace"))
-
-
-def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
-    """Returns a column of text in the type that its header declares; as it is if its values do not fit the type.
-
-    Floats stay doubles: whole numbers beyond 24 bits (packed colours) would lose digits.
-    """
-    if dtype.kind == "f":
-        return values
-    known = values[np.isfinite(values)]
-    limits = np.iinfo(dtype)
-    if len(known) < len(values) or not (np.rint(values) == values).all():
-        return values
-    # other writers put the bits of unsigned numbers into signed types, or the numbers themselves
-    if dtype.kind == "i" and known.max(initial=0) > limits.max and known.min(initial=0) >= 0:
-        dtype = np.dtype(f"u{dtype.itemsize}")
-        limits = np.iinfo(dtype)
-    fits = known.min(initial=0) >= limits.min and known.max(initial=0) <= limits.max
-    return values.astype(dtype) if fits else values
+def _typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        whole = values if dtype.kind == "f" else values.astype(dtype)
+    # writers put numbers into types that do not hold them, such as colours with alpha
+    return whole if (whole == values).all() else values
 
 
 def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
@@ -350,16 +303,9 @@ def binary_columns(data: bytes, offset: int, count: int, dtype: np.dtype) -> dic
 
 
 def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns the fields of a table by their names in lower case; of those with several values, only colours."""
-    columns: dict[str, np.ndarray] = {}
-    for name in rows.dtype.names or ():
-        if rows[name].dtype.kind not in "fiu":
-            continue
-        if rows[name].ndim == 1:
-            columns[name.lower()] = rows[name]
-        elif rows[name].ndim == 2:
-            columns |= split_colors(name.lower(), rows[name])
-    return columns
+    """Returns the fields of a table that are numbers, one a row, by their names in lower case."""
+    names = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "fiu"]
+    return {name.lower(): rows[name] for name in names}
 
 
 FIRST = 3

@@ -11,9 +11,7 @@ binary PCD, they take three times as long.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
-from itertools import islice
 
 import numpy as np
 
@@ -24,7 +22,6 @@ from annotator.recordings.clouds.columns import (
     field_columns,
     from_columns,
     text_columns,
-    typed,
 )
 
 
@@ -76,19 +73,17 @@ def parse_pcd(data: bytes) -> RawCloud:
     """Parses the points of a PCD file, in the frame that they are stored in (`VIEWPOINT` is not applied)."""
     header, offset = _pcd_header(data)
     try:
-        dtype, count = _pcd_dtype(header), _pcd_count(header)
+        dtype = _pcd_dtype(header)
+        count = int(header["POINTS"][0]) if header.get("POINTS") else int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
         if count < 0:
             raise ValueError(f"{count} points")
     except (ValueError, TypeError, LookupError) as error:
         raise ValueError(f"the PCD header is damaged ({error})") from error
-    encoding = header["DATA"][0] if header["DATA"] else ""
-    if encoding == "ascii":
-        return from_columns(_pcd_text(data, offset, count, dtype))
-    if encoding == "binary":
-        return from_columns(binary_columns(data, offset, count, dtype))
-    if encoding == "binary_compressed":
-        return from_columns(_compressed(data, offset, count, dtype))
-    raise ValueError(f"the PCD encoding {encoding[:40]!r} is unknown; save it as ascii, binary or binary_compressed")
+    encoding = " ".join(header["DATA"][:1])
+    readers = {"ascii": text_columns, "binary": binary_columns, "binary_compressed": _compressed}
+    if encoding not in readers:
+        raise ValueError(f"the PCD encoding {encoding[:40]!r} is unknown; save it as {' or '.join(readers)}")
+    return from_columns(readers[encoding](data, offset, count, dtype))
 
 
 def _pcd_header(data: bytes) -> tuple[dict[str, list[str]], int]:
@@ -122,30 +117,6 @@ def _pcd_dtype(header: dict[str, list[str]]) -> np.dtype:
     return dtype
 
 
-def _pcd_count(header: dict[str, list[str]]) -> int:
-    if header.get("POINTS"):
-        return int(header["POINTS"][0])
-    if header.get("WIDTH") and header.get("HEIGHT"):
-        return int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
-    raise ValueError("it has neither POINTS nor WIDTH and HEIGHT")
-
-
-def _pcd_text(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
-    names = [name for name, _ in _flat(dtype)]
-    table = text_columns(data[offset:], count, tuple(names), data[:offset].count(b"\n") + 1)
-    return {name: typed(table[name], kind) for name, kind in _flat(dtype)}
-
-
-def _flat(dtype: np.dtype) -> list[tuple[str, np.dtype]]:
-    """Returns name and type of each value of a row."""
-    flat: list[tuple[str, np.dtype]] = []
-    for name in dtype.names or ():
-        field = dtype[name]
-        values = int(np.prod(field.shape))
-        flat += [(name if values == 1 else f"{name}_{number}", field.base) for number in range(values)]
-    return flat
-
-
 def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
     """Reads compressed points: two sizes, then LZF data with all values of the first field, of the second, ..."""
     if len(data) < offset + 8:
@@ -168,91 +139,49 @@ def _compressed(data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[s
     return field_columns(rows)
 
 
-# Begins the name of the field with a list's length.
-LENGTH = "length of "
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+KINDS_BY_BYTES = {"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"}
 TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "float64": "f8",
+    **KINDS_BY_BYTES,
+    **{f"u{name}": f"u{kind[1]}" for name, kind in KINDS_BY_BYTES.items() if kind[0] == "i"},
+    **{np.dtype(kind).name: kind for kind in ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")},
 }
 
 
 @dataclass
 class _Element:
-    """One element of the header.
-
-    Attributes:
-        properties: names and types; of a list, the type of its values.
-        lengths: types of the lists' lengths, by name.
-    """
+    """One element of the header: the names and types of its properties, and whether some are lists."""
 
     name: str
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
-    lengths: dict[str, str] = field(default_factory=dict)
+    has_lists: bool = False
 
-    def pick(self, values: list[bytes]) -> list[bytes]:
-        """Returns the values of a line without its lists; fewer if the line is too short."""
-        picked, at = [], 0
-        for name, _ in self.properties:
-            if at >= len(values):
-                break
-            if name not in self.lengths:
-                picked.append(values[at])
-                at += 1
-            elif values[at].isdigit():
-                at += 1 + int(values[at])
-            else:
-                break
-        return picked
+    def dtype(self, order: str) -> np.dtype:
+        """Returns the type of a row."""
+        try:
+            return np.dtype([(name, order + kind) for name, kind in self.properties])
+        except ValueError as error:  # two properties with the same name
+            raise ValueError(f"the PLY header's element {self.name}: {error}") from error
 
 
 def parse_ply(data: bytes) -> RawCloud:
-    """Parses the vertices of a PLY file, without lists."""
+    """Parses the vertices of a PLY file; lists may only stand behind them, as faces do."""
     order, elements, offset = _ply_header(data)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
         raise ValueError("the PLY file has no vertices")
     before = elements[: elements.index(vertex)]
-    if not vertex.properties:
-        raise ValueError("the PLY file's vertices have no properties")
+    listed = [element.name for element in (*before, vertex) if element.has_lists]
+    if listed:
+        raise ValueError(
+            f"its {listed[0]} elements have lists, which are only read behind the vertices; save it without"
+        )
+    dtype = vertex.dtype(ORDERS[order])
     if order == "ascii":
-        return _vertices_from_text(data, offset, before, vertex)
-    for element in before:
-        offset += element.count * _ply_dtype(data, offset, element, ORDERS[order]).itemsize
-    dtype = _ply_dtype(data, offset, vertex, ORDERS[order])
+        return from_columns(text_columns(data, offset, vertex.count, dtype, sum(element.count for element in before)))
+    offset += sum(element.count * element.dtype(ORDERS[order]).itemsize for element in before)
     return from_columns(binary_columns(data, offset, vertex.count, dtype))
-
-
-def _vertices_from_text(data: bytes, offset: int, before: list[_Element], vertex: _Element) -> RawCloud:
-    body, skipped = data[offset:], sum(element.count for element in before)
-    lines_above = data[:offset].count(b"\n")
-    if skipped:
-        if skipped > body.count(b"\n"):
-            raise ValueError("the PLY file ends before its vertices")
-        last = next(islice(re.finditer(b"\n", body), skipped - 1, None))
-        body = body[last.end() :]
-    kinds = [(name, kind) for name, kind in vertex.properties if name not in vertex.lengths]
-    if not kinds:
-        raise ValueError("the PLY file's vertices have only lists")
-    names = tuple(name for name, _ in kinds)
-    pick = vertex.pick if vertex.lengths else None
-    columns = text_columns(body, vertex.count, names, lines_above + skipped + 1, pick)
-    return from_columns({name: typed(columns[name], np.dtype(kind)) for name, kind in kinds})
 
 
 def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -269,9 +198,8 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
                 order = name
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", length, kind, name] if elements and {length, kind} <= TYPES.keys():
-                elements[-1].properties.append((name.lower(), TYPES[kind]))
-                elements[-1].lengths[name.lower()] = TYPES[length]
+            case ["property", "list", _, _, _] if elements:
+                elements[-1].has_lists = True
             case ["property", kind, name] if elements and kind in TYPES:
                 elements[-1].properties.append((name.lower(), TYPES[kind]))
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
@@ -281,37 +209,3 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     if order is None:
         raise ValueError("the PLY header has no format line")
     return order, elements, newline + 1
-
-
-def _ply_dtype(data: bytes, offset: int, element: _Element, order: str) -> np.dtype:
-    """Returns the type of an element's rows, which begin at `offset`."""
-    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
-    at = offset
-    for name, kind in element.properties:
-        if name in element.lengths:
-            length = np.dtype(order + element.lengths[name])
-            # the first row stands for all; with fewer bytes than rows, its reader complains
-            there = data[at : at + length.itemsize]
-            count = int(np.frombuffer(there, length)[0]) if element.count and len(there) == length.itemsize else 0
-            if not 0 <= count <= len(data):
-                raise ValueError(f"the list {name} of the PLY element {element.name} is damaged")
-            fields += [(LENGTH + name, length.str), (name, order + kind, (count,))]
-            at += length.itemsize + count * np.dtype(kind).itemsize
-        else:
-            fields.append((name, order + kind))
-            at += np.dtype(kind).itemsize
-    try:
-        dtype = np.dtype(fields)
-    except ValueError as error:  # two properties with the same name
-        raise ValueError(f"the PLY header's element {element.name}: {error}") from error
-    if element.lengths:
-        # what is missing is told with the vertices
-        count = min(element.count, max(len(data) - offset, 0) // dtype.itemsize)
-        rows = np.frombuffer(data, dtype, count, offset)
-        varying = [name for name in element.lengths if np.ptp(rows[LENGTH + name]) > 0] if count else []
-        if varying:
-            raise ValueError(
-                f"its {element.name} elements have lists of different lengths ({', '.join(varying)}), which are only "
-                "read behind the vertices, or from text; save it without them, or as text"
-            )
-    return dtype

@@ -35,7 +35,7 @@ from annotator.recordings.kinect.calibration import (
 )
 from annotator.recordings.kinect.matroska import MOST_NS, TRACKS, Block, MatroskaIndex, Track, read_index
 from annotator.recordings.listing import file_errors
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import Recording
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 
@@ -95,7 +95,7 @@ NAMES = frozenset({"COLOR", "DEPTH"})
 
 
 @dataclass(frozen=True, eq=False)
-class AzureKinect(KeyedFrames):
+class AzureKinect(Recording):
     """A `Recording` of an Azure Kinect.
 
     A frame is a moment with a colour and a depth image, named by the number of its colour image. Moments with only one

@@ -40,7 +40,7 @@ from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import file_errors, sorted_keys
 from annotator.recordings.plausible import is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
@@ -199,7 +199,7 @@ class Metadata(FileRecord):
 
 
 @dataclass(frozen=True, eq=False)
-class Record3D(KeyedFrames):
+class Record3D(Recording):
     """A `Recording` of Record3D. Frames are named by their numbers.
 
     Attributes:

@@ -33,7 +33,7 @@ from annotator.recordings.image_file import open_video, read_confidence, read_de
 from annotator.recordings.listing import file_errors, frame_file, require_size
 from annotator.recordings.phones.record3d import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole, pinhole
-from annotator.recordings.recording import KeyedFrames, ReaderOptions
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
@@ -48,7 +48,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
-class StrayScanner(KeyedFrames):
+class StrayScanner(Recording):
     """A `Recording` of Stray Scanner. Frames are named by the numbers in `odometry.csv`.
 
     Attributes:

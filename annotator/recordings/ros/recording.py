@@ -26,8 +26,8 @@ from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAM
 from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, without_strays, world_pose
 from annotator.recordings.kitti import visible_cloud
-from annotator.recordings.look_around import Scan, level_turn, virtual_frame
-from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, option_flag
+from annotator.recordings.look_around import Scan, Scanned, level_turn, virtual_frame
+from annotator.recordings.recording import Place, ReaderOptions, Recording, option_flag
 from annotator.recordings.ros.bag import Bag, Topic, open_bag
 from annotator.recordings.ros.messages import FIELD_ERRORS, RECTIFIED, BagCamera, cloud_of, message, read_camera_info
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
@@ -57,7 +57,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class RosBag(KeyedFrames):
+class RosBag(Recording):
     """A `Recording` of a bag.
 
     Attributes:
@@ -224,7 +224,7 @@ class RosBag(KeyedFrames):
 
 
 @dataclass(frozen=True, eq=False)
-class ScanBag(RosBag):
+class ScanBag(RosBag, Scanned):
     """A bag of clouds, with images or without."""
 
     def frame(self, i: int) -> Frame:

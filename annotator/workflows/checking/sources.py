@@ -173,7 +173,7 @@ class Source:
         if self.dataset is not None:
             return self.dataset.label_path(index)
         if isinstance(recording, SunRgbdScenes):
-            return recording.scenes[index] / "intrinsics.txt"
+            return recording.scene(recording.keys[index]) / "intrinsics.txt"
         places = (spelled(recording.root, name.format(key=recording.keys[index])) for name in CALIBRATIONS)
         return next((place for place in places if place.is_file()), recording.path)
 

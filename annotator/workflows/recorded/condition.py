@@ -20,7 +20,6 @@ from annotator.image_bytes import JPEG_START, PNG_SIGNATURE
 from annotator.project import Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.recordings.listing import IMAGE_SUFFIXES
-from annotator.recordings.recording import files_of
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, MovedError
 from annotator.types.messages import amount, first_few
@@ -170,7 +169,7 @@ def _error(recording: Recording, i: int) -> dict[int, str]:
 def _is_suspicious(recording: Recording, i: int) -> bool:
     """True if a file of a frame is missing or empty, or begins like no image although it should."""
     try:
-        files = files_of(recording, i)
+        files = recording.files(i)
     except FrameError:
         return True
     for file in files:

@@ -22,7 +22,6 @@ from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import FramePage, neighbours
 from annotator.recordings import Recording
-from annotator.recordings.recording import is_parallel
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -220,7 +219,7 @@ class FrameCache:
         lock, source = self._source(project)
         with lock:
             opened_recording = source.adjusted(stored.recording_id)
-            if not is_parallel(opened_recording.recording):
+            if not opened_recording.recording.is_parallel:
                 return self._read(project, source, stored)
         # without the lock: threads that draw many frames read them side by side, and no frame is opened later
         try:

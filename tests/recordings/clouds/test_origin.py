@@ -14,7 +14,6 @@ from kitti_samples import OBJECT_CALIB
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.virtual_camera import STEP_M
-from annotator.recordings.recording import origin_of
 from annotator.recordings.ros import messages
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
@@ -55,7 +54,7 @@ def test_points_without_a_return_neither_move_the_origin_nor_stay(tmp_path: Path
     frame = recording.frame(0)
     np.testing.assert_allclose(placed(frame), xyz[count:], atol=1e-4)
     origin = np.floor(np.median(xyz[count:], axis=0))
-    assert origin_of(recording) == tuple(origin)
+    assert recording.origin == tuple(origin)
     np.testing.assert_allclose(frame.T_world_camera.translation, origin, atol=1e-9)
     # the picture has the points that are ahead
     assert frame.rgb.any(axis=2).mean() > 1e-4
@@ -71,7 +70,7 @@ def test_the_virtual_camera_stands_at_a_sensor_or_at_far_points(
     write_npy(tmp_path / "7", XYZ + shift_m)
     recording = open_recording(tmp_path)
     frame = recording.frame(0)
-    assert (frame.T_world_camera is not None, origin_of(recording) is not None) == (is_far, is_far)
+    assert (frame.T_world_camera is not None, recording.origin is not None) == (is_far, is_far)
     place = frame.T_camera_label.inv().translation
     assert np.abs(place - (np.median(XYZ + shift_m, axis=0) if is_far else 0)).max() < 1
 
@@ -82,13 +81,13 @@ def test_the_origin_is_that_of_the_first_readable_cloud_for_all_frames(tmp_path:
     recording = open_recording(tmp_path)
     frames = [recording.frame(i) for i in (3, 0, 2, 1)]
     assert len({tuple(each.T_world_camera.translation) for each in frames}) == 1
-    whole = origin_of(recording)
+    whole = recording.origin
     (tmp_path / "0.npy").write_bytes(b"")
-    np.testing.assert_allclose(origin_of(open_recording(tmp_path)), np.add(whole, [4, 0, 0]), atol=1)
+    np.testing.assert_allclose(open_recording(tmp_path).origin, np.add(whole, [4, 0, 0]), atol=1)
     # as a project stores it: nothing changes
     kept = open_recording(tmp_path, ReaderOptions(origin=whole))
     np.testing.assert_array_equal(kept.frame(2).cloud.xyz_m, frames[2].cloud.xyz_m)
-    assert origin_of(kept) == whole
+    assert kept.origin == whole
 
 
 def test_a_vehicle_takes_the_camera_along_in_whole_steps(tmp_path: Path):
@@ -113,7 +112,7 @@ def test_a_recording_that_begins_at_its_origin_and_drives_away_keeps_its_points_
     recording = open_recording(tmp_path)
     places = [recording.frame(i).T_camera_label.inv().translation.tolist() for i in range(3)]
     np.testing.assert_allclose(places, [[0, 0, 0], [0, 0, 0], [5000, 0, 0]], atol=1e-9)
-    assert origin_of(recording) is None
+    assert recording.origin is None
 
 
 def test_the_option_places_the_camera_and_only_clouds_take_it(tmp_path: Path, generated: Path):
@@ -137,7 +136,7 @@ def test_a_calibrated_camera_in_a_map_knows_its_place(tmp_path: Path):
     np.testing.assert_allclose(frame.T_world_camera.translation, UTM_M + np.array([0, 0, 1]), atol=1e-6)
     np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
     np.testing.assert_allclose(recording.scan(0).place_m, UTM_M + np.array([0, 0, 1]), atol=1e-6)
-    assert origin_of(recording) is None
+    assert recording.origin is None
 
 
 def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path):

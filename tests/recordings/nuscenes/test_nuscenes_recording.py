@@ -16,7 +16,7 @@ from annotator.formats.nuscenes import read_sample_boxes
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.nuscenes import NuScenes, read_scan
+from annotator.recordings.nuscenes import SCANS, NuScenes
 from annotator.types.errors import ConfigError, FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
 
@@ -32,7 +32,7 @@ def test_the_real_boxes_hold_the_points_that_nuscenes_counted(shared: Path, tmp_
     real(shared / "data" / "nuscenes_frame", tmp_path)
     recording = opened(tmp_path)
     _, scan = recording.moments[0]
-    xyz_m = read_scan(tmp_path / scan.file).xyz_m
+    xyz_m = SCANS.read_alone(tmp_path / scan.file).xyz_m
     assert len(xyz_m) == 34_688
     (boxes,) = read_sample_boxes(recording.tables, recording.samples).values()
     counted = [row["num_lidar_pts"] for row in json.loads((recording.tables / "sample_annotation.json").read_text())]

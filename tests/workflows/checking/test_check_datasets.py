@@ -289,7 +289,7 @@ def test_generated_recordings_are_without_findings_and_damage_is_found(
     report = check_datasets(people)
     reported = [(f.rule, Path(f.file).name, f.message.split(";")[0]) for f in report.findings]
     assert reported == [
-        ("unreadable-file", "000003.png", "the PNG image is truncated"),
+        ("unreadable-file", "000003.png", "the image is damaged or truncated"),
         ("unreadable-file", "000004.png", "the image is 9 x 9 pixels, but the colour image has 320 x 240"),
         ("broken-label", "boxes.json", "000001.3.center: Field required"),
         ("broken-label", "boxes.json", "000001.4: Input should be an object with named fields"),

@@ -173,7 +173,7 @@ def test_unreadable_frames_are_left_out_on_request(
     report = export_project(project, tmp_path / "out", format, choose=skip)
     assert (report.frames, report.objects) == (1, 2)
     (left_out,) = report.unreadable
-    assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
+    assert left_out.startswith("people/000000: ") and "the image is damaged or truncated" in left_out
     assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]
     (folder / "depth" / "000003.png").write_bytes(b"")
     with pytest.raises(FrameError, match=r"depth/000000\.png"):
