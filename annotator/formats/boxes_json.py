@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from annotator.formats.reading import BoundedTrack, read_pairs, write_text
+from annotator.formats.reading import BoundedTrack, read_object, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.bases import FileRecord
@@ -87,7 +87,7 @@ def _entry(truth: Truth) -> dict[str, object]:
 
 def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
     """Yields each frame's key and entries, unchecked; `entry_truth` checks one."""
-    for key, value in read_pairs(path):
+    for key, value in read_object(path).items():
         yield key, value if isinstance(value, list) else [value]
 
 

@@ -7,7 +7,7 @@ A format of 3D boxes is a `DatasetWriter`, which takes `DatasetItem`s; one of 2D
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
+from jaxtyping import UInt8
 
 from annotator.files import new_folder
 from annotator.formats.attributes import Values
 from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, PictureLabels, dump_frames, has_frames
 from annotator.formats.losses import LEAST_TILT_RAD, Losses, Lost
 from annotator.geometry.transforms import IMAGE_UP
+from annotator.image_bytes import encoded_image
 from annotator.types import Frame, Label, PointCloud, ReviewState
 from annotator.types.errors import FormatError
 
@@ -103,7 +105,27 @@ class DatasetWriter:
         self._names = FileNames()
 
     def begin(self) -> None:
-        """Makes the folders."""
+        """Prepares what depends on the whole dataset."""
+
+    def put(self, name: str, content: str | bytes) -> None:
+        """Writes a file of the dataset, and the folders above it."""
+        file = self.folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
+
+    def put_image(self, stem: str, rgb: UInt8[np.ndarray, "h w 3"]) -> str:
+        """Writes a camera image in the format that is asked for; returns its name."""
+        name = f"{stem}.{self.info.image_format}"
+        self.put(name, encoded_image(rgb, self.info.image_format))
+        return name
+
+    def parts(self, whole: str | None = None) -> dict[str, list[str]]:
+        """Returns the ids of the frames in each part; without parts, they are all in `whole`, if it is given."""
+        ids = defaultdict[str, list[str]](list)
+        for origin in self.origins:
+            if part := origin.split or whole:
+                ids[part].append(origin.id)
+        return ids
 
     def frame_id(self, item: DatasetItem) -> str:
         """Returns the frame's id, unique in the dataset: by default a file name of recording and key."""
@@ -294,8 +316,8 @@ RGB = ("red", "green", "blue")
 CAMERA_FRAME = "camera frame: x right, y down, z forward, metres"
 
 
-def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> None:
-    """Writes points as a PLY file (Greg Turk, "The PLY Polygon File Format", 1994): binary, little-endian.
+def ply(cloud: PointCloud, comment: str = CAMERA_FRAME) -> bytes:
+    """Returns points as a PLY file (Greg Turk, "The PLY Polygon File Format", 1994): binary, little-endian.
 
     The properties of the element `vertex` are float x y z, then uchar red green blue and float reflectance if the cloud
     has them.
@@ -303,18 +325,14 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
     Args:
         comment: the points' frame of reference, one line of ASCII.
     """
-    fields = [(name, "<f4") for name in XYZ]
-    fields += [(name, "u1") for name in RGB if cloud.rgb is not None]
-    fields += [] if cloud.reflectance is None else [("reflectance", "<f4")]
-    rows = np.empty(len(cloud), np.dtype(fields))
-    for column, name in enumerate(XYZ):
-        rows[name] = cloud.xyz_m[:, column]
-    if cloud.rgb is not None:
-        for column, name in enumerate(RGB):
-            rows[name] = cloud.rgb[:, column]
-    if cloud.reflectance is not None:
-        rows["reflectance"] = cloud.reflectance
-    words = {"<f4": "float", "u1": "uchar"}
+    known: list[tuple[tuple[str, ...], str, np.ndarray]] = [(XYZ, "float", cloud.xyz_m)]
+    known += [] if cloud.rgb is None else [(RGB, "uchar", cloud.rgb)]
+    known += [] if cloud.reflectance is None else [(("reflectance",), "float", cloud.reflectance[:, None])]
+    kinds = {name: word for names, word, _ in known for name in names}
+    rows = np.empty(len(cloud), [(name, "<f4" if word == "float" else "u1") for name, word in kinds.items()])
+    for names, _, values in known:
+        for name, column in zip(names, values.T, strict=True):
+            rows[name] = column
     head = f"ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {len(cloud)}\n"
-    head += "".join(f"property {words[kind]} {name}\n" for name, kind in fields) + "end_header\n"
-    path.write_bytes(head.encode("ascii") + rows.tobytes())
+    head += "".join(f"property {word} {name}\n" for name, word in kinds.items()) + "end_header\n"
+    return head.encode("ascii") + rows.tobytes()

@@ -115,7 +115,7 @@ def label_place(path: Path) -> Path:
     return next((path / name for name in PLACES if (path / name).exists()), path)
 
 
-LABELS, CALIBRATIONS = "label_2", "calib"
+LABELS, CALIBRATIONS, SCANS = "label_2", "calib", "velodyne"
 # Plausibility limit, metres: two cameras of one vehicle.
 MOST_SHIFT_M = 100.0
 
@@ -204,7 +204,6 @@ def read_kitti_file(file: Path, text: str | None = None, *, scored: bool = False
     return rows
 
 
-PARTS = ("image_2", "velodyne", "calib", "label_2")
 TRAINING, IMAGE_SETS = "training", "ImageSets"
 # KITTI's names of the parts; trainval.txt lists train and val.
 SPLITS = ("train", "val", "test")
@@ -219,8 +218,6 @@ class KittiWriter(DatasetWriter):
     def begin(self) -> None:
         self.words = ClassWords(self.info.classes, reserved=(kitti_rows.DONT_CARE,))
         self.ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places])
-        for name in PARTS:
-            (self.folder / TRAINING / name).mkdir(parents=True)
 
     def frame_id(self, item: DatasetItem) -> str:
         return self.ids[item.recording, item.frame.key]
@@ -234,30 +231,24 @@ class KittiWriter(DatasetWriter):
             )
         rows = [kitti_rows.dump_label_line(row) for _, row in self.rows(item)]
         rows += [kitti_rows.dump_label_line(kitti_rows.dont_care(edges)) for edges in item.unlabelled]
-        training = self.folder / TRAINING
-        (training / "label_2" / f"{frame_id}.txt").write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
-        calibration = self.files(item.frame, training / "image_2" / frame_id, training / "velodyne" / frame_id)
-        (training / "calib" / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        self.put(f"{TRAINING}/{LABELS}/{frame_id}.txt", "".join(f"{row}\n" for row in rows))
+        calibration = self.files(item.frame, f"image_2/{frame_id}", f"{SCANS}/{frame_id}")
+        self.put(f"{TRAINING}/{CALIBRATIONS}/{frame_id}.txt", calibration)
 
-    def files(self, frame: Frame, image: Path, scan: Path) -> str:
+    def files(self, frame: Frame, image: str, scan: str) -> str:
         """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
         camera, rgb = straightened(frame.camera, frame.rgb)
         T = kitti_rows.label_frame(frame)
-        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb))
-        scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
+        self.put(f"{TRAINING}/{image}.png", encoded_image(rgb))
+        self.put(f"{TRAINING}/{scan}.bin", lidar_points(frame.cloud, T).tobytes())
         return calibration_text(camera, T)
 
     def finish(self) -> None:
         """Writes the frame ids of each part, one per line; without parts all are in train and trainval."""
-        parts: dict[str, list[str]] = {}
-        for origin in self.origins:
-            parts.setdefault(origin.split or "train", []).append(origin.id)
+        parts = self.parts("train")
         parts["trainval"] = [origin.id for origin in self.origins if origin.split != TEST]
-        (self.folder / IMAGE_SETS).mkdir()
         for name, ids in parts.items():
-            (self.folder / IMAGE_SETS / f"{name}.txt").write_text(
-                "".join(f"{each}\n" for each in ids), encoding="utf-8"
-            )
+            self.put(f"{IMAGE_SETS}/{name}.txt", "".join(f"{each}\n" for each in ids))
         self.words.write(self.folder)
 
     def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, kitti_rows.KittiLabel]]:

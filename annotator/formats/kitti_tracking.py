@@ -14,7 +14,7 @@ from pathlib import Path
 
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame
-from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, KittiWriter, read_shift, tracked_frames
+from annotator.formats.kitti_objects import CALIBRATIONS, SCANS, TRAINING, KittiWriter, read_shift, tracked_frames
 from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
 from annotator.formats.reading import text_files
 from annotator.formats.units import Angles, AngleUnit
@@ -24,7 +24,7 @@ from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 
 LABELS = "label_02"
-IMAGES, SCANS = "image_02", "velodyne"
+IMAGES = "image_02"
 # Track id of DontCare areas.
 NO_TRACK = -1
 
@@ -75,17 +75,14 @@ class KittiTrackingWriter(KittiWriter):
         return f"{name}/{number:06d}"
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        root = self.folder / TRAINING
         name, number = self.places[item.recording, item.frame.key]
         if name not in self.sequences:
             self.sequences[name] = TrackingSequence(name, self.info.free_tracks[item.recording])
-            for folder in (IMAGES, SCANS):
-                (root / folder / name).mkdir(parents=True)
         sequence, in_frame = self.sequences[name], set[int]()
         for label, row in self.rows(item, levels=True):
             sequence.rows.append(dump_tracking_line(number, sequence.track_of(label, in_frame), row))
         sequence.rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
-        calibration = self.files(item.frame, root / IMAGES / frame_id, root / SCANS / frame_id)
+        calibration = self.files(item.frame, f"{IMAGES}/{frame_id}", f"{SCANS}/{frame_id}")
         if sequence.calibration not in (None, calibration):
             raise FormatError(
                 self.out,
@@ -95,13 +92,9 @@ class KittiTrackingWriter(KittiWriter):
         sequence.calibration = calibration
 
     def finish(self) -> None:
-        root = self.folder / TRAINING
-        for folder in (CALIBRATIONS, LABELS):
-            (root / folder).mkdir()
         for sequence in self.sequences.values():
-            rows = "".join(f"{row}\n" for row in sequence.rows)
-            (root / LABELS / f"{sequence.name}.txt").write_text(rows, encoding="utf-8")
-            (root / CALIBRATIONS / f"{sequence.name}.txt").write_text(sequence.calibration or "", encoding="utf-8")
+            self.put(f"{TRAINING}/{LABELS}/{sequence.name}.txt", "".join(f"{row}\n" for row in sequence.rows))
+            self.put(f"{TRAINING}/{CALIBRATIONS}/{sequence.name}.txt", sequence.calibration or "")
         self.words.write(self.folder)
         if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
             note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"

@@ -34,15 +34,14 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, ply
 from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
 from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
-from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types import Camera, OrientedBox, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -243,16 +242,13 @@ GOLDEN = 0.618034
 
 class LabelCloudWriter(DatasetWriter):
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        folder = self.folder / (item.split or "")
-        for name in (CLOUDS, LABELS, CALIBRATIONS):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        T_level_camera = level_pose(item.frame.up)
-        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
-        image = folder / CLOUDS / f"{frame_id}.{self.info.image_format}"
-        image.write_bytes(encoded_image(rgb, self.info.image_format))
-        write_ply(folder / CLOUDS / f"{frame_id}.ply", _level(item.frame, T_level_camera), LEVEL_FRAME)
-        calibration = dump_calibration(camera, T_level_camera.inv())
-        (folder / CALIBRATIONS / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        folder, frame = item.split or ".", item.frame
+        T_level_camera = level_pose(frame.up)
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        self.put_image(f"{folder}/{CLOUDS}/{frame_id}", rgb)
+        level = replace(frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"))
+        self.put(f"{folder}/{CLOUDS}/{frame_id}.ply", ply(level, LEVEL_FRAME))
+        self.put(f"{folder}/{CALIBRATIONS}/{frame_id}.txt", dump_calibration(camera, T_level_camera.inv()))
         dump = vertices_object if self.info.vertices else centroid_object
         content = LabelFile(
             folder=CLOUDS,
@@ -260,21 +256,14 @@ class LabelCloudWriter(DatasetWriter):
             path=f"{CLOUDS}/{frame_id}.ply",
             objects=tuple(dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels),
         )
-        text = content.model_dump_json(indent=1, exclude_none=True) + "\n"
-        (folder / LABELS / f"{frame_id}.json").write_text(text, encoding="utf-8")
+        self.put(f"{folder}/{LABELS}/{frame_id}.json", content.model_dump_json(indent=1, exclude_none=True) + "\n")
         self.counts.update(label.label for label in item.labels)
 
     def finish(self) -> None:
         version = self.info.generator.removeprefix("annotator ")
         content = _classes(self.info.classes, VERTICES if self.info.vertices else CENTROID_REL, version)
-        for split in dict.fromkeys(origin.split for origin in self.origins):
-            (self.folder / (split or "") / LABELS / CLASSES_FILE).write_text(content, encoding="utf-8")
-
-
-def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
-    return replace(
-        frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"), pixel_index=None, normals=None
-    )
+        for part in self.parts("."):
+            self.put(f"{part}/{LABELS}/{CLASSES_FILE}", content)
 
 
 def _classes(names: Sequence[str], form: str, version: str) -> str:

@@ -360,7 +360,10 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
     """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
     tracks: dict[str | int, int] = {}
     quaternions = Quaternions()
-    for sample, boxes in reading.read_pairs(path, RESULTS):
+    samples = reading.read_object(path).get(RESULTS)
+    if not isinstance(samples, dict):
+        raise FormatError(path, f"has no object {RESULTS!r}")
+    for sample, boxes in samples.items():
         if not isinstance(boxes, list):
             raise FormatError(path, f"results.{sample}: must be a list of boxes")
         yield (

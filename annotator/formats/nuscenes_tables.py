@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import count
@@ -34,7 +34,6 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import encoded_image
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor
 from annotator.types import Camera, Label
 
@@ -77,32 +76,28 @@ class NuScenesWriter(DatasetWriter):
         self._attributes: set[str] = set()
         self._shifts_us: dict[Key, int] = {}
         self._starts_us: set[int] = set()
-        for name in (VERSION, f"samples/{CAMERA}", f"samples/{LIDAR}", "maps"):
-            (self.folder / name).mkdir(parents=True)
-        (self.folder / MAP_FILE).write_bytes(cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
+        self.put(MAP_FILE, cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        files = {
-            CAMERA: f"samples/{CAMERA}/{frame_id}.{self.info.image_format}",
-            LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
-        }
         T_level_camera = level_pose(item.frame.up)
         camera, rgb = straightened(item.frame.camera, item.frame.rgb)
-        (self.folder / files[CAMERA]).write_bytes(encoded_image(rgb, self.info.image_format))
-        (self.folder / files[LIDAR]).write_bytes(nuscenes.scan(item.frame.cloud, T_level_camera).tobytes())
+        files = {
+            CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),
+            LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
+        }
+        self.put(files[LIDAR], nuscenes.scan(item.frame.cloud, T_level_camera).tobytes())
         self._add(item, camera, T_level_camera, files)
         self.counts.update(label.label for label in item.labels)
 
     def finish(self) -> None:
-        folder = self.folder / VERSION
         for name, rows in self._tables().items():
-            (folder / f"{name}.json").write_bytes(_ROWS.dump_json(list(rows), indent=0) + b"\n")
-        splits: dict[str, list[str]] = {}
+            self.put(f"{VERSION}/{name}.json", _ROWS.dump_json(list(rows), indent=0) + b"\n")
+        splits = defaultdict[str, list[str]](list)
         for (_, split), name in self._scene_names().items():
             if split is not None:
-                splits.setdefault(split, []).append(name)
+                splits[split].append(name)
         if splits:
-            (folder / SPLITS).write_text(json.dumps(splits, indent=1) + "\n", encoding="utf-8")
+            self.put(f"{VERSION}/{SPLITS}", json.dumps(splits, indent=1) + "\n")
 
     def _add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
         """Adds a frame.

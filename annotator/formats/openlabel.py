@@ -25,12 +25,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
 from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
 from annotator.formats.reading import read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
-from annotator.image_bytes import encoded_image
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
 from annotator.types import Frame as RecordedFrame
@@ -253,12 +252,10 @@ class OpenLabelWriter(DatasetWriter):
         self._comment = f"Detectors that proposed boxes: {'; '.join(used)}" if used else None
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
-        folder = self.folder / (item.split or "")
-        for name in ("images", "clouds"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        (folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
-        write_ply(folder / cloud, item.frame.cloud)
+        place = f"{item.split}/" if item.split else ""
+        image, cloud = f"images/{frame_id}", f"clouds/{frame_id}.ply"
+        image = self.put_image(place + image, item.frame.rgb).removeprefix(place)
+        self.put(place + cloud, ply(item.frame.cloud))
         scene = Scene(item.recording, self.info.generator, self._comment)
         self._scenes.setdefault((item.split, item.recording), scene).add(item, image, cloud)
         self.counts.update(label.label for label in item.labels)
@@ -268,8 +265,7 @@ class OpenLabelWriter(DatasetWriter):
         names = FileNames()
         stems = {recording: names.add(recording) for recording in dict.fromkeys(each for _, each in self._scenes)}
         for (split, recording), scene in self._scenes.items():
-            file = self.folder / (split or "") / f"{stems[recording]}.json"
-            file.write_text(dump(scene.document()), encoding="utf-8")
+            self.put(f"{split or '.'}/{stems[recording]}.json", dump(scene.document()))
 
 
 def dump(document: doc.Document) -> str:

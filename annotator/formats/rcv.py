@@ -19,11 +19,11 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
 from annotator.formats.frame_names import LabelledFrame, in_world
 from annotator.formats.reading import BoundedTrack, read_model
 from annotator.geometry.transforms import corners_4x8
-from annotator.image_bytes import JPEG_QUALITY, encoded_image
+from annotator.image_bytes import JPEG_QUALITY
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.bases import Strict
@@ -323,49 +323,38 @@ class RcvWriter(DatasetWriter):
     """Writes all that labels hold. Every label must have one of `info.classes`."""
 
     def begin(self) -> None:
-        self.splits: dict[str, list[str]] = {}
         self.cameras: dict[tuple[Any, ...], tuple[Camera, list[str]]] = {}
         self.points = 0
         self.by_recording, self.objects_by_recording = Counter[str](), Counter[str]()
         self.by_state, self.by_source = Counter[ReviewState](), Counter[Source]()
-        for name in FOLDERS:
-            (self.folder / name).mkdir()
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        classes = self.info.classes
+        classes, frame = self.info.classes, item.frame
         for label in item.labels:
             if label.label not in classes:
-                where = f"{item.recording}, frame {item.frame.key}"
+                where = f"{item.recording}, frame {frame.key}"
                 problem = f"{where}: label {label.label!r} is not one of the classes {', '.join(classes)}"
                 raise FormatError(self.out, problem)
-        self._count(item, frame_id)
-        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
-        (self.folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
-        write_ply(self.folder / cloud, item.frame.cloud)
-        record = labels_record(frame_id, item, image, cloud)
-        (self.folder / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
-
-    def _count(self, item: DatasetItem, frame_id: str) -> None:
-        if item.split is not None:
-            self.splits.setdefault(item.split, []).append(frame_id)
-        camera = item.frame.camera
-        _, recordings = self.cameras.setdefault(astuple(camera), (camera, []))
+        _, recordings = self.cameras.setdefault(astuple(frame.camera), (frame.camera, []))
         if item.recording not in recordings:
             recordings.append(item.recording)
-        self.points += len(item.frame.cloud)
+        self.points += len(frame.cloud)
         self.by_recording[item.recording] += 1
         self.objects_by_recording[item.recording] += len(item.labels)
         self.counts.update(label.label for label in item.labels)
         self.by_state.update(label.state for label in item.labels)
         self.by_source.update(label.source for label in item.labels)
+        image, cloud = self.put_image(f"images/{frame_id}", frame.rgb), f"clouds/{frame_id}.ply"
+        self.put(cloud, ply(frame.cloud))
+        record = labels_record(frame_id, item, image, cloud)
+        self.put(f"labels/{frame_id}.json", record.model_dump_json(indent=1) + "\n")
 
     def finish(self) -> None:
         manifest = self.manifest()
-        (self.folder / "README.md").write_text(readme_text(manifest), encoding="utf-8")
-        (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        for name, ids in self.splits.items():
-            (self.folder / SPLITS).mkdir(exist_ok=True)
-            (self.folder / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
+        self.put("README.md", readme_text(manifest))
+        self.put(MANIFEST, manifest.model_dump_json(indent=1) + "\n")
+        for name, ids in self.parts().items():
+            self.put(f"{SPLITS}/{name}.txt", "".join(f"{each}\n" for each in ids))
 
     def manifest(self) -> RcvManifest:
         return RcvManifest(

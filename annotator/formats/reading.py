@@ -1,7 +1,4 @@
-"""Shared by the label readers: faults, finite numbers, images, the text files of a folder or a zip archive, and JSON.
-
-JSON files are read into pydantic models, or pair by pair if they are large.
-"""
+"""Shared by the label readers: finite numbers, images, the text files of a folder or a zip archive, and JSON."""
 
 from __future__ import annotations
 
@@ -9,10 +6,10 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Annotated, Never, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -87,32 +84,42 @@ def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Pat
         within: a folder name; if an archive has matching files in a folder of this name, only those are read.
     """
     if path.is_dir():
-        yield from _of_folder(path)
-    elif path.is_file() and _is_archive(path):
-        yield from _of_archive(path, within)
+        try:
+            files = [file for file in path.iterdir() if _is_wanted(file)]
+        except OSError as error:
+            raise FormatError(path, f"cannot be read ({error.strerror})") from error
+        for key, file in _by_key(path, files, "; give the folder that contains them"):
+            yield key, file, read_text(file)
+    elif _is_archive(path):
+        try:
+            with open_file(path) as opened, open_archive(opened) as archive:
+                names = {PurePosixPath(each): each for each in archive.namelist() if not each.endswith("/")}
+                members = list(filter(_is_wanted, names))
+                for key, member in _by_key(path, [each for each in members if each.parent.name == within] or members):
+                    with archive.open(names[member]) as stream:
+                        # the size that an archive declares may be wrong
+                        yield key, path / member.name, _text(path / member.name, stream.read(DOCUMENT_BYTES + 1))
+        except ARCHIVE_ERRORS as error:
+            raise FormatError(path, f"the archive cannot be read ({error})") from error
     elif path.exists():
         raise FormatError(path, f"is neither a folder of *{SUFFIX} files nor a zip archive of one")
     else:
         raise FormatError(path, "there is no such folder or zip archive")
 
 
-def _of_folder(path: Path) -> Iterator[tuple[str, Path, str]]:
-    try:
-        files = sorted(file for file in path.iterdir() if _is_wanted(file))
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    if not files:
-        raise FormatError(path, f"has no {SUFFIX} files; give the folder that contains them")
-    seen = set[str]()
-    for file in files:
-        if (key := normal(file.stem)) in seen:
-            raise _twice(path, file.name)
-        seen.add(key)
-        yield key, file, read_text(file)
+PathKind = TypeVar("PathKind", bound=PurePath)
 
 
-def _twice(path: Path, name: str) -> FormatError:
-    return FormatError(path, f"has two files called {name}; keep one")
+def _by_key(path: Path, files: Iterable[PathKind], advice: str = "") -> list[tuple[str, PathKind]]:
+    """Returns files with their keys, sorted."""
+    found: dict[str, PathKind] = {}
+    for file in sorted(files):
+        if normal(file.stem) in found:
+            raise FormatError(path, f"has two files called {file.name}; keep one")
+        found[normal(file.stem)] = file
+    if not found:
+        raise FormatError(path, f"has no {SUFFIX} files{advice}")
+    return list(found.items())
 
 
 def _is_wanted(file: PurePath) -> bool:
@@ -134,31 +141,10 @@ def text_rows(file: Path, text: str | None = None) -> list[tuple[int, list[str]]
     return [(line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip()]
 
 
-def _of_archive(path: Path, within: str | None) -> Iterator[tuple[str, Path, str]]:
-    try:
-        with open_file(path) as file, open_archive(file) as archive:
-            named: dict[str, zipfile.ZipInfo] = {}
-            for info in _wanted(archive, within):
-                name = PurePosixPath(info.filename)
-                if normal(name.stem) in named:
-                    raise _twice(path, name.name)
-                named[normal(name.stem)] = info
-            if not named:
-                raise FormatError(path, f"has no {SUFFIX} files")
-            for key in sorted(named):
-                with archive.open(named[key]) as stream:
-                    # the size that an archive declares may be wrong
-                    content = stream.read(DOCUMENT_BYTES + 1)
-                member = path / PurePosixPath(named[key].filename).name
-                yield key, member, _text(member, content)
-    except ARCHIVE_ERRORS as error:
-        raise FormatError(path, f"the archive cannot be read ({error})") from error
-
-
 def holds_texts(path: Path) -> bool:
     """True for a folder with text files or one that cannot be listed, and for any zip archive."""
     if not path.is_dir():
-        return path.is_file() and _is_archive(path)
+        return _is_archive(path)
     try:
         return any(_is_wanted(file) for file in path.iterdir())
     except OSError:
@@ -168,13 +154,8 @@ def holds_texts(path: Path) -> bool:
 def _is_archive(path: Path) -> bool:
     with suppress(OSError):
         check_file(path)
-        return zipfile.is_zipfile(path)
+        return path.is_file() and zipfile.is_zipfile(path)
     return False
-
-
-def _wanted(archive: zipfile.ZipFile, within: str | None) -> list[zipfile.ZipInfo]:
-    matching = [info for info in archive.infolist() if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))]
-    return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 
 
 def _text(file: Path, content: bytes) -> str:
@@ -248,31 +229,23 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
 def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     """Returns the content of a JSON file.
 
+    Unpaired surrogates (`\\ud800`) are refused: they are valid JSON escapes, but cannot be encoded as UTF-8.
+
     Args:
         pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
     """
-    data = _read(path)
-    with json_faults(path):
-        text = decoded(data)
-        content: object = json.loads(text, object_pairs_hook=pairs_hook)
-    require_encodable(path, text, content)
-    return content
-
-
-def _read(path: Path) -> bytes:
     try:
-        return read_file(path, MAX_BYTES)
+        text = decoded(read_file(path, MAX_BYTES))
+        content: object = json.loads(text, object_pairs_hook=pairs_hook)
+        if SURROGATE.search(text) is not None:
+            json.dumps(content, ensure_ascii=False).encode()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-
-
-@contextmanager
-def json_faults(path: Path) -> Iterator[None]:
-    """Converts the errors of parsing JSON into FormatErrors; a KeyError names a key that occurs twice."""
-    try:
-        yield
     except UnicodeDecodeError as error:
         raise FormatError(path, f"is {error}") from error
+    except UnicodeEncodeError as error:
+        shown = f"{error.object[error.start]!a}"
+        raise FormatError(path, f"has an unpaired surrogate ({shown}); write the whole character") from error
     except json.JSONDecodeError as error:
         raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
     except RecursionError as error:
@@ -282,22 +255,15 @@ def json_faults(path: Path) -> Iterator[None]:
     except ValueError as error:
         # an integer of thousands of digits
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
+    return content
 
 
-def require_encodable(path: Path, text: str, content: object) -> None:
-    r"""Rejects unpaired surrogates (`\ud800`): valid JSON escapes, but they cannot be encoded as UTF-8.
-
-    Args:
-        text: the JSON of `content`.
-    """
-    if SURROGATE.search(text) is None:
-        return
-    try:
-        json.dumps(content, ensure_ascii=False).encode()
-    except UnicodeEncodeError as error:
-        raise FormatError(
-            path, f"has an unpaired surrogate ({error.object[error.start]!a}); write the whole character"
-        ) from error
+def read_object(path: Path) -> dict[str, object]:
+    """Returns the object of a JSON file, each key once."""
+    content = read_json(path, unique_keys)
+    if not isinstance(content, dict):
+        raise FormatError(path, "must be a JSON object with one entry per frame")
+    return content
 
 
 def _more(error: ValidationError) -> str:
@@ -333,84 +299,3 @@ class Axes(FileRecord):
 
 Bounded3 = tuple[Bounded, Bounded, Bounded]
 Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]
-
-
-BLANKS = re.compile(r"[ \t\r\n]*+")
-
-
-def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, object]]:
-    """Yields the pairs of the object in a file, in its order, each key once; they are parsed one by one.
-
-    Args:
-        inside: the key of the object's pair whose own pairs are wanted, instead of the object's.
-    """
-    data = _read(path)
-    with json_faults(path):
-        text = _Text(path, decoded(data))
-        del data
-        keys, found = text.each_key(), inside is None
-        for key in keys:
-            if inside is None:
-                yield key, text.value()
-            elif key == inside:
-                found = True
-                yield from ((name, text.value()) for name in text.each_key())
-            else:
-                text.value()
-        if text.next():
-            text.fail("has something after the end of its object")
-        if not found:
-            raise FormatError(path, f"has no key {inside!r}")
-
-
-class _Text:
-    """The text of a file, and a place in it."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self._path, self._text, self._at = path, text, 0
-        self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
-
-    def each_key(self) -> Iterator[str]:
-        """Yields the keys of the object that begins here; each key's value must be read before the next one."""
-        if self.next() != "{":
-            self.fail("must be a JSON object with one entry per frame")
-        self._at += 1
-        known, end = set[str](), self.next()
-        if end == "}":
-            self._at += 1
-        while end != "}":
-            if self.next() != '"':
-                self.fail("is not valid JSON: a key in double quotes is missing")
-            key = str(self.value())
-            if key in known:
-                raise KeyError(key)
-            known.add(key)
-            self._take(":")
-            yield key
-            end = self._take(",}")
-
-    def value(self) -> object:
-        """Reads the value that begins here."""
-        self.next()
-        value, end = self._json.raw_decode(self._text, self._at)
-        require_encodable(self._path, self._text[self._at : end], value)
-        self._at = end
-        return value
-
-    def next(self) -> str:
-        """Goes to the next character that is not blank, and returns it; "" at the end of the file."""
-        match = BLANKS.match(self._text, self._at)
-        assert match is not None  # it may be empty
-        self._at = match.end()
-        return self._text[self._at : self._at + 1]
-
-    def _take(self, characters: str) -> str:
-        found = self.next()
-        if not found or found not in characters:
-            self.fail(f"is not valid JSON: Expecting {' or '.join(map(repr, characters))}")
-        self._at += 1
-        return found
-
-    def fail(self, reason: str) -> Never:
-        """Raises FormatError for what is here."""
-        raise FormatError(self._path, reason, 1 + self._text.count("\n", 0, self._at))

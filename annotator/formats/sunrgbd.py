@@ -36,6 +36,7 @@ others it follows from gravity: y is the levelled viewing direction. A camera's 
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -244,7 +245,6 @@ def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
     return np.asarray(U @ V)
 
 
-PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
 # The data set numbers its frames from 1.
 FIRST_ID = 1
@@ -261,23 +261,20 @@ class SunRgbdWriter(DatasetWriter):
         self._words = ClassWords(self.info.classes)
         self._ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places], FIRST_ID)
         self._table: list[MetaRow] = []
-        for name in PARTS:
-            (self.folder / name).mkdir()
 
     def frame_id(self, item: DatasetItem) -> str:
         return self._ids[item.recording, item.frame.key]
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        from scipy.io import savemat
-
         frame, losses = item.frame, self.losses
         camera, rgb = straightened(frame.camera, frame.rgb)
         T = upright_frame(frame)
-        (self.folder / "image" / f"{frame_id}.jpg").write_bytes(encoded_image(rgb, "jpg"))
-        (self.folder / "calib" / f"{frame_id}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
+        files = (f"depth/{frame_id}.mat", f"image/{frame_id}.jpg")
+        self.put(files[1], encoded_image(rgb, "jpg"))
+        self.put(f"calib/{frame_id}.txt", calibration_text(camera, T))
         # compressed as in the data set, which halves the size
         points = upright_points(frame, T, camera, rgb)
-        savemat(str(self.folder / "depth" / f"{frame_id}.mat"), {"instance": points}, do_compression=True)
+        self.put_mat(files[0], {"instance": points})
         rows, boxes = [], []
         for label in item.labels:
             box = label.box.transformed(T.inv())
@@ -292,20 +289,21 @@ class SunRgbdWriter(DatasetWriter):
             self.counts[label.label] += 1
             rows.append(dump_label_row(self._words[label.label], upright, on_image) + "\n")
             boxes.append((label.label, box, on_image))
-        (self.folder / "label" / f"{frame_id}.txt").write_text("".join(rows), encoding="utf-8")
-        files = (f"depth/{frame_id}.mat", f"image/{frame_id}.jpg")
+        self.put(f"label/{frame_id}.txt", "".join(rows))
         self._table.append(meta_frame(self.origins[-1].name, files, camera, T, boxes))
+
+    def put_mat(self, name: str, content: dict[str, np.ndarray]) -> None:
+        """Writes a MATLAB file."""
+        from scipy.io import savemat
+
+        savemat(stream := io.BytesIO(), content, do_compression=True)
+        self.put(name, stream.getvalue())
 
     def finish(self) -> None:
         """Writes the table, and the frame numbers of each part, one per line; without parts all are in train."""
-        from scipy.io import savemat
-
-        savemat(str(self.folder / META), dump_meta(self._table), do_compression=True)
-        parts: dict[str, list[str]] = {}
-        for origin in self.origins:
-            parts.setdefault(origin.split or "train", []).append(f"{int(origin.id)}\n")
-        for name, numbers in parts.items():
-            (self.folder / INDEX.format(name)).write_text("".join(numbers), encoding="utf-8")
+        self.put_mat(META, dump_meta(self._table))
+        for name, ids in self.parts("train").items():
+            self.put(INDEX.format(name), "".join(f"{int(each)}\n" for each in ids))
         self._words.write(self.folder)
 
 

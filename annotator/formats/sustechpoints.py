@@ -41,7 +41,6 @@ from annotator.formats.reading import Axes, Bounded, BoundedPositive, read_model
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
 from annotator.types import Frame, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
@@ -238,24 +237,20 @@ class SustechWriter(DatasetWriter):
         if is_new:
             self._begun[key] = (self._scenes.add(item.recording), level_pose(item.frame.up))
         name, T_scene_camera = self._begun[key]
-        scene = self.folder / (item.split or "") / name
+        scene = f"{item.split or '.'}/{name}"
         if is_new:
-            for place in (CLOUDS, LABELS, IMAGES, CALIBRATIONS):
-                (scene / place).mkdir(parents=True)
             calibration = {
                 "extrinsic": T_scene_camera.inv().as_matrix().ravel().tolist(),
                 "intrinsic": camera.matrix.ravel().tolist(),
             }
-            (scene / CALIBRATIONS / CAMERA).write_text(json.dumps(calibration) + "\n", encoding="utf-8")
-        image = scene / IMAGES / f"{frame_id}.{self.info.image_format}"
-        image.write_bytes(encoded_image(rgb, self.info.image_format))
-        (scene / CLOUDS / f"{frame_id}.pcd").write_bytes(_pcd(item.frame.cloud, T_scene_camera))
+            self.put(f"{scene}/{CALIBRATIONS}/{CAMERA}", json.dumps(calibration) + "\n")
+        self.put_image(f"{scene}/{IMAGES}/{frame_id}", rgb)
+        self.put(f"{scene}/{CLOUDS}/{frame_id}.pcd", _pcd(item.frame.cloud, T_scene_camera))
         if item.frame.T_world_camera is not None:
-            (scene / POSES).mkdir(exist_ok=True)
             pose = json.dumps(_ego_pose(item.frame.T_world_camera * T_scene_camera.inv()))
-            (scene / POSES / f"{frame_id}.json").write_text(pose + "\n", encoding="utf-8")
+            self.put(f"{scene}/{POSES}/{frame_id}.json", pose + "\n")
         boxes = [_entry(label, label.box.transformed(T_scene_camera)) for label in item.labels]
-        (scene / LABELS / f"{frame_id}.json").write_text(json.dumps(boxes, indent=1) + "\n", encoding="utf-8")
+        self.put(f"{scene}/{LABELS}/{frame_id}.json", json.dumps(boxes, indent=1) + "\n")
         self.counts.update(label.label for label in item.labels)
 
 

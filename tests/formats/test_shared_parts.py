@@ -7,7 +7,6 @@ import io
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from hypothesis import strategies as st
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.reading import read_mask, read_pairs
+from annotator.formats.reading import read_mask, read_object
 from annotator.formats.units import Angles, Lengths
 from annotator.types.errors import FormatError, UnitError, UnitKind
 
@@ -72,24 +71,6 @@ def test_a_missing_or_unrelated_frames_csv_is_ignored(tmp_path: Path) -> None:
         read_frames(tmp_path)
 
 
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(st.characters(codec="utf-8")),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(st.characters(codec="utf-8")), inner),
-    max_leaves=8,
-)
-
-
-@given(st.dictionaries(st.text(st.characters(codec="utf-8")), VALUES, max_size=4), st.none() | st.integers(0, 2))
-def test_pairs_are_those_of_the_whole_file(
-    tmp_path_factory: pytest.TempPathFactory, content: dict[str, Any], indent: int | None
-) -> None:
-    path = tmp_path_factory.mktemp("json") / "content.json"
-    path.write_text(f"\n {json.dumps(content, indent=indent)}\n", encoding="utf-8-sig" if indent else "utf-8")
-    assert list(read_pairs(path)) == list(content.items())
-    path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=False), encoding="utf-8")
-    assert list(read_pairs(path, "in")) == list(content.items())
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -106,10 +87,10 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path: Path, text: str, problem:
     path = tmp_path / "content.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(FormatError, match=r"content\.json") as raised:
-        list(read_pairs(path))
+        read_object(path)
     assert problem in str(raised.value)
     with pytest.raises(FormatError):
-        list(read_pairs(tmp_path / "missing.json"))
+        read_object(tmp_path / "missing.json")
 
 
 def write(path: Path, mask: np.ndarray) -> Path:
