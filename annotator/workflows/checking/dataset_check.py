@@ -347,6 +347,6 @@ def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> l
     findings.add(
         rules.UNCHECKED_DATASET,
         dataset.path,
-        f"{dataset.format}: read, but their boxes are not compared with clouds and images",
+        f"{dataset.layout.title}: read, but their boxes are not compared with clouds and images",
     )
-    return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]
+    return [DatasetFacts(path=str(dataset.path), format=dataset.layout.title, frames=frames, labels=labels)]
