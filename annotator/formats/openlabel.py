@@ -16,18 +16,19 @@ import uuid
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
 from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
-from annotator.formats.reading import read_model, unique_keys
+from annotator.formats.reading import known_kind, read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
@@ -47,32 +48,26 @@ PLACE = f"{BASE}_to_{WORLD}"
 NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
 
 
-@dataclass
-class _Track:
-    """One object in the frames so far."""
-
-    name: str
-    type: str
-    frames: list[int] = field(default_factory=list)
-    attributes: dict[str, doc.AttributeKind] = field(default_factory=dict)
-
-
-@dataclass
 class Scene:
     """The document of a recording so far, without images and clouds.
 
-    Attributes:
+    Args:
         recording: the recording's name.
         generator: program and version.
         comment: about the boxes, if any.
     """
 
-    recording: str
-    generator: str
-    comment: str | None = None
-    _camera: dict[str, object] | None = None
-    _frames: dict[int, doc.Frame] = field(default_factory=dict)
-    _tracks: dict[str, _Track] = field(default_factory=dict)
+    def __init__(self, recording: str, generator: str, comment: str | None) -> None:
+        self._recording = recording
+        self._metadata = doc.known(
+            schema_version=doc.SCHEMA_VERSION, name=recording, annotator=generator, comment=comment
+        )
+        self._camera: doc.Part | None = None
+        self._frames: dict[int, doc.Part] = {}
+        self._is_placed = False
+        self._with_values: list[int] = []
+        # of each object: its class, its frames, and the kinds of its attributes by name
+        self._tracks: dict[str, tuple[str, list[int], dict[str, str]]] = {}
 
     def add(self, item: DatasetItem, image: str, cloud: str) -> None:
         """Adds a frame; `image` and `cloud` are its files, relative to the document."""
@@ -80,92 +75,97 @@ class Scene:
         camera = doc.pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
-        sync: dict[str, object] = {"frame_stream": number} if time is None else {"timestamp": time}
+        sync: doc.Part = {"frame_stream": number} if time is None else {"timestamp": time}
         # a frame has intrinsics only if they differ from those of the stream
         intrinsics = {} if camera == self._camera else {"intrinsics_pinhole": camera}
         streams = {
-            CAMERA: doc.FrameStream(uri=image, stream_properties={**intrinsics, "sync": sync}),
-            CLOUD: doc.FrameStream(uri=cloud, stream_properties={"sync": sync}),
+            CAMERA: {"uri": image, "stream_properties": {**intrinsics, "sync": sync}},
+            CLOUD: {"uri": cloud, "stream_properties": {"sync": sync}},
         }
-        self._frames[number] = doc.Frame(
-            frame_properties=doc.FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
+        transforms = _transforms(frame)
+        self._is_placed |= transforms is not None
+        contexts = None
+        if item.attributes:
+            self._with_values.append(number)
+            contexts = {self._context: {"context_data": doc.attributes_of(item.attributes)}}
+        self._frames[number] = doc.known(
+            frame_properties=doc.known(timestamp=time, streams=streams, transforms=transforms),
             objects=self._objects(number, item.labels) or None,
-            contexts={self._context: doc.FrameContext(context_data=doc.attributes_of(item.attributes))}
-            if item.attributes
-            else None,
+            contexts=contexts,
         )
 
-    def document(self) -> doc.Document:
+    def document(self) -> doc.Part:
         """Returns the document, frames in the order of their numbers."""
         numbers = sorted(self._frames)
-        pose = doc.transform_values(T_BASE_CAMERA)
-        is_placed = any(frame.frame_properties and frame.frame_properties.transforms for frame in self._frames.values())
-        world = {WORLD: doc.CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
+        world = {WORLD: {"type": "scene", "parent": "", "children": [BASE]}} if self._is_placed else {}
+        base = {"type": "local", "parent": WORLD if world else "", "children": [CAMERA, CLOUD]}
         # some readers require children, even if there are none
-        sensor = doc.CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
-        return doc.Document(
-            openlabel=doc.Content(
-                metadata=doc.Metadata(
-                    schema_version=doc.SCHEMA_VERSION,
-                    name=self.recording,
-                    annotator=self.generator,
-                    comment=self.comment,
-                ),
-                coordinate_systems={
-                    **world,
-                    BASE: doc.CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
-                    CAMERA: sensor,
-                    CLOUD: sensor,
-                },
-                streams={
-                    CAMERA: doc.Stream(
-                        type="camera",
-                        uri="images",
-                        stream_properties={"intrinsics_pinhole": self._camera},
-                    ),
-                    CLOUD: doc.Stream(type="lidar", uri="clouds"),
-                },
-                contexts=self._contexts(),
-                objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
-                frames={str(number): self._frames[number] for number in numbers},
-                frame_intervals=_intervals(numbers),
-            )
+        pose = doc.transform_values(T_BASE_CAMERA)
+        sensor = {"type": "sensor", "parent": BASE, "pose_wrt_parent": pose, "children": []}
+        intrinsics = {"intrinsics_pinhole": self._camera}
+        content = doc.known(
+            metadata=self._metadata,
+            coordinate_systems={**world, BASE: base, CAMERA: sensor, CLOUD: sensor},
+            streams={
+                CAMERA: {"uri": "images", "stream_properties": intrinsics, "type": "camera"},
+                CLOUD: {"uri": "clouds", "type": "lidar"},
+            },
+            objects={uid: self._object(uid, place) for place, uid in enumerate(self._tracks, 1)} or None,
+            contexts={self._context: self._frame_context()} if self._with_values else None,
+            frames={str(number): self._frames[number] for number in numbers},
+            frame_intervals=_intervals(numbers),
         )
+        return {"openlabel": content}
 
     @property
     def _context(self) -> str:
-        return _uuid(self.recording, doc.FRAME_CONTEXT)
+        return _uuid(self._recording, doc.FRAME_CONTEXT)
 
-    def _contexts(self) -> dict[str, object] | None:
-        numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
-        intervals = [each.model_dump() for each in _intervals(numbers)]
-        context = {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
-        return {self._context: context} if numbers else None
+    def _frame_context(self) -> doc.Part:
+        intervals = _intervals(sorted(self._with_values))
+        return {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
 
-    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.FrameObject]:
-        objects: dict[str, doc.FrameObject] = {}
+    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.Part]:
+        objects: dict[str, doc.Part] = {}
         seen: Counter[str] = Counter()
         for label in labels:
             identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
             # an object occurs once per frame, even if two labels have the same track
             seen[f"{label.label} {identity}"] += 1
-            occurrence = seen[f"{label.label} {identity}"]
-            uid = _uuid(self.recording, label.label, identity, str(occurrence))
-            cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
-            objects[uid] = doc.FrameObject(object_data=doc.ObjectData(cuboid=(cuboid,)))
-            if uid not in self._tracks:
-                self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
-            self._tracks[uid].frames.append(number)
-            self._tracks[uid].attributes |= _kinds(cuboid)
+            uid = _uuid(self._recording, label.label, identity, str(seen[f"{label.label} {identity}"]))
+            attributes = doc.attributes_of(_values(label))
+            cuboid = {
+                "name": f"{CAMERA}__cuboid__{label.label}",
+                "val": doc.cuboid_values(label.box),
+                "coordinate_system": CAMERA,
+                "uid": _uuid(self._recording, str(number), label.uid),
+                "attributes": attributes,
+            }
+            objects[uid] = {"object_data": {"cuboid": [cuboid]}}
+            _, frames, kinds = self._tracks.setdefault(uid, (label.label, [], {}))
+            frames.append(number)
+            for kind in ("num", "text", "boolean"):
+                kinds.update({str(each["name"]): kind for each in attributes.get(kind, ())})
         return objects
 
+    def _object(self, uid: str, place: int) -> doc.Part:
+        label, numbers, kinds = self._tracks[uid]
+        intervals = _intervals(sorted(numbers))
+        pointer = {"type": "cuboid", "frame_intervals": intervals, "attribute_pointers": kinds}
+        return {
+            "name": f"{label} {place}",
+            "type": label,
+            "frame_intervals": intervals,
+            "object_data_pointers": {f"{CAMERA}__cuboid__{label}": pointer},
+        }
 
-def _transforms(frame: RecordedFrame) -> dict[str, doc.Transform] | None:
+
+def _transforms(frame: RecordedFrame) -> doc.Part | None:
     """Returns the pose of the base in map coordinates; None if a frame has none."""
     if frame.T_world_camera is None:
         return None
     T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
-    return {PLACE: doc.Transform(src=BASE, dst=WORLD, transform_src_to_dst=doc.transform_values(T_world_base))}
+    return {PLACE: {"src": BASE, "dst": WORLD, "transform_src_to_dst": doc.transform_values(T_world_base)}}
 
 
 def _uuid(*parts: str) -> str:
@@ -178,67 +178,34 @@ def _seconds(time_ns: int) -> str:
     return f"{whole}.{rest:09d}"
 
 
-def _cuboid(label: Label, uid: str) -> doc.Cuboid:
-    numbers: dict[str, AttributeValue | None] = {
+def _values(label: Label) -> dict[str, AttributeValue]:
+    """Returns all that a cuboid's attributes hold of a label: annotator's own data, and the label's attributes."""
+    suggestion = label.suggestion
+    own: dict[str, AttributeValue | None] = {
         "score": label.score,
         "track_id": label.track_id,
         "expected_iou_loss": label.expected_iou_loss,
-    }
-    texts: dict[str, AttributeValue | None] = {
         "state": label.state.value,
         "source": label.source.value,
         "author": label.author,
+        "suggested_by": None if suggestion is None else suggestion.detector,
+        "suggestion": None if suggestion is None else "corrected" if suggestion.corrected else "accepted",
+        "box_kind": None if label.box_kind is BoxKind.BOX else label.box_kind.value,
+        doc.SAID_BY: doc.said_text(label.said) if label.said else None,
     }
-    if label.suggestion is not None:
-        texts |= {
-            "suggested_by": label.suggestion.detector,
-            "suggestion": "corrected" if label.suggestion.corrected else "accepted",
-        }
-    if label.box_kind is not BoxKind.BOX:
-        texts["box_kind"] = label.box_kind.value
-    if label.said:
-        texts[doc.SAID_BY] = doc.said_text(label.said)
-    own = {name: value for name, value in (numbers | texts).items() if value is not None}
-    return doc.Cuboid(
-        name=f"{CAMERA}__cuboid__{label.label}",
-        val=doc.cuboid_values(label.box),
-        coordinate_system=CAMERA,
-        uid=uid,
-        attributes=doc.attributes_of(own | {doc.key_of(name): value for name, value in label.attributes.items()}),
-    )
+    known = {name: value for name, value in own.items() if value is not None}
+    return known | {doc.key_of(name): value for name, value in label.attributes.items()}
 
 
-def _kinds(cuboid: doc.Cuboid) -> dict[str, doc.AttributeKind]:
-    attributes = cuboid.attributes or doc.Attributes()
-    kinds: dict[str, doc.AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
-    kinds |= {each.name: "text" for each in attributes.text or () if each.name}
-    return kinds | {each.name: "boolean" for each in attributes.boolean or () if each.name}
-
-
-def _object(track: _Track) -> doc.Object:
-    intervals = _intervals(sorted(track.frames))
-    pointer = {
-        "type": "cuboid",
-        "frame_intervals": [each.model_dump() for each in intervals],
-        "attribute_pointers": track.attributes,
-    }
-    return doc.Object(
-        name=track.name,
-        type=track.type,
-        frame_intervals=intervals,
-        object_data_pointers={f"{CAMERA}__cuboid__{track.type}": pointer},
-    )
-
-
-def _intervals(numbers: Iterable[int]) -> tuple[doc.FrameInterval, ...]:
+def _intervals(numbers: Iterable[int]) -> list[dict[str, int]]:
     """Returns the runs of consecutive numbers in a sorted sequence of frame numbers."""
-    runs: list[list[int]] = []
+    runs: list[dict[str, int]] = []
     for number in numbers:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
+        if runs and number == runs[-1]["frame_end"] + 1:
+            runs[-1]["frame_end"] = number
         else:
-            runs.append([number, number])
-    return tuple(doc.FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
+            runs.append({"frame_start": number, "frame_end": number})
+    return runs
 
 
 # Documents have the key "openlabel" within these first bytes.
@@ -265,12 +232,7 @@ class OpenLabelWriter(DatasetWriter):
         names = FileNames()
         stems = {recording: names.add(recording) for recording in dict.fromkeys(each for _, each in self._scenes)}
         for (split, recording), scene in self._scenes.items():
-            self.put(f"{split or '.'}/{stems[recording]}.json", dump(scene.document()))
-
-
-def dump(document: doc.Document) -> str:
-    """Returns the text of a document."""
-    return document.model_dump_json(indent=1, exclude_none=True) + "\n"
+            self.put(f"{split or '.'}/{stems[recording]}.json", to_json(scene.document(), indent=1) + b"\n")
 
 
 def is_openlabel_export(folder: Path) -> bool:
@@ -431,27 +393,26 @@ def _box(
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
         raise FormatError(path, f"{place}: has no coordinate_system, and its object has none either; add one")
-    attributes, val = cuboid.attributes or doc.Attributes(), list(cuboid.val or ())
-    named = {num.name: num.val for num in attributes.num or ()}
-    texts = {text.name: text.val for text in attributes.text or ()}
+    values, val = cuboid.attributes.values() if cuboid.attributes else {}, list(cuboid.val or ())
     if len(val) == 9:
         val[3:6] = [numbers.angles.radians(angle, path) for angle in val[3:6]]
     elif not sensors.get(system):
         numbers.quaternions.add(val[3:7])
+    score, state, kind = (values.get(name) for name in ("score", "state", "box_kind"))
     try:
-        box, track_id = doc.box_from(val), _track(named.get("track_id"), uid)
-        said = doc.said_from(texts[doc.SAID_BY]) if doc.SAID_BY in texts else ()
+        box, track_id = doc.box_from(val), _track(values.get("track_id"), uid)
+        said = doc.said_from(str(values[doc.SAID_BY])) if doc.SAID_BY in values else ()
     except ValueError as error:
         raise FormatError(path, f"{place}: {error}") from error
-    state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
-    box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    truth = Truth(each.type, box, track_id, named.get("score"), None, box_kind, doc.values_of(attributes), said)
+    score = score if isinstance(score, float) else None
+    box_kind = known_kind(kind) or BoxKind.BOX
+    truth = Truth(each.type, box, track_id, score, None, box_kind, doc.values_of(cuboid.attributes), said)
     return _Box(place, system, truth, review)
 
 
-def _track(attribute: float | None, uid: str) -> int | None:
-    if attribute is not None:
+def _track(attribute: AttributeValue | None, uid: str) -> int | None:
+    if isinstance(attribute, float):
         if not attribute.is_integer():
             raise ValueError(f"track_id must be a whole number, not {attribute}")
         return int(attribute)

@@ -21,14 +21,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
 from annotator.formats.frame_names import LabelledFrame, in_world
-from annotator.formats.reading import BoundedTrack, read_model
+from annotator.formats.reading import BoundedTrack, SaidRecord, read_model
 from annotator.geometry.transforms import corners_4x8
 from annotator.image_bytes import JPEG_QUALITY
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.bases import Strict
 from annotator.types.errors import FormatError
-from annotator.types.label import Said
 from annotator.types.messages import amount
 
 FORMAT_NAME = "annotator-rcv"
@@ -53,14 +52,8 @@ class RcvBox(Strict):
     quaternion: tuple[Number, Number, Number, Number]
 
 
-class RcvSaid(RcvBox):
+class RcvSaid(SaidRecord, RcvBox):
     """What one source, such as a detector, said of an object before its review."""
-
-    source: str = Field(min_length=1, max_length=200)
-    label: str = Field(min_length=1)
-    score: float | None = Field(None, ge=0, le=1)
-    track_id: BoundedTrack | None = None
-    box_kind: BoxKind = BoxKind.BOX
 
 
 class RcvObject(RcvBox):
@@ -246,9 +239,6 @@ COMMON = (
 )
 
 
-OF_SAID = ("source", "label", "score", "track_id", "box_kind")
-
-
 def _named(of: object, names: Iterable[str]) -> dict[str, Any]:
     return {name: getattr(of, name) for name in names}
 
@@ -273,7 +263,7 @@ def object_record(label: Label) -> RcvObject:
         **_named(label, COMMON),
         **_box_fields(box),
         attributes=dict(label.attributes),
-        said=tuple(RcvSaid(**_named(each, OF_SAID), **_box_fields(each.box)) for each in label.said),
+        said=tuple(RcvSaid(**_named(each, SaidRecord.model_fields), **_box_fields(each.box)) for each in label.said),
         rotation=box.rotation.tolist(),
         corners=corners_4x8(box).tolist(),
     )
@@ -293,7 +283,7 @@ def label_from(record: RcvObject) -> Label:
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
-    said = tuple(Said(**_named(each, OF_SAID), box=_box(each)) for each in record.said)
+    said = tuple(each.said(_box(each)) for each in record.said)
     return Label(**_named(record, COMMON), box=box, attributes=record.attributes, said=said)
 
 
