@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -34,7 +34,6 @@ from annotator.geometry.transforms import Quaternions
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
-    Linked,
     Record,
     SampleData,
     Sensor,
@@ -55,25 +54,16 @@ Vector3 = reading.Bounded3
 Quaternion = reading.Bounded4
 
 
-class Category(Record):
-    """A class."""
+class Named(Record):
+    """A class, or a property that an annotation may have."""
 
-    name: Annotated[str, Field(min_length=1)]
-    description: str = ""
-
-
-class Attribute(Record):
-    """A property that an annotation may have."""
-
-    name: str
-    description: str = ""
+    name: Token
 
 
 class Visibility(Record):
     """A level of visibility of an object."""
 
     level: str
-    description: str = ""
 
 
 class Instance(Record):
@@ -81,21 +71,10 @@ class Instance(Record):
 
     category_token: Token
     nbr_annotations: int
-    first_annotation_token: str
-    last_annotation_token: str
     track_id: reading.BoundedTrack | None = None
 
 
-class Log(Record):
-    """A drive."""
-
-    logfile: str
-    vehicle: str
-    date_captured: str
-    location: str
-
-
-class SampleAnnotation(Linked):
+class SampleAnnotation(Record):
     """A box of a sample, global frame; its x axis is the length, y the width."""
 
     sample_token: Token
@@ -105,16 +84,6 @@ class SampleAnnotation(Linked):
     translation: Vector3
     size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
-    num_lidar_pts: int = 0
-    num_radar_pts: int = 0
-
-
-class Map(Record):
-    """A map image of the ground, for a set of drives."""
-
-    log_tokens: tuple[str, ...]
-    category: Literal["semantic_prior"] = "semantic_prior"
-    filename: str
 
 
 MOST_INTENSITY = 255.0
@@ -243,11 +212,11 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth,
 
 def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: reading.OnFault) -> dict[str, list[Truth]]:
     """Returns the boxes in the global frame, by the token of their sample."""
-    instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Category)
+    instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Named)
     # a track is the row's number
     numbers = {token: number for number, token in enumerate(instances)}
     # other tools leave these tables out
-    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Named)}
     levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
     require_w_first(tables, annotations, instances)
     boxes: dict[str, list[Truth]] = {}
