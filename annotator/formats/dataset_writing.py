@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -83,13 +83,25 @@ class DatasetInfo:
     free_tracks: Mapping[str, int] = field(default_factory=dict)
 
 
-class DatasetWriter:
-    """Fills a folder with a dataset of 3D boxes, one frame in memory at a time; each format has a subclass.
+class FolderWriter:
+    """Fills a new folder, which becomes the dataset when it is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put(self, name: str, content: str | bytes) -> None:
+        """Writes a file of the dataset, and the folders above it."""
+        file = self.folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+class DatasetWriter(FolderWriter):
+    """Writes a dataset of 3D boxes, one frame in memory at a time; each format has a subclass.
 
     The methods raise OSError if a file cannot be written, FormatError or ConfigError for what the format cannot have.
 
     Attributes:
-        folder: a new folder, which becomes `out` when the dataset is complete.
         out: for error messages.
         losses: a writer counts what depends on its own rules; `write_dataset` what follows from the format's row.
         counts: number of boxes written, by class.
@@ -98,7 +110,8 @@ class DatasetWriter:
     """
 
     def __init__(self, folder: Path, out: Path, info: DatasetInfo, losses: Losses) -> None:
-        self.folder, self.out, self.info, self.losses = folder, out, info, losses
+        super().__init__(folder)
+        self.out, self.info, self.losses = out, info, losses
         self.counts: Counter[str] = Counter()
         self.origins: list[FrameOrigin] = []
         self.notes: tuple[str, ...] = ()
@@ -106,12 +119,6 @@ class DatasetWriter:
 
     def begin(self) -> None:
         """Prepares what depends on the whole dataset."""
-
-    def put(self, name: str, content: str | bytes) -> None:
-        """Writes a file of the dataset, and the folders above it."""
-        file = self.folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content.encode() if isinstance(content, str) else content)
 
     def put_image(self, stem: str, rgb: UInt8[np.ndarray, "h w 3"]) -> str:
         """Writes a camera image in the format that is asked for; returns its name."""
@@ -139,8 +146,20 @@ class DatasetWriter:
         """Writes what describes the whole dataset."""
 
 
-class PictureWriter(Protocol):
-    """Fills a folder with a dataset of 2D boxes, image by image; constructed as `Format.pictures` says."""
+class PictureWriter(FolderWriter):
+    """Writes a dataset of 2D boxes, image by image; each format has a subclass.
+
+    Args:
+        classes: all class names, in order.
+        parts: names of all parts, including empty ones; () for a dataset without parts.
+
+    Raises:
+        ConfigError, FormatError: parts that the format cannot have.
+    """
+
+    def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
+        super().__init__(folder)
+        self.classes, self.parts = tuple(classes), tuple(parts)
 
     def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
         """Writes one image, whose boxes are in pixels; OSError if it cannot be written.
@@ -149,9 +168,11 @@ class PictureWriter(Protocol):
             content: the bytes of the image file.
             part: of the dataset, such as "train"; None for a dataset without parts.
         """
+        raise NotImplementedError
 
     def finish(self) -> Mapping[str, Path]:
         """Writes the files that describe the dataset; returns the image folder of each part."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -168,7 +189,7 @@ class Format:
         is_ours: True for a folder that annotator has exported, which may be replaced; None: one with `marks` and
             frames.csv, which other programs do not write.
         writer: of 3D boxes.
-        pictures: makes the writer of 2D boxes from a folder, the classes and the names of the parts.
+        pictures: the writer of 2D boxes.
         areas: it holds areas of images where objects are not labelled.
         frames_csv: its exports have a `frames.csv`, because the format cannot say where frames come from.
         options: the options of an export that it has, as the command line calls them.
@@ -183,7 +204,7 @@ class Format:
     marks: tuple[str, ...] = ()
     is_ours: Callable[[Path], bool] | None = None
     writer: type[DatasetWriter] | None = None
-    pictures: Callable[[Path, Sequence[str], Sequence[str]], PictureWriter] | None = None
+    pictures: type[PictureWriter] | None = None
     areas: bool = False
     frames_csv: bool = True
     options: tuple[Literal["images", "boxes-on", "vertices"], ...] = ()
