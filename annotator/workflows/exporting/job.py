@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from pydantic import Field
 
@@ -23,12 +22,11 @@ from annotator.recordings.look_around import LookAround, Scanned
 from annotator.types import Frame
 from annotator.types.bases import Strict
 from annotator.types.errors import FrameError
-from annotator.types.label import AttributeValue
-from annotator.workflows.exporting.choose import Chosen, ExportFilter
+from annotator.workflows.exporting.choose import Chosen, ExportFilter, Pictures, Split
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import dont_care_rows
 
-ImageFormat = Literal["png", "jpg"]
+AnyChosen = TypeVar("AnyChosen", bound=Chosen)
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,8 @@ class ExportOptions:
         vertices: labelCloud: boxes as 8 corners instead of centre, size and angles.
     """
 
-    image_format: ImageFormat = "png"
-    pictures: Literal["images", "views", "both"] = "images"
+    image_format: Literal["png", "jpg"] = "png"
+    pictures: Pictures = "images"
     vertices: bool = False
 
 
@@ -77,30 +75,31 @@ class ExportJob:
     """One export.
 
     Attributes:
-        chosen: the frames to export with their labels, in order.
+        split: how the dataset is divided into parts; None = one part.
         overwrite: replace an older export of the same format at `out`.
-        progress: called with (frames written, frames to write).
+        progress: called with (frames done, frames to write).
         losses: counted by the writer.
         unreadable: `RECORDING/KEY: reason` of the frames that were left out so far.
-        fault: the error of the first of these.
-        choose: the filter that selected `chosen`.
     """
 
     project: Project
     format: ExportFormat
     out: Path
-    chosen: tuple[Chosen, ...]
-    options: ExportOptions = field(default_factory=ExportOptions)
-    overwrite: bool = False
-    progress: Callable[[int, int], None] | None = None
+    choose: ExportFilter
+    split: Split | None
+    options: ExportOptions
+    overwrite: bool
+    progress: Callable[[int, int], None] | None
     losses: Losses = field(default_factory=Losses)
-    choose: ExportFilter = field(default_factory=ExportFilter)
     unreadable: list[str] = field(default_factory=list)
-    fault: FrameError | None = None
+    _fault: FrameError | None = None
 
-    @cached_property
-    def source(self) -> FrameSource:
-        return FrameSource(self.project)
+    def __post_init__(self) -> None:
+        self.source = FrameSource(self.project)
+        self.states = self.choose.states or FORMATS[self.format].states
+        of_frames = [each for each in self.project.config.attributes if each.of is AttributeOf.FRAME]
+        self._defaults = {each.name: each.default for each in of_frames if each.default is not None}
+        self._values = self.project.frames.attributes()
 
     def read(self, chosen: Chosen) -> Frame | None:
         """Reads a frame; None if it cannot be read and such frames are left out."""
@@ -109,30 +108,30 @@ class ExportJob:
         except FrameError as error:
             if not self.choose.skip_unreadable:
                 raise
-            self.fault = self.fault or error
+            self._fault = self._fault or error
             self.unreadable.append(f"{chosen.recording}/{chosen.stored.key}: {error}")
             self.losses.add(Lost.UNREADABLE)
             return None
 
     def require_some(self, written: int) -> None:
         """Raises the error of the first frame that cannot be read if nothing was written without these frames."""
-        if self.fault is not None and not written:
-            raise self.fault
+        if self._fault is not None and not written:
+            raise self._fault
 
-    @property
-    def classes(self) -> tuple[str, ...]:
-        """All class names of the project, in its order, so that class numbers are those of the project."""
-        return self.project.config.classes
+    def each(self, frames: Sequence[AnyChosen]) -> Iterator[AnyChosen]:
+        """Yields the frames, and tells the progress."""
+        for number, chosen in enumerate(frames, 1):
+            yield chosen
+            if self.progress is not None:
+                self.progress(number, len(frames))
 
-    def items(self) -> Iterator[DatasetItem]:
+    def items(self, frames: Sequence[Chosen]) -> Iterator[DatasetItem]:
         """Reads the frames one by one."""
-        for number, chosen in enumerate(self.chosen, 1):
+        for chosen in self.each(frames):
             frame = self.read(chosen)
             if frame is not None:
                 yield self._item(chosen, frame)
-            if self.progress is not None:
-                self.progress(number, len(self.chosen))
-        self.require_some(len(self.chosen) - len(self.unreadable))
+        self.require_some(len(frames) - len(self.unreadable))
 
     def _item(self, chosen: Chosen, frame: Frame) -> DatasetItem:
         recording = self.source.recording(chosen.stored.recording_id)
@@ -149,17 +148,10 @@ class ExportJob:
 
     def frame_values(self, frame_id: int) -> Values:
         """Returns the values of a frame's attributes, with the defaults of those that it lacks."""
-        given, defaults = self._frame_values
-        return defaults | given.get(frame_id, {})
-
-    @cached_property
-    def _frame_values(self) -> tuple[dict[int, dict[str, AttributeValue]], dict[str, AttributeValue]]:
-        of_frames = [each for each in self.project.config.attributes if each.of is AttributeOf.FRAME]
-        defaults = {each.name: each.default for each in of_frames if each.default is not None}
-        return self.project.frames.attributes(), defaults
+        return self._defaults | self._values.get(frame_id, {})
 
     def report(
-        self, objects_by_class: dict[str, int], parts: Sequence[str | None], notes: tuple[str, ...] = ()
+        self, objects_by_class: Mapping[str, int], parts: Sequence[str | None], notes: tuple[str, ...] = ()
     ) -> ExportReport:
         """Returns the report, with the losses counted so far.
 
@@ -171,8 +163,8 @@ class ExportJob:
             out=self.out,
             frames=len(parts),
             objects=sum(objects_by_class.values()),
-            objects_by_class={name: objects_by_class.get(name, 0) for name in self.classes},
-            splits=dict(Counter(part for part in parts if part is not None)),
+            objects_by_class={name: objects_by_class.get(name, 0) for name in self.project.config.classes},
+            splits=Counter(part for part in parts if part is not None),
             losses=self.losses.report(),
             unreadable=tuple(self.unreadable),
             notes=notes,

@@ -7,9 +7,8 @@ pseudo-views, `views.json` (their geometry), so that an import can match both.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from annotator.geometry.outline import clip_to_image
 from annotator.image_bytes import encoded_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
-from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
+from annotator.workflows.exporting.choose import ChosenPictures, choose_pictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import seen_labels
 from annotator.workflows.views import ViewPlace, drawn_of, outlines, write_places
@@ -44,25 +43,29 @@ Picture = tuple[PictureLabels, bytes, str | None]
 
 def write_pictures(job: ExportJob) -> ExportReport:
     """Writes the dataset atomically."""
-    format = FORMATS[job.format]
+    format, options = FORMATS[job.format], job.options
     assert format.pictures is not None
-    parts = tuple(dict.fromkeys(c.split for c in job.chosen if c.split is not None))
+    frames = choose_pictures(job.project, job.choose, job.states, job.split, options.pictures, job.losses)
+    parts = tuple(dict.fromkeys(chosen.split for chosen in frames if chosen.split is not None))
+    by_class, written = Counter[str](), list[str | None]()
     with new_folder(job.out, lambda old: job.overwrite and format.may_replace(old)) as folder:
         with writing(job.out):
-            writer = format.pictures(folder, job.classes, parts)
+            writer = format.pictures(folder, job.project.config.classes, parts)
         tally = _Tally(job, parts, format.values is None)
-        for picture, content, part in tally.pictures():
+        for picture, content, part in tally.pictures(frames):
             with writing(job.out):
                 writer.add(picture, content, part)
-            tally.by_class.update(picture.labels)
-            tally.parts_written.append(part)
+            by_class.update(picture.labels)
+            written.append(part)
+        job.require_some(len(written))
         with writing(job.out):
             folders = writer.finish()
             write_frames(folder, tally.origins)
-            tally.write_places(folders)
+            for part, places in tally.places.items():
+                write_places(folders[part or next(iter(folders))], places)
     is_whole = job.format is ExportFormat.YOLO and not parts
-    report = job.report(dict(tally.by_class), tally.parts_written, (UNDIVIDED,) if is_whole else ())
-    return report.model_copy(update={"splits": {part: tally.parts_written.count(part) for part in parts}})
+    report = job.report(by_class, written, (UNDIVIDED,) if is_whole else ())
+    return report.model_copy(update={"splits": {part: written.count(part) for part in parts}})
 
 
 @dataclass
@@ -75,22 +78,16 @@ class _Tally:
     names: FileNames = field(default_factory=FileNames)
     origins: list[FrameOrigin] = field(default_factory=list)
     places: dict[str | None, list[ViewPlace]] = field(default_factory=lambda: defaultdict(list))
-    by_class: Counter[str] = field(default_factory=Counter)
-    parts_written: list[str | None] = field(default_factory=list)
 
-    def pictures(self) -> Iterator[Picture]:
+    def pictures(self, frames: Sequence[ChosenPictures]) -> Iterator[Picture]:
         job = self.job
-        for number, chosen in enumerate(job.chosen, 1):
-            assert isinstance(chosen, ChosenPictures)  # formats of 2D boxes use `choose_pictures`
+        for chosen in job.each(frames):
             frame = job.read(chosen) if chosen.image else None
             if frame is not None:
                 yield self._image(chosen, frame, self._of_other_cameras(chosen))
             for view in chosen.views:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
-            if job.progress is not None:
-                job.progress(number, len(job.chosen))
-        job.require_some(len(self.parts_written))
-        with_frame = {v.view_id for c in job.chosen if isinstance(c, ChosenPictures) for v in c.views}
+        with_frame = {view.view_id for chosen in frames for view in chosen.views}
         for view in loose_views(job.project, job.choose, job.options.pictures):
             if view.view_id in with_frame:
                 # the same image must not be in training and validation
@@ -130,16 +127,15 @@ class _Tally:
         of_drawn = {place: values[uid] for uid, place in drawn_places.items()}
         boxes = [(box, of_drawn.get(place, NO_VALUES)) for place, box in enumerate(drawn)]
         boxes += [(box, values[uid]) for uid, box in seen.items()]
-        kind = BoxKind.BOX if chosen.drawn is None else chosen.drawn.box_kind
-        stem = self.names.add(chosen.recording, chosen.stored.key)
-        self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
         height_px, width_px = frame.rgb.shape[:2]
         kept = _fit(boxes, width_px, height_px, losses)
-        of_boxes = tuple(each for _, each in kept) if self.holds_values and any(each for _, each in kept) else ()
         of_frame = self.job.frame_values(chosen.stored.id)
-        held = Counter(name for each in (*of_boxes, of_frame if self.holds_values else NO_VALUES) for name in each)
-        losses.add_values((Counter(name for each in (*values.values(), of_frame) for name in each) - held).elements())
+        held = [*(each for _, each in kept), of_frame] if self.holds_values else []
+        losses.add_values((_names([*values.values(), of_frame]) - _names(held)).elements())
+        kind = BoxKind.BOX if chosen.drawn is None else chosen.drawn.box_kind
         losses.add(Lost.KIND, 0 if kind is BoxKind.BOX else len(seen))
+        stem = self.names.add(chosen.recording, chosen.stored.key)
+        self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
         with writing(self.job.out):
             content = encoded_image(frame.rgb, image_format)
         picture = PictureLabels(
@@ -147,7 +143,7 @@ class _Tally:
             tuple(box for box, _ in kept),
             (width_px, height_px),
             box_kind=kind,
-            values=of_boxes,
+            values=tuple(each for _, each in kept) if any(held[:-1]) else (),
             attributes=of_frame,
         )
         return picture, content, chosen.split
@@ -168,10 +164,9 @@ class _Tally:
         kept = tuple(box for box, _ in _fit(boxes, width_px, height_px, self.job.losses))
         return PictureLabels(name, kept, (width_px, height_px), box_kind=view.box_kind), content, part
 
-    def write_places(self, folders: Mapping[str, Path]) -> None:
-        only_part = next(iter(folders))
-        for part, places in self.places.items():
-            write_places(folders[part or only_part], places)
+
+def _names(values: Iterable[Values]) -> Counter[str]:
+    return Counter(name for each in values for name in each)
 
 
 def _fit(
