@@ -214,6 +214,11 @@ class DatasetNames:
             )
         return self.frames[stem].name
 
+    def known(self, stem: str) -> str:
+        """As `frame`, but the `normal` stem also of a file that frames.csv does not list."""
+        stem = normal(stem)
+        return self.frames[stem].name if stem in self.frames else stem
+
     def label(self, word: str) -> str:
         """Returns the class name of a word."""
         return self.classes.get(word, word)
@@ -246,6 +251,13 @@ class LabelledFrame:
     def T_camera(self, read: Callable[[], Frame]) -> RigidTransform | None:
         """Returns the transform to the camera of the project's frame, which is read only if that is necessary."""
         return self.pose if self.pose is None or isinstance(self.pose, RigidTransform) else self.pose(read())
+
+
+def add_once(frames: dict[str, LabelledFrame], file: Path, name: str, frame: LabelledFrame) -> None:
+    """Adds a frame of a label file; FormatError if its dataset has labels for it in another place, too."""
+    if name in frames:
+        raise FormatError(file, f"the frame {name} has labels twice; import one folder, scene or sensor at a time")
+    frames[name] = frame
 
 
 def of_recording(frame: Frame) -> RigidTransform | None:

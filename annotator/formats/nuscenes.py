@@ -27,7 +27,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
 from annotator.formats.attributes import VISIBILITY, from_dotted
-from annotator.formats.frame_names import LabelledFrame, in_world, read_frames
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, in_world
 from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import Quaternions
@@ -142,16 +142,10 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
         path: the dataset's root, or its folder of tables.
     """
     folder = _table_folder(path)
-    origins = read_frames(folder.parent)
+    names = DatasetNames.of(folder)
     boxes = _boxes(folder, _rows(folder / ANNOTATIONS, SampleAnnotation), on_fault)
     frames: dict[str, LabelledFrame] = {}
     for stem, row, camera, T_global_camera in _camera_images(folder):
-        name = origins[stem].name if stem in origins else stem
-        if name in frames:
-            raise FormatError(
-                folder / "sample_data.json",
-                f"row {row.token}: a second camera image is called {name}; file names must be unique",
-            )
         T_camera_global, K, found = T_global_camera.inv(), np.array(camera.camera_intrinsic), list[Truth]()
         for truth in boxes.get(row.sample_token, ()):
             try:
@@ -160,11 +154,12 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
                 on_fault(FormatError(folder / ANNOTATIONS, f"a box of the sample {row.sample_token}: {error}"))
                 continue
             # an export has one camera, which has all boxes
-            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
+            if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
                 found.append(replace(truth, box=box))
         # without map coordinates, the camera is the origin
-        is_placed = stem in origins and T_global_camera.translation.any()
-        frames[name] = LabelledFrame(found, in_world(T_global_camera) if is_placed else None)
+        is_placed = stem in names.frames and T_global_camera.translation.any()
+        pose = in_world(T_global_camera) if is_placed else None
+        add_once(frames, folder / "sample_data.json", names.known(stem), LabelledFrame(found, pose))
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return frames

@@ -27,7 +27,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
-from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, has_frames, in_world, of_recording
 from annotator.formats.reading import known_kind, read_model, unique_keys
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.transforms import Quaternions
@@ -260,16 +260,11 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Lab
     """
     numbers = _Numbers(Angles(angles), Quaternions(w_first=False))
     frames: dict[str, LabelledFrame] = {}
-    source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
-        origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        document = read_model(file, doc.Document, unique_keys)
-        for name, frame in parse(file, document, origins, numbers):
-            if name in frames:
-                where = f"here and in {source[name].name}" if source[name] != file else "for two sensors"
-                raise FormatError(file, f"the frame {name} has labels {where}; import one of them at a time")
-            frames[name], source[name] = frame, file
+        names = DatasetNames.of(file.parent)
+        for name, frame in parse(file, read_model(file, doc.Document, unique_keys), names, numbers):
+            add_once(frames, file, name, frame)
     numbers.angles.require()
     numbers.quaternions.require(path)
     return frames
@@ -292,13 +287,9 @@ class _Box(NamedTuple):
 
 
 def parse(
-    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], numbers: _Numbers
+    path: Path, document: doc.Document, names: DatasetNames, numbers: _Numbers
 ) -> Iterator[tuple[str, LabelledFrame]]:
-    """Yields the names and frames of one document, once for each of its cameras.
-
-    Args:
-        origins: origins of frames, by the stem of their files.
-    """
+    """Yields the names and frames of one document, once for each of its cameras."""
     content = document.openlabel
     sensors = _sensors(path, content)
     for number, frame in (content.frames or {}).items():
@@ -322,11 +313,10 @@ def parse(
                 continue
             # paths may come from Windows; only the file name is used, the file is not opened
             stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
-            name = origins[stem].name if stem in origins else stem
-            is_placed = stem in origins and PLACE in (properties.transforms or {})
+            is_placed = stem in names.frames and PLACE in (properties.transforms or {})
             pose = in_world(coordinates.transform(WORLD, sensor) if is_placed else None) if of_camera else of_recording
             truths = [_in_sensor(path, box, coordinates, sensor) for box in boxes]
-            yield name, LabelledFrame(truths, pose, [box.state for box in boxes], values)
+            yield names.known(stem), LabelledFrame(truths, pose, [box.state for box in boxes], values)
 
 
 def _in_sensor(path: Path, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:

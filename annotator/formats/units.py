@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
 
 from annotator.types.errors import UnitError, UnitKind
 from annotator.types.messages import amount
@@ -122,3 +123,14 @@ def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float = MOST_OFF_R
     if np.linalg.det(R) < 0:
         return "has left-handed axes (it mirrors: its determinant is -1), and annotator's are right-handed; negate one"
     return None
+
+
+def angles_xyz(R: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
+    """Returns the angles x, y, z of R = Rx Ry Rz, radians in [-pi, pi].
+
+    If the z axis that it turns lies along x (gimbal lock), only the sum or difference of x and z is determined. y and z
+    are computed from the rotation that remains after x, so that all three together are exact.
+    """
+    x = np.arctan2(-R[1, 2], R[2, 2])
+    rest = Rotation.from_rotvec([-x, 0.0, 0.0]).as_matrix() @ R
+    return np.array([x, np.arctan2(rest[0, 2], rest[2, 2]), np.arctan2(rest[1, 0], rest[1, 1])])
