@@ -11,7 +11,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,35 +32,26 @@ SCORE = "score"
 FIRST_LINE = 1000
 
 
-@dataclass(frozen=True)
-class BoxRow:
-    """One row: `center_m` x y z, `size_m` length width height, `yaw_rad` about z."""
-
-    image: str
-    label: str
-    center_m: tuple[float, float, float]
-    size_m: tuple[float, float, float]
-    yaw_rad: float
-    score: float | None = None
-
-
-def read_box_csv(path: Path, *, scored: bool, angles: AngleUnit | None = None) -> list[BoxRow]:
-    """Returns the rows in file order; blank lines are skipped.
+def read_upright_boxes(
+    path: Path, angles: AngleUnit | None = None, *, scored: bool = False
+) -> dict[str, LabelledFrame]:
+    """Returns the objects of each image with a row, in upright depth, with their scores if the file has them.
 
     Args:
-        scored: True for detections: the column `score` is required.
         angles: their unit; None: radians, as the format says.
+        scored: True for detections: the column `score` is required.
     """
-    read = Angles(angles)
+    read, images = Angles(angles), dict[str, list[Truth]]()
     try:
         with open_text_file(path, TABLE_BYTES, newline="") as file:
-            rows = list(_rows(path, file, scored, read))
+            for image, truth in _rows(path, file, scored, read):
+                images.setdefault(image, []).append(truth)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
     read.require()
-    return rows
+    return {name: LabelledFrame(truths, upright_frame) for name, truths in images.items()}
 
 
 def is_box_csv(path: Path) -> bool:
@@ -72,28 +62,7 @@ def is_box_csv(path: Path) -> bool:
     return False
 
 
-def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
-    """Returns the objects of each image with a row, in upright depth, with their scores if the file has them.
-
-    Args:
-        angles: their unit; None: radians, as the format says.
-    """
-    images: dict[str, list[Truth]] = {}
-    for row in read_box_csv(path, scored=False, angles=angles):
-        try:
-            images.setdefault(row.image, []).append(_truth(row))
-        except ValueError as error:
-            raise FormatError(path, f"{row.image}: {row.label}: {error}") from error
-    return {name: LabelledFrame(truths, upright_frame) for name, truths in images.items()}
-
-
-def _truth(row: BoxRow) -> Truth:
-    turn = Rotation.from_rotvec([0.0, 0.0, row.yaw_rad])
-    pose = RigidTransform.from_components(np.array(row.center_m), turn)
-    return Truth(row.label, OrientedBox.at(pose, np.array(row.size_m)), score=row.score)
-
-
-def _rows(path: Path, lines: Iterator[str], scored: bool, read: Angles) -> Iterator[BoxRow]:
+def _rows(path: Path, lines: Iterator[str], scored: bool, read: Angles) -> Iterator[tuple[str, Truth]]:
     reader = csv.reader(lines, strict=True)
     try:
         head = _head(path, next(reader, []), scored)
@@ -123,16 +92,18 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
     return head
 
 
-def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles) -> BoxRow:
+def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles) -> tuple[str, Truth]:
     if len(fields) != len(head):
         hint = "; numbers need a decimal point, not a comma" if len(fields) > len(head) else ""
         raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns{hint}", line)
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
     if not (values["image"] and values["class"]):
         raise FormatError(path, "image and class must not be empty", line)
-    cx, cy, cz, length, width, height, yaw = (finite_number(values[name], path, line, name) for name in NUMBERS)
-    if min(length, width, height) <= 0:
-        raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
+    *places, yaw = (finite_number(values[name], path, line, name) for name in NUMBERS)
     score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
-    yaw_rad = read.radians(yaw, path, line)
-    return BoxRow(normal(values["image"]), values["class"], (cx, cy, cz), (length, width, height), yaw_rad, score)
+    turn = Rotation.from_rotvec([0.0, 0.0, read.radians(yaw, path, line)])
+    try:
+        box = OrientedBox.at(RigidTransform.from_components(places[:3], turn), np.array(places[3:]))
+        return normal(values["image"]), Truth(values["class"], box, score=score)
+    except ValueError as error:
+        raise FormatError(path, str(error), line) from error

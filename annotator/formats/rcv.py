@@ -253,8 +253,7 @@ def _box_fields(box: OrientedBox) -> dict[str, Any]:
 
 def _box(record: RcvBox) -> OrientedBox:
     """Returns the box of a record; raises ValueError for a quaternion of length zero."""
-    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    return OrientedBox.at(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
+    return OrientedBox.at(_transform(record.center, record.quaternion), np.array(record.size))
 
 
 def object_record(label: Label) -> RcvObject:
@@ -293,8 +292,11 @@ def _pose_record(T: RigidTransform) -> RcvPose:
 
 def pose_from(record: RcvPose) -> RigidTransform:
     """Returns the transform of a record; raises ValueError for a quaternion of length zero."""
-    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    return RigidTransform.from_components(np.array(record.translation), rotation)
+    return _transform(record.translation, record.quaternion)
+
+
+def _transform(translation: Vector3, quaternion: tuple[float, float, float, float]) -> RigidTransform:
+    return RigidTransform.from_components(translation, Rotation.from_quat(quaternion, scalar_first=True))
 
 
 def _quaternion(T: RigidTransform) -> tuple[float, float, float, float]:
@@ -391,14 +393,20 @@ class RcvDataset:
     def __len__(self) -> int:
         return len(self.manifest.frames)
 
-    def labels(self, i: int) -> tuple[Label, ...]:
-        """Returns the labels of frame `i`."""
-        return _labels(*self._record(i))
-
     def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
         """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
         path, record = self._record(i)
-        return f"{record.recording}/{record.key}", _labels(path, record), record.attributes, _pose(path, record)
+        labels = []
+        try:
+            pose = None if record.world is None else pose_from(record.world)
+        except ValueError as error:
+            raise FormatError(path, f"world: {error}") from error
+        for number, entry in enumerate(record.objects):
+            try:
+                labels.append(label_from(entry))
+            except ValueError as error:
+                raise FormatError(path, f"objects.{number}: {error}") from error
+        return f"{record.recording}/{record.key}", tuple(labels), record.attributes, pose
 
     def place(self, i: int) -> tuple[str, int]:
         """Returns the original recording of frame `i`, and its number there."""
@@ -456,20 +464,3 @@ def _inside(folder: Path, name: str, listed_in: Path) -> Path:
         return inside(folder, name)
     except OutsideError as error:
         raise FormatError(listed_in, str(error)) from error
-
-
-def _pose(path: Path, record: RcvLabels) -> RigidTransform | None:
-    try:
-        return None if record.world is None else pose_from(record.world)
-    except ValueError as error:
-        raise FormatError(path, f"world: {error}") from error
-
-
-def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:
-    labels = []
-    for number, entry in enumerate(record.objects):
-        try:
-            labels.append(label_from(entry))
-        except ValueError as error:
-            raise FormatError(path, f"objects.{number}: {error}") from error
-    return tuple(labels)

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.box_csv import BoxRow, read_box_csv
+from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.formats.reading import read_mask, read_object
@@ -176,11 +176,16 @@ def file_of(tmp_path: Path, *lines: str) -> Path:
 
 
 def test_rows_are_read(tmp_path: Path) -> None:
-    expected = BoxRow("3", "night_stand", (-0.5, 3.25, -0.75), (1.5, 2.0, 1.0), -0.25, 0.875)
-    assert read_box_csv(file_of(tmp_path, HEAD, ROW, "", ROW + "\r"), scored=True) == [expected, expected]
-    without = read_box_csv(file_of(tmp_path, HEAD.removesuffix(",score"), ROW.removesuffix(",0.875")), scored=False)
-    assert without[0].score is None
-    assert read_box_csv(file_of(tmp_path, HEAD), scored=True) == []
+    (name, frame), *others = read_upright_boxes(file_of(tmp_path, HEAD, ROW, "", ROW + "\r"), scored=True).items()
+    assert (name, others, len(frame.truths)) == ("3", [], 2)
+    for truth in frame.truths:
+        assert (truth.label, truth.score) == ("night_stand", 0.875)
+        assert (truth.box.center_m.tolist(), truth.box.size_m.tolist()) == ([-0.5, 3.25, -0.75], [1.5, 2.0, 1.0])
+        turn = [[math.cos(0.25), math.sin(0.25), 0], [-math.sin(0.25), math.cos(0.25), 0], [0, 0, 1]]
+        np.testing.assert_allclose(truth.box.rotation, turn, atol=1e-12)
+    without = read_upright_boxes(file_of(tmp_path, HEAD.removesuffix(",score"), ROW.removesuffix(",0.875")))
+    assert without["3"].truths[0].score is None
+    assert read_upright_boxes(file_of(tmp_path, HEAD), scored=True) == {}
 
 
 def test_rows_that_are_no_boxes_are_refused(tmp_path: Path) -> None:
@@ -190,7 +195,7 @@ def test_rows_that_are_no_boxes_are_refused(tmp_path: Path) -> None:
         (HEAD, ROW.replace(",2,", ",-2,"), ":2: .*must be positive"),
     ):
         with pytest.raises(FormatError, match=problem):
-            read_box_csv(file_of(tmp_path, head, row), scored=True)
+            read_upright_boxes(file_of(tmp_path, head, row), scored=True)
 
 
 UNIT = {"label": "hand", "center": [0, 0, 1], "size": [0.2, 0.1, 0.05], "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}

@@ -124,15 +124,18 @@ class DatasetCheck:
         for index, key in enumerate(keys):
             frame = self._read(index, key)
             if frame is not None:
-                self._camera(index, key, frame)
-                self._time(index, key, frame)
+                self._frame(index, key, frame)
                 if index in chosen and source.has_pictures:
                     self.alignment.add(frame)
             if has_labels:
                 self._labels(index, key, frame)
             if progress is not None:
                 progress(index + 1, len(keys))
-        self._whole_files()
+        try:
+            for file, line, name in stray_names(recording):
+                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+        except FormatError as error:  # a list that is not text
+            self.findings.add_error(rules.UNREADABLE_FILE, error, recording.path)
         self._whole_dataset()
         return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.found))
 
@@ -149,27 +152,23 @@ class DatasetCheck:
             self.findings.add(rules.UNREADABLE_FILE, self.source.recording.path, message, frame=key)
         return None
 
-    def _camera(self, index: int, key: str, frame: Frame) -> None:
-        file = self.source.calibration(index)
-        of_cloud = cloud_rules(frame, of_depth_camera=self.source.recording.format == "sunrgbd_extracted")
+    def _frame(self, index: int, key: str, frame: Frame) -> None:
+        """Checks the camera, the cloud and the time of a frame."""
+        file, recording = self.source.calibration(index), self.source.recording
+        of_cloud = cloud_rules(frame, of_depth_camera=recording.format == "sunrgbd_extracted")
         for rule, message in (*camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
-        recording = self.source.recording
         try:
             if has_masks(recording):
                 load_mask(recording, frame)
         except AnnotatorError as error:
             self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
-
-    def _time(self, index: int, key: str, frame: Frame) -> None:
-        if not self.source.recording.is_sequence or frame.timestamp_ns is None:
-            return
-        if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
-            message = (
-                f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
-            )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.recording.path, message, frame=key)
-        self.time_ns = frame.timestamp_ns
+        if recording.is_sequence and frame.timestamp_ns is not None:
+            if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
+                earlier_s = (self.time_ns - frame.timestamp_ns) / 1e9
+                message = f"frame {key} is {earlier_s:.3f} s earlier than the previous frame"
+                self.findings.add(rules.TIME_BACKWARDS, recording.path, message, frame=key)
+            self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
         recording = self.source.recording
@@ -180,10 +179,8 @@ class DatasetCheck:
             self.wrong_files += 1
             return
         labels = found_labels(recording, index, frame) if is_labelled(recording, key) else FrameLabels()
-        for error in labels.of_file:
-            self.findings.add_error(rule_of(error), error, recording.path)
-        for error in labels.faults:
-            self.findings.add_error(rule_of(error), error, recording.path, frame=key)
+        for error, of in (*((each, None) for each in labels.of_file), *((each, key) for each in labels.faults)):
+            self.findings.add_error(rule_of(error), error, recording.path, frame=of)
         # in two steps: the geometry of the second cannot handle implausible boxes
         self._add_all(key, labels.objects, rules_of_labels(labels.objects))
         objects = [each for each in labels.objects if is_plausible(each)]
@@ -225,13 +222,6 @@ class DatasetCheck:
             if truth.track_id is not None and earlier_class != truth.label:
                 message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
                 yield rules.TRACK_CLASS, number, message
-
-    def _whole_files(self) -> None:
-        try:
-            for file, line, name in stray_names(self.source.recording):
-                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
-        except FormatError as error:  # a list that is not text
-            self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.recording.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.truth.label, each.truth.box.size_m) for _, each in self.found)

@@ -389,7 +389,7 @@ def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> 
 
 def _of_rcv(_recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
     dataset = _whole(_rcv, path.parent.parent / MANIFEST)
-    labels = dataset.labels(dataset.manifest.frames.index(key))
+    _, labels, *_ = dataset.named_labels(dataset.manifest.frames.index(key))
     return FrameLabels([FoundLabel(truth_of(each), path, state=each.state) for each in labels])
 
 
