@@ -89,14 +89,9 @@ def sunrgbd_report(result: OrientedResult) -> Report:
     }
     heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in by_threshold]
     rows: list[Row] = [
-        (
-            label,
-            one.objects,
-            one.detections,
-            *(curve.area for curve in one.curves.values()),
-            *(curve.final_recall for curve in one.curves.values()),
-        )
+        (label, one.objects, one.detections, *(c.area for c in curves), *(c.final_recall for c in curves))
         for label, one in result.classes.items()
+        for curves in (one.curves.values(),)
     ]
     rows.append(("mean", None, None, *map(result.mean, by_threshold), *(None for _ in by_threshold)))
     diagrams = [
@@ -152,11 +147,9 @@ def _lines(curves: Mapping[str, PrecisionRecall]) -> list[Line]:
 
 def _oriented_class(one: OrientedClass) -> dict[str, Any]:
     names = ("mean_iou", "rotation_error_rad", "size_error", "center_error_m")
-    return {
-        "AP": {f"{threshold:g}": curve.area for threshold, curve in one.curves.items()},
-        **{name: _or_none(getattr(one, name)) for name in names},
-        **{name: getattr(one, name) for name in ("objects", "detections", "matched")},
-    }
+    areas = {f"{threshold:g}": curve.area for threshold, curve in one.curves.items()}
+    counts = {"objects": one.objects, "detections": one.detections, "matched": one.matched}
+    return {"AP": areas, **{name: _or_none(getattr(one, name)) for name in names}, **counts}
 
 
 def _or_none(value: float) -> float | None:

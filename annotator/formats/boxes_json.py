@@ -70,19 +70,21 @@ def read_boxes(path: Path) -> dict[str, list[Truth]]:
 
 def write_boxes(path: Path, frames: Mapping[str, Sequence[Truth]]) -> None:
     """Writes the boxes of every frame, by frame key; `read_boxes` returns the same boxes. Scores are not written."""
-    content = {key: [_entry(truth) for truth in truths] for key, truths in frames.items()}
-    write_text(path, json.dumps(content, indent=1) + "\n")
-
-
-def _entry(truth: Truth) -> dict[str, object]:
-    entry: dict[str, object] = {
-        "label": truth.label,
-        "center": truth.box.center_m.tolist(),
-        "size": truth.box.size_m.tolist(),
-        "rotation": truth.box.rotation.tolist(),
+    content = {
+        key: [
+            {
+                "label": truth.label,
+                "center": truth.box.center_m.tolist(),
+                "size": truth.box.size_m.tolist(),
+                "rotation": truth.box.rotation.tolist(),
+            }
+            | ({} if truth.track_id is None else {"track": truth.track_id})
+            | ({"attributes": dict(truth.attributes)} if truth.attributes else {})
+            for truth in truths
+        ]
+        for key, truths in frames.items()
     }
-    entry |= {} if truth.track_id is None else {"track": truth.track_id}
-    return entry | ({"attributes": dict(truth.attributes)} if truth.attributes else {})
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
@@ -94,22 +96,18 @@ def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
 def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
     """Returns the object of one entry; `number` counts the frame's entries from 0."""
     try:
-        return _truth(BoxEntry.model_validate(value), path, key)
+        entry = BoxEntry.model_validate(value)
     except ValidationError as error:
         raise FormatError(path, first_problem(error, key, number)) from error
-
-
-def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:
     try:
         box = OrientedBox.from_parts(np.array(entry.center), np.array(entry.rotation), np.array(entry.size))
+        if entry.corners is not None:
+            gaps = np.linalg.norm(np.array(entry.corners)[:, None] - box_corners(box), axis=2).min(axis=1)
+            if gaps.max() > CORNERS_AGREE_M:
+                raise ValueError(
+                    f"corners differ by up to {gaps.max():.3f} m from center, size and rotation; write rotation row by "
+                    "row and size as full lengths"
+                )
     except ValueError as error:
         raise FormatError(path, f"frame {key}, {entry.label}: {error}") from error
-    if entry.corners is not None:
-        gaps = np.linalg.norm(np.array(entry.corners)[:, None] - box_corners(box), axis=2).min(axis=1)
-        if gaps.max() > CORNERS_AGREE_M:
-            raise FormatError(
-                path,
-                f"frame {key}, {entry.label}: corners differ by up to {gaps.max():.3f} m from center, size "
-                "and rotation; write rotation row by row and size as full lengths",
-            )
     return Truth(entry.label, box, entry.track, entry.score, attributes=entry.attributes)

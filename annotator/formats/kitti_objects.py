@@ -60,7 +60,7 @@ def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledF
             raise FormatError(place, "has no label row")
     else:
         names, frames = DatasetNames.of(place), dict[str, LabelledFrame]()
-        for stem, file, text in text_files(place, within=LABELS):
+        for stem, file, text in text_files(place, LABELS):
             calibration = calibration_beside(file) if place.is_dir() else None
             shift = None if calibration is None else read_shift(calibration)
             frames[names.frame(stem)] = frame_of(kitti_rows.read_rows(file, text), file, angles, names, shift)

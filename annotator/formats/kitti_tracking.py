@@ -131,7 +131,7 @@ def read_kitti_tracks(path: Path, unit: AngleUnit | None = None) -> dict[str, La
     place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
     names, angles = DatasetNames.of(place), Angles(unit)
     frames = {origin.name: LabelledFrame(()) for origin in names.frames.values()}
-    for sequence, file, text in text_files(place, within=LABELS):
+    for sequence, file, text in text_files(place, LABELS):
         calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
         name = partial(_name, names, sequence)

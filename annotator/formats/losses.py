@@ -93,7 +93,7 @@ class Losses:
 
     def __init__(self) -> None:
         self._counts: Counter[Lost] = Counter()
-        self._tilt_rad = self._rounding_m = 0.0
+        self._most: dict[Lost, float] = {}
         self._values: Counter[str] = Counter()
 
     def add(self, kind: Lost, count: int = 1) -> None:
@@ -108,29 +108,29 @@ class Losses:
 
     def add_tilt(self, tilt_rad: float) -> None:
         """Counts a box that was written upright, unless its tilt is below `LEAST_TILT_RAD`."""
-        if tilt_rad > LEAST_TILT_RAD:
-            self._counts[Lost.TILT] += 1
-            self._tilt_rad = max(self._tilt_rad, tilt_rad)
+        self._add_beyond(Lost.TILT, tilt_rad, LEAST_TILT_RAD)
 
     def add_rounding(self, before: OrientedBox, after: OrientedBox) -> None:
         """Counts a box that was rounded, unless its corners move by less than `LEAST_ROUNDING_M`."""
         moved_m = float(np.linalg.norm(box_corners(after) - box_corners(before), axis=1).max())
-        if moved_m > LEAST_ROUNDING_M:
-            self._counts[Lost.ROUNDED] += 1
-            self._rounding_m = max(self._rounding_m, moved_m)
+        self._add_beyond(Lost.ROUNDED, moved_m, LEAST_ROUNDING_M)
+
+    def _add_beyond(self, kind: Lost, value: float, least: float) -> None:
+        if value > least:
+            self.add(kind)
+            self._most[kind] = max(self._most.get(kind, 0.0), value)
 
     def report(self) -> tuple[Loss, ...]:
         """Returns one line for each kind, in the order of `Lost`."""
         return tuple(self._line(kind) for kind in Lost if self._counts[kind])
 
     def _line(self, kind: Lost) -> Loss:
-        count = self._counts[kind]
+        count, most = self._counts[kind], self._most.get(kind)
         several, rest = kind.words[1:].split("} ", 1)
-        message, most = f"{amount(count, *several.split('|'))} {rest}", None
-        if kind is Lost.ROUNDED:
-            message, most = f"{message} (corners move by up to {self._rounding_m * 1000:.2g} mm)", self._rounding_m
-        elif kind is Lost.TILT:
-            message, most = f"{message} (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)", self._tilt_rad
+        message = f"{amount(count, *several.split('|'))} {rest}"
+        if most is not None:
+            said = f"corners move by up to {most * 1000:.2g} mm" if kind is Lost.ROUNDED else ""
+            message += f" ({said or f'by up to {np.rad2deg(most):.1f} degrees'})"
         elif kind is Lost.ATTRIBUTE:
             message += f" ({', '.join(f'{number} {name}' for name, number in sorted(self._values.items()))})"
         return Loss(kind=kind, count=count, message=message, most=most)

@@ -73,7 +73,7 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
 SUFFIX = ".txt"
 
 
-def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Path, str]]:
+def text_files(path: Path, *within: str) -> Iterator[tuple[str, Path, str]]:
     """Yields key (the `normal` name without suffix), path and content of each text file, sorted by name.
 
     In an archive, the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
@@ -81,7 +81,7 @@ def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Pat
 
     Args:
         path: the folder or the archive.
-        within: a folder name; if an archive has matching files in a folder of this name, only those are read.
+        within: folder names; if an archive has matching files in such folders, only those are read.
     """
     if path.is_dir():
         try:
@@ -95,7 +95,7 @@ def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Pat
             with open_file(path) as opened, open_archive(opened) as archive:
                 names = {PurePosixPath(each): each for each in archive.namelist() if not each.endswith("/")}
                 members = list(filter(_is_wanted, names))
-                for key, member in _by_key(path, [each for each in members if each.parent.name == within] or members):
+                for key, member in _by_key(path, [each for each in members if each.parent.name in within] or members):
                     with archive.open(names[member]) as stream:
                         # the size that an archive declares may be wrong
                         yield key, path / member.name, _text(path / member.name, stream.read(DOCUMENT_BYTES + 1))

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from codecs import BOM_UTF8
-from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from pydantic_core import from_json
 
-from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
+from annotator.files import open_file, why_missing
 from annotator.formats import kitti_objects, kitti_tracking
 from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.boxes_json import NAME
 from annotator.formats.labelcloud import CLASSES_FILE
-from annotator.formats.reading import read_json, text_rows
+from annotator.formats.reading import read_json, text_files, text_rows
 from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
 from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, named_format
 from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE
-from annotator.text import decoded
 from annotator.types.errors import FormatError
 
 # What is read of a large JSON file.
@@ -141,23 +138,11 @@ def _is_polygon(fields: list[str]) -> bool:
 
 
 def _of_archive(file: Path) -> list[AnyFormat]:
-    try:
-        with open_file(file) as stream, open_archive(stream) as archive:
-            for info in _text_members(archive):
-                first = decoded(archive.open(info).readline(1000), "replace").split()
-                if first:
-                    return _of_row(first)
-    except ARCHIVE_ERRORS as error:
-        raise FormatError(file, f"the archive cannot be read ({error})") from error
+    # it may also hold calibrations
+    for _, _, text in islice(text_files(file, kitti_objects.LABELS, kitti_tracking.LABELS), LOOK_AT):
+        if (rows := text_rows(file, text)) and (found := _of_row(rows[0][1])):
+            return found
     return []
-
-
-def _text_members(archive: zipfile.ZipFile) -> Iterator[zipfile.ZipInfo]:
-    """The label files of an archive first: it may also hold calibrations."""
-    members = [info for info in archive.infolist() if info.filename.endswith(".txt") and not info.is_dir()]
-    places = (kitti_objects.LABELS, kitti_tracking.LABELS)
-    members.sort(key=lambda info: PurePosixPath(info.filename).parent.name not in places)
-    return islice(iter(members), LOOK_AT)
 
 
 def _beginning(file: Path) -> object:

@@ -157,9 +157,7 @@ def meta_frame(
     """
     depth, image = files
     Rtilt = tilt_matrix(T_camera_upright)
-    objects = np.empty((1, len(boxes)), [(field, object) for field in BOX_FIELDS])
-    for number, (label, box, on_image) in enumerate(boxes):
-        objects[0, number] = _object(name, label, box, on_image)
+    objects = _struct(BOX_FIELDS, [_object(name, *each) for each in boxes])
     # the extrinsics level the camera without swapping its axes
     level = SWAPPED.T @ Rtilt @ SWAPPED
     K = one_based_matrix(camera)
@@ -168,10 +166,15 @@ def meta_frame(
 
 def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
     """Returns the content of the file for `scipy.io.savemat`."""
-    table = np.empty((1, len(frames)), [(field, object) for field in FRAME_FIELDS])
-    for number, frame in enumerate(frames):
-        table[0, number] = frame
-    return {VARIABLE: table}
+    return {VARIABLE: _struct(FRAME_FIELDS, frames)}
+
+
+def _struct(fields: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> np.ndarray:
+    """A struct array."""
+    table = np.empty((1, len(rows)), [(field, object) for field in fields])
+    for number, row in enumerate(rows):
+        table[0, number] = row
+    return table
 
 
 def read_meta(path: Path) -> dict[str, LabelledFrame]:
@@ -395,7 +398,14 @@ def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None, tex
 
 def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, path: Path, line: int) -> Truth:
     """Returns the object of one row of a `label/KEY.txt`; arguments and errors as in `read_extracted_labels`."""
-    return _truth(*_row(path, line, fields), T_camera_label, path, line)
+    if len(fields) != FIELDS:
+        raise FormatError(path, f"a label row has {FIELDS} fields, not {len(fields)}", line)
+    label, *numbers = fields
+    values = np.array([finite_number(number, path, line) for number in numbers])
+    if not (np.abs(values) <= FARTHEST_M).all():
+        raise FormatError(path, f"a number is larger than {FARTHEST_M:g}", line)
+    # the file has half the width, length and height
+    return _truth(label, values[4:7], 2 * values[[8, 7, 9]], values[10:12], T_camera_label, path, line)
 
 
 def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
@@ -410,18 +420,6 @@ def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list
         if each is not None and each.name.strip()
         for polygon in each.polygon
     ]
-
-
-def _row(path: Path, line: int, fields: list[str]) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """Returns class, centre, size (length, width, height) and orientation of one row."""
-    if len(fields) != FIELDS:
-        raise FormatError(path, f"a label row has {FIELDS} fields, not {len(fields)}", line)
-    label, *numbers = fields
-    values = np.array([finite_number(number, path, line) for number in numbers])
-    if not (np.abs(values) <= FARTHEST_M).all():
-        raise FormatError(path, f"a number is larger than {FARTHEST_M:g}", line)
-    half_width, half_length, half_height = values[7:10]
-    return label, values[4:7], 2 * np.array([half_length, half_width, half_height]), values[10:12]
 
 
 def _parts(path: Path, name: str, polygon: ScenePolygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -59,23 +59,18 @@ class Angles:
                 self._worst = (value, file, line)
         return value
 
-    def problem(self) -> str | None:
-        """Returns what shows that the angles are not in radians; None if nothing does."""
+    def require(self) -> None:
+        """Raises UnitError if something shows that they are not in radians; it names the place of the largest one."""
         if self._worst is None or self._given is not None:
-            return None
-        return (
-            f"{self._worst[0]:g} is no angle in radians, which this format has ({self._beyond} of "
+            return
+        value, file, line = self._worst
+        problem = (
+            f"{value:g} is no angle in radians, which this format has ({self._beyond} of "
             f"{amount(self._count, 'angle')} other than 0 {BEYOND}); write radians (`annotator import` converts "
             f"degrees with --angles {AngleUnit.DEGREES}, and reads the angles as they are with --angles "
             f"{AngleUnit.RADIANS})"
         )
-
-    def require(self) -> None:
-        """Raises UnitError if the angles are not in radians; it names the file and line of the largest one."""
-        problem = self.problem()
-        if problem is not None and self._worst is not None:
-            _, file, line = self._worst
-            raise UnitError(UnitKind.ANGLE, file, problem, line)
+        raise UnitError(UnitKind.ANGLE, file, problem, line)
 
 
 class Lengths:
@@ -87,10 +82,6 @@ class Lengths:
     def add(self, size_m: Float64[np.ndarray, "3"]) -> None:
         """Adds the size of a box."""
         self._longest.append(float(max(size_m)))
-
-    @property
-    def _median_m(self) -> float:
-        return float(np.median(self._longest)) if self._longest else 1.0
 
     def problem(self) -> str | None:
         """Returns what shows that the sizes are hardly in metres; None if nothing does."""
@@ -106,9 +97,13 @@ class Lengths:
             what = f"shorter than {1000 * SHORTEST_M:g} mm (the median is {median:g} m), so they look like kilometres"
         return f"{boxes} {what}; write centres and sizes in metres"
 
+    @property
+    def _median_m(self) -> float:
+        return float(np.median(self._longest)) if self._longest else 1.0
+
     def require(self, path: Path) -> None:
         """Raises UnitError if the sizes cannot be in metres."""
-        if (problem := self.problem()) is not None and not SHORTEST_M <= self._median_m <= LONGEST_M:
+        if not SHORTEST_M <= self._median_m <= LONGEST_M and (problem := self.problem()) is not None:
             raise UnitError(UnitKind.LENGTH, path, problem)
 
 
