@@ -23,7 +23,7 @@ from annotator.types import Label
 from annotator.types.errors import FormatError
 from annotator.types.messages import amount
 
-LABELS = "label_02"
+TRACK_LABELS = "label_02"
 IMAGES = "image_02"
 # Track id of DontCare areas.
 NO_TRACK = -1
@@ -93,7 +93,7 @@ class KittiTrackingWriter(KittiWriter):
 
     def finish(self) -> None:
         for sequence in self.sequences.values():
-            self.put(f"{TRAINING}/{LABELS}/{sequence.name}.txt", "".join(f"{row}\n" for row in sequence.rows))
+            self.put(f"{TRAINING}/{TRACK_LABELS}/{sequence.name}.txt", "".join(f"{row}\n" for row in sequence.rows))
             self.put(f"{TRAINING}/{CALIBRATIONS}/{sequence.name}.txt", sequence.calibration or "")
         self.words.write(self.folder)
         if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
@@ -128,10 +128,10 @@ def read_kitti_tracks(path: Path, unit: AngleUnit | None = None) -> dict[str, La
         by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
         frames.csv lists it.
     """
-    place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
+    place = next((path / name for name in (f"{TRAINING}/{TRACK_LABELS}", TRACK_LABELS) if (path / name).is_dir()), path)
     names, angles = DatasetNames.of(place), Angles(unit)
     frames = {origin.name: LabelledFrame(()) for origin in names.frames.values()}
-    for sequence, file, text in text_files(place, LABELS):
+    for sequence, file, text in text_files(place, TRACK_LABELS):
         calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
         name = partial(_name, names, sequence)

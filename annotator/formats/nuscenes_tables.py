@@ -26,10 +26,9 @@ import numpy as np
 from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats import nuscenes
-from annotator.formats.attributes import VISIBILITY as VISIBLE
-from annotator.formats.attributes import dotted
+from annotator.formats.attributes import VISIBILITY, dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
+from annotator.formats.nuscenes import quaternion, scan, vector, width_length_height
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
@@ -42,14 +41,14 @@ SPLITS = "splits.json"
 CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
 MAP_FILE = "maps/none.png"
 # nuScenes' levels with their least visible fraction.
-VISIBILITY = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
-LEVELS = {level: number for number, (_, level) in VISIBILITY.items()}
+SHARES = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
+LEVELS = {level: number for number, (_, level) in SHARES.items()}
 # Namespace of the tokens: the same project gives the same tables.
 NAMESPACE = uuid.UUID("0b9c4a1e-7d55-5f0a-8a57-3a1a5e9be6d2")
 # Interval of samples without a time, as in nuScenes.
 STEP_US = 500_000
 
-Row = dict[str, Any]
+Part = dict[str, Any]
 Key = tuple[str, str | None]
 
 
@@ -65,12 +64,12 @@ class NuScenesWriter(DatasetWriter):
         import cv2
 
         # rows that follow each other in time: the samples of a scene, their data of a sensor, boxes of an instance
-        self._samples = defaultdict[Key, list[Row]](list)
-        self._data = defaultdict[tuple[Key, str], list[Row]](list)
-        self._boxes = defaultdict[str, list[Row]](list)
-        self._annotations: list[Row] = []
-        self._poses: list[Row] = []
-        self._calibrations: dict[str, Row] = {}
+        self._samples = defaultdict[Key, list[Part]](list)
+        self._data = defaultdict[tuple[Key, str], list[Part]](list)
+        self._boxes = defaultdict[str, list[Part]](list)
+        self._annotations: list[Part] = []
+        self._poses: list[Part] = []
+        self._calibrations: dict[str, Part] = {}
         self._instances: dict[str, tuple[str, int | None]] = {}
         self._attributes: set[str] = set()
         self._shifts_us: dict[Key, int] = {}
@@ -85,7 +84,7 @@ class NuScenesWriter(DatasetWriter):
             CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),
             LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
         }
-        self.put(files[LIDAR], nuscenes.scan(frame.cloud, T_level_camera).tobytes())
+        self.put(files[LIDAR], scan(frame.cloud, T_level_camera).tobytes())
         default_us = len(self._poses) // 2 * STEP_US
         time_us = self._shifted(key, default_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000)
         sample = token("sample", item.recording, frame.key)
@@ -121,7 +120,7 @@ class NuScenesWriter(DatasetWriter):
         if splits:
             self.put(f"{VERSION}/{SPLITS}", json.dumps(splits, indent=1) + "\n")
 
-    def _tables(self) -> dict[str, list[Row]]:
+    def _tables(self) -> dict[str, list[Part]]:
         """Returns the rows of every table, by the table's name."""
         names = self._scene_names()
         logs = [self._log(key) for key in names]
@@ -129,9 +128,7 @@ class NuScenesWriter(DatasetWriter):
         return {
             "category": [_named("category", name) for name in self.info.classes],
             "attribute": [_named("attribute", name) for name in sorted(self._attributes)],
-            "visibility": [
-                {"token": name, "level": level, "description": ""} for name, (_, level) in VISIBILITY.items()
-            ],
+            "visibility": [{"token": name, "level": level, "description": ""} for name, (_, level) in SHARES.items()],
             "instance": [
                 {"token": instance, "category_token": token("category", label)}
                 | _span("annotation", self._boxes[instance])
@@ -210,24 +207,24 @@ class NuScenesWriter(DatasetWriter):
                 token("annotation", sample, instance),
                 sample_token=sample,
                 instance_token=instance,
-                visibility_token=LEVELS.get(str(label.attributes.get(VISIBLE))) or _visibility(sight, label),
+                visibility_token=LEVELS.get(str(label.attributes.get(VISIBILITY))) or _visibility(sight, label),
                 attribute_tokens=[token("attribute", name) for name in names],
-                translation=nuscenes.vector(box.center_m),
-                size=nuscenes.width_length_height(box),
-                rotation=nuscenes.quaternion(box.T_camera_box.rotation),
+                translation=vector(box.center_m),
+                size=width_length_height(box),
+                rotation=quaternion(box.T_camera_box.rotation),
                 num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
                 num_radar_pts=0,
             )
             self._annotations.append(row)
 
-    def _log(self, key: Key) -> Row:
+    def _log(self, key: Key) -> Part:
         """Returns the row of a drive; its date is 1970-01-01 if the recording has no times."""
         day = datetime.fromtimestamp(self._samples[key][0]["timestamp"] / 1e6, UTC).date().isoformat()
         head = {"token": token("log", *key), "logfile": key[0], "vehicle": ""}
         return head | {"date_captured": day, "location": "unknown"}
 
 
-def follow(rows: list[Row], name: str, **fields: object) -> Row:
+def follow(rows: list[Part], name: str, **fields: object) -> Part:
     """Appends a row with the token `name`; it and the one before refer to each other."""
     row = {"token": name, "prev": rows[-1]["token"] if rows else "", "next": "", **fields}
     if rows:
@@ -236,18 +233,18 @@ def follow(rows: list[Row], name: str, **fields: object) -> Row:
     return row
 
 
-def _named(table: str, name: str) -> Row:
+def _named(table: str, name: str) -> Part:
     return {"token": token(table, name), "name": name, "description": ""}
 
 
-def _span(what: str, rows: Sequence[Row]) -> Row:
+def _span(what: str, rows: Sequence[Part]) -> Part:
     """The number of rows, and the first and the last one."""
     first, last = rows[0]["token"], rows[-1]["token"]
     return {f"nbr_{what}s": len(rows), f"first_{what}_token": first, f"last_{what}_token": last}
 
 
-def _pose(T: RigidTransform, *names: str) -> Row:
-    parts = {"translation": nuscenes.vector(T.translation), "rotation": nuscenes.quaternion(T.rotation)}
+def _pose(T: RigidTransform, *names: str) -> Part:
+    parts = {"translation": vector(T.translation), "rotation": quaternion(T.rotation)}
     return {name: parts[name] for name in names}
 
 
@@ -255,4 +252,4 @@ def _visibility(sight: Sight, label: Label) -> str:
     """Returns the visibility level of an object: the lowest one if there is no line of sight to it."""
     share = sight.hidden(label.box).share
     seen = 0.0 if isnan(share) else 1.0 - share
-    return max(name for name, (least, _) in VISIBILITY.items() if seen >= least)
+    return max(name for name, (least, _) in SHARES.items() if seen >= least)

@@ -139,7 +139,7 @@ def _is_polygon(fields: list[str]) -> bool:
 
 def _of_archive(file: Path) -> list[AnyFormat]:
     # it may also hold calibrations
-    for _, _, text in islice(text_files(file, kitti_objects.LABELS, kitti_tracking.LABELS), LOOK_AT):
+    for _, _, text in islice(text_files(file, kitti_objects.LABELS, kitti_tracking.TRACK_LABELS), LOOK_AT):
         if (rows := text_rows(file, text)) and (found := _of_row(rows[0][1])):
             return found
     return []

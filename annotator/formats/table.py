@@ -58,7 +58,7 @@ FORMATS: dict[str, Format] = {
         "upright",
         loses=KITTI_LOSES,
         values=(TRUNCATION, OCCLUSION),
-        marks=(f"training/{kitti_tracking.LABELS}/", f"{kitti_tracking.LABELS}/"),
+        marks=(f"training/{kitti_tracking.TRACK_LABELS}/", f"{kitti_tracking.TRACK_LABELS}/"),
         writer=kitti_tracking.KittiTrackingWriter,
         areas=True,
         angles=True,
