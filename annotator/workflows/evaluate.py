@@ -19,7 +19,7 @@ from annotator.evaluation.report import Report, kitti_report, oriented_report, s
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.kitti_objects import label_place, read_kitti_folder
+from annotator.formats.kitti_folders import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.formats.rcv import MANIFEST, labelled_frames
 from annotator.formats.reading import holds_texts

@@ -49,7 +49,7 @@ from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.frame_names import PictureLabels  # noqa: E402
-from annotator.formats.kitti_objects import read_kitti_file  # noqa: E402
+from annotator.formats.kitti_folders import read_kitti_file  # noqa: E402
 from annotator.formats.kitti_rows import read_rows, row_truth  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
 from annotator.formats.nuscenes import read_results  # noqa: E402

@@ -24,16 +24,19 @@ from annotator.types.errors import AnnotatorError, FormatError, UnclearError, Un
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_sizes, usual_sizes
 from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
-from annotator.workflows.checking.frame_rules import (
+from annotator.workflows.checking.label_rules import (
+    LEAST_POINTS,
     Breach,
     camera_rules,
     cloud_rules,
+    heading_jumps,
     is_plausible,
+    odd_sizes,
     rules_among_labels,
     rules_in_frame,
     rules_of_labels,
+    usual_sizes,
 )
 from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources, stray_names
 from annotator.workflows.importing.report import SizeDoubts

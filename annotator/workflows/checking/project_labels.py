@@ -1,7 +1,7 @@
 """Checks the labels of a project: warnings for the operator, never errors.
 
 - size: a side of the box differs from the median of its class (or of its track) by more than the usual factor
-  (`checking.box_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
+  (`checking.label_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
 - heading: a box has turned by more than 60 degrees since the previous frame of a sequence (matched by track, else the
   nearest box of its class within its own length);
@@ -35,7 +35,7 @@ from annotator.types.bases import Strict
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
-from annotator.workflows.checking.box_rules import (
+from annotator.workflows.checking.label_rules import (
     LEAST_POINTS,
     OVERLAP_IOU,
     TRACK_SIZE_FACTOR,

@@ -17,13 +17,12 @@ from jaxtyping import Float64
 
 from annotator.formats import sustechpoints
 from annotator.formats.frame_names import has_frames
-from annotator.formats.kitti_objects import IMAGE_SETS
+from annotator.formats.kitti_folders import IMAGE_SETS
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault, text_rows
-from annotator.formats.recognising import format_of, marked
-from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, format_of, marked
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.kitti import KittiObject

@@ -14,8 +14,7 @@ from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
 from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import boxes_file, read_boxes
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.kitti_objects import read_kitti
-from annotator.formats.kitti_tracking import read_kitti_tracks
+from annotator.formats.kitti_folders import read_kitti, read_kitti_tracks
 from annotator.formats.labelcloud import read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results
 from annotator.formats.openlabel import read_openlabel

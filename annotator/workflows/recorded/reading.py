@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import PLACES, each_entries, entry_truth
 from annotator.formats.frame_names import DatasetNames
-from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_folders import read_kitti_file
 from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_rows, row_truth
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
