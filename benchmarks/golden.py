@@ -33,7 +33,7 @@ from annotator.evaluation.kitti import (
     evaluate_kitti,
 )
 from annotator.evaluation.oriented import evaluate_oriented
-from annotator.formats.box_csv import read_upright_boxes
+from annotator.formats.box_files import read_upright_boxes
 from annotator.formats.kitti_folders import read_kitti_folder
 from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_row
 from annotator.geometry.iou import intersection_volume_pairs

@@ -48,9 +48,8 @@ from jaxtyping import Float32, Float64
 from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
-from annotator.formats.losses import Lost
 from annotator.formats.reading import MAX_BYTES, finite_number, read_model, text_files, text_rows
 from annotator.formats.units import rotation_problem
 from annotator.geometry.oriented_box import nearest_upright

@@ -20,7 +20,7 @@ from pydantic_core import from_json
 from annotator.files import open_file, why_missing
 from annotator.formats import (
     argoverse,
-    boxes_json,
+    box_files,
     coco,
     kitti_folders,
     labelcloud,
@@ -32,9 +32,8 @@ from annotator.formats import (
     yolo,
 )
 from annotator.formats.attributes import OCCLUSION, TRUNCATION
-from annotator.formats.box_csv import is_box_csv
-from annotator.formats.dataset_writing import Format
-from annotator.formats.losses import Lost
+from annotator.formats.box_files import is_box_csv
+from annotator.formats.dataset_writing import Format, Lost
 from annotator.formats.reading import read_json, text_files, text_rows
 from annotator.types.errors import FormatError
 
@@ -141,7 +140,7 @@ FORMATS: dict[str, Format] = {
         options=("images",),
         angles=True,
     ),
-    "boxes": Format("", "any rotation", loses=(Lost.STATE, Lost.SAID, Lost.ORIGIN), marks=boxes_json.PLACES),
+    "boxes": Format("", "any rotation", loses=(Lost.STATE, Lost.SAID, Lost.ORIGIN), marks=box_files.PLACES),
     "argoverse2": Format(
         "",
         "any rotation",
@@ -289,7 +288,7 @@ def _of_file(file: Path) -> list[AnyFormat]:
         case ".json":
             found = _of_json(_beginning(file))
             # an empty file, or one with a fault that its reader names
-            return found or ([BoxFormat.BOXES] if file.name == boxes_json.NAME else [])
+            return found or ([BoxFormat.BOXES] if file.name == box_files.NAME else [])
         case ".txt" if file.name == "label_02.txt":
             return [BoxFormat.KITTI]
         case ".txt":

@@ -17,7 +17,7 @@ from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows,
 from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.box_csv import read_upright_boxes
+from annotator.formats.box_files import read_upright_boxes
 from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_folders import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row

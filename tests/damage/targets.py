@@ -46,7 +46,7 @@ from test_cloud_files import (  # noqa: E402
 )
 from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 
-from annotator.formats.boxes_json import write_boxes  # noqa: E402
+from annotator.formats.box_files import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.frame_names import PictureLabels  # noqa: E402
 from annotator.formats.kitti_folders import read_kitti_file  # noqa: E402

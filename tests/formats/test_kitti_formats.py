@@ -15,7 +15,7 @@ import pytest
 from dataset_samples import make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem, Losses, Lost
 from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_folders import (
     calibration_text,
@@ -33,7 +33,6 @@ from annotator.formats.kitti_rows import (
     row_truth,
 )
 from annotator.formats.kitti_tracklets import read_tracklets
-from annotator.formats.losses import Losses, Lost
 from annotator.formats.units import Angles
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import Sight

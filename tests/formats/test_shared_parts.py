@@ -14,8 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.box_csv import read_upright_boxes
-from annotator.formats.boxes_json import read_boxes, write_boxes
+from annotator.formats.box_files import read_boxes, read_upright_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.formats.reading import read_mask, read_object
 from annotator.formats.units import Angles, Lengths

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from annotator.formats.losses import Losses, Lost
+from annotator.formats.dataset_writing import Losses, Lost
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError

@@ -24,13 +24,15 @@ from annotator.formats.dataset_writing import (
     DatasetItem,
     Detector,
     FileNames,
+    Loss,
+    Losses,
+    Lost,
     count_lost,
     write_dataset,
     write_frames,
     writing,
 )
 from annotator.formats.frame_names import FrameOrigin, PictureLabels
-from annotator.formats.losses import Loss, Losses, Lost
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.outline import clip_to_image
 from annotator.image_bytes import encoded_image

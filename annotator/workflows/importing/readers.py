@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
-from annotator.formats.box_csv import read_upright_boxes
-from annotator.formats.boxes_json import boxes_file, read_boxes
+from annotator.formats.box_files import boxes_file, read_boxes, read_upright_boxes
 from annotator.formats.frame_names import LabelledFrame
 from annotator.formats.kitti_folders import read_kitti, read_kitti_tracks
 from annotator.formats.labelcloud import read_labelcloud

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
-from annotator.formats.boxes_json import PLACES, each_entries, entry_truth
+from annotator.formats.box_files import PLACES, each_entries, entry_truth
 from annotator.formats.frame_names import DatasetNames
 from annotator.formats.kitti_folders import read_kitti_file
 from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_rows, row_truth
