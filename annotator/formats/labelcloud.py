@@ -42,7 +42,7 @@ from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, angles_xyz, rot
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import spelled
-from annotator.types import Camera, OrientedBox, Truth
+from annotator.types import OrientedBox, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -150,12 +150,6 @@ def _rounded(values: Float64[np.ndarray, "3"]) -> list[float]:
 SHAPES = P2_SHAPE | {"R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 
 
-def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """Returns the text for an ideal camera, which is also rectified camera 0."""
-    P = np.hstack([camera.matrix, np.zeros((3, 1))])
-    return matrices_text(P, P, T_camera_cloud.as_matrix()[:3])
-
-
 def read_calibration_pose(path: Path) -> RigidTransform:
     """Returns T_camera_cloud of a file."""
     matrices = read_matrices(path, SHAPES)
@@ -180,7 +174,10 @@ class LabelCloudWriter(DatasetWriter):
         self.put_image(f"{folder}/{CLOUDS}/{frame_id}", rgb)
         level = replace(frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"))
         self.put(f"{folder}/{CLOUDS}/{frame_id}.ply", ply(level, LEVEL_FRAME))
-        self.put(f"{folder}/{CALIBRATIONS}/{frame_id}.txt", dump_calibration(camera, T_level_camera.inv()))
+        # an ideal camera, which is also rectified camera 0
+        P = np.hstack([camera.matrix, np.zeros((3, 1))])
+        calibration = matrices_text(P, P, T_level_camera.inv().as_matrix()[:3])
+        self.put(f"{folder}/{CALIBRATIONS}/{frame_id}.txt", calibration)
         dump = vertices_object if self.info.vertices else centroid_object
         content = {
             "folder": CLOUDS,

@@ -111,22 +111,15 @@ class SampleAnnotation(Record):
 MOST_INTENSITY = 255.0
 
 
-def vector(values: np.ndarray) -> Vector3:
-    """Returns three numbers for JSON, without negative zeros."""
-    x, y, z = (values + 0.0).tolist()
-    return (x, y, z)
+def vector(values: np.ndarray) -> list[float]:
+    """Returns numbers for JSON, without negative zeros."""
+    numbers: list[float] = (values + 0.0).tolist()
+    return numbers
 
 
-def quaternion(rotation: Rotation) -> Quaternion:
+def quaternion(rotation: Rotation) -> list[float]:
     """Returns w x y z, w not negative."""
-    w, x, y, z = (rotation.as_quat(canonical=True, scalar_first=True) + 0.0).tolist()
-    return (w, x, y, z)
-
-
-def width_length_height(box: OrientedBox) -> Vector3:
-    """Returns the full sizes in nuScenes' order."""
-    length, width, height = box.size_m.tolist()
-    return (width, length, height)
+    return vector(rotation.as_quat(canonical=True, scalar_first=True))
 
 
 def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> OrientedBox:
@@ -548,7 +541,7 @@ class NuScenesWriter(DatasetWriter):
                 visibility_token=LEVELS.get(str(label.attributes.get(VISIBILITY))) or _visibility(sight, label),
                 attribute_tokens=[token("attribute", name) for name in names],
                 translation=vector(box.center_m),
-                size=width_length_height(box),
+                size=box.size_m[[1, 0, 2]].tolist(),
                 rotation=quaternion(box.T_camera_box.rotation),
                 num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
                 num_radar_pts=0,

@@ -103,6 +103,10 @@ class Scene:
         pose = doc.transform_values(T_BASE_CAMERA)
         sensor = {"type": "sensor", "parent": BASE, "pose_wrt_parent": pose, "children": []}
         intrinsics = {"intrinsics_pinhole": self._camera}
+        context = {
+            **dict.fromkeys(("name", "type"), doc.FRAME_CONTEXT),
+            "frame_intervals": _intervals(sorted(self._with_values)),
+        }
         content = doc.known(
             metadata=self._metadata,
             coordinate_systems={**world, BASE: base, CAMERA: sensor, CLOUD: sensor},
@@ -111,7 +115,7 @@ class Scene:
                 CLOUD: {"uri": "clouds", "type": "lidar"},
             },
             objects={uid: self._object(uid, place) for place, uid in enumerate(self._tracks, 1)} or None,
-            contexts={self._context: self._frame_context()} if self._with_values else None,
+            contexts={self._context: context} if self._with_values else None,
             frames={str(number): self._frames[number] for number in numbers},
             frame_intervals=_intervals(numbers),
         )
@@ -120,10 +124,6 @@ class Scene:
     @property
     def _context(self) -> str:
         return _uuid(self._recording, doc.FRAME_CONTEXT)
-
-    def _frame_context(self) -> doc.Part:
-        intervals = _intervals(sorted(self._with_values))
-        return {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
 
     def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.Part]:
         objects: dict[str, doc.Part] = {}

@@ -40,6 +40,7 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Values = dict[str, bool | int | Number | str]
 Vector3 = tuple[Number, Number, Number]
+Vector4 = tuple[Number, Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]
 
@@ -49,7 +50,7 @@ class RcvBox(Strict):
 
     center: Vector3
     size: tuple[Positive, Positive, Positive]
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Vector4
 
 
 class RcvSaid(SaidRecord, RcvBox):
@@ -84,7 +85,7 @@ class RcvPose(Strict):
     """A pose: it maps coordinates p of the camera to `rotation(quaternion) p + translation`."""
 
     translation: Vector3
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Vector4
 
 
 class RcvLabels(Strict):
@@ -213,7 +214,7 @@ AGREEMENT = 1e-6
 
 def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> RcvLabels:
     """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
-    frame = item.frame
+    frame, world = item.frame, item.frame.T_world_camera
     return RcvLabels(
         id=frame_id,
         recording=item.recording,
@@ -226,7 +227,7 @@ def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> R
         frame_of_reference=FRAME_OF_REFERENCE,
         up=None if frame.up is None else frame.up.tolist(),
         camera=frame.camera,
-        world=None if frame.T_world_camera is None else _pose_record(frame.T_world_camera),
+        world=None if world is None else {"translation": world.translation.tolist(), "quaternion": _quaternion(world)},
         attributes=dict(item.attributes),
         objects=tuple(map(object_record, item.labels)),
     )
@@ -286,23 +287,13 @@ def label_from(record: RcvObject) -> Label:
     return Label(**_named(record, COMMON), box=box, attributes=record.attributes, said=said)
 
 
-def _pose_record(T: RigidTransform) -> RcvPose:
-    return RcvPose(translation=T.translation.tolist(), quaternion=_quaternion(T))
-
-
-def pose_from(record: RcvPose) -> RigidTransform:
-    """Returns the transform of a record; raises ValueError for a quaternion of length zero."""
-    return _transform(record.translation, record.quaternion)
-
-
-def _transform(translation: Vector3, quaternion: tuple[float, float, float, float]) -> RigidTransform:
+def _transform(translation: Vector3, quaternion: Vector4) -> RigidTransform:
+    """Returns a pose; raises ValueError for a quaternion of length zero."""
     return RigidTransform.from_components(translation, Rotation.from_quat(quaternion, scalar_first=True))
 
 
-def _quaternion(T: RigidTransform) -> tuple[float, float, float, float]:
-    quaternion: tuple[float, float, float, float] = tuple(
-        T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
-    )
+def _quaternion(T: RigidTransform) -> list[float]:
+    quaternion: list[float] = T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
     return quaternion
 
 
@@ -398,7 +389,7 @@ class RcvDataset:
         path, record = self._record(i)
         labels = []
         try:
-            pose = None if record.world is None else pose_from(record.world)
+            pose = None if record.world is None else _transform(record.world.translation, record.world.quaternion)
         except ValueError as error:
             raise FormatError(path, f"world: {error}") from error
         for number, entry in enumerate(record.objects):

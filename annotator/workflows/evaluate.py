@@ -6,7 +6,7 @@ By a benchmark's protocol, or against the truth beside the project's recordings.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -160,14 +160,8 @@ def _require(names: Iterable[str], files: Mapping[str, object], path: Path, what
 def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
     """Returns rows by frame as columns; frames are numbered from 0."""
     rows = [row for each in frames for row in each]
-    numbers = [
-        (
-            *(row.truncated, row.occluded, row.alpha, row.left, row.top, row.right, row.bottom),
-            *(row.height, row.width, row.length, row.x, row.y, row.z, row.rotation_y),
-            _score(row.score),
-        )
-        for row in rows
-    ]
+    # the fields from `truncated` to `rotation_y`
+    numbers = [(*astuple(row)[1:15], _score(row.score)) for row in rows]
     frame = np.repeat(np.arange(len(frames)), list(map(len, frames)))
     labels = np.array([row.label for row in rows], np.str_)
     return KittiRows.from_table(frame, labels, np.array(numbers, np.float64).reshape(-1, 15))
