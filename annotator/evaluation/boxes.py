@@ -29,7 +29,9 @@ def pairs_within(
     begin = np.searchsorted(ordered, groups_a, side="left")
     count = np.searchsorted(ordered, groups_a, side="right") - begin
     rows = np.repeat(np.arange(len(groups_a)), count)
-    return rows, order[np.repeat(begin, count) + place_within(rows)]
+    # the place of each pair among those of its row
+    places = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+    return rows, order[np.repeat(begin, count) + places]
 
 
 # Detections per pass, so that memory does not grow with the dataset.
@@ -43,14 +45,6 @@ def blocks_within(
     for start in range(0, len(groups_a), BLOCK):
         rows, columns = pairs_within(groups_a[start : start + BLOCK], groups_b)
         yield rows + start, columns
-
-
-def place_within(groups: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """The position of each row within its group, from 0; the rows of a group must be adjacent."""
-    if len(groups) == 0:
-        return np.zeros(0, np.int64)
-    starts = np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1]]))
-    return np.arange(len(groups)) - np.repeat(starts, np.diff(np.append(starts, len(groups))))
 
 
 T = TypeVar("T", bound="Table")

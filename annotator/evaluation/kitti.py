@@ -55,7 +55,7 @@ def assign(
 class KittiRows(Table):
     """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
 
-    The rows of a frame are adjacent and in the order of their file, since the first of two equally good boxes counts.
+    The rows of a frame are in the order of their file, since the first of two equally good boxes counts.
 
     Attributes:
         label: KITTI's `type`, not case-sensitive.
@@ -76,10 +76,6 @@ class KittiRows(Table):
     bottom: Float64[np.ndarray, "n 3"]
     rotation_y: Float64[np.ndarray, "n"]
     score: Float64[np.ndarray, "n"]
-
-    def by_frame(self) -> KittiRows:
-        """The rows stably sorted by frame."""
-        return self if (np.diff(self.frame) >= 0).all() else self.take(np.argsort(self.frame, kind="stable"))
 
     def is_of(self, *labels: str) -> Shaped[np.ndarray, "n"]:
         """A mask of the rows of these classes."""
@@ -257,7 +253,6 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
             height of the 2D box to ignore small objects.
         truth: labels, DontCare areas included.
     """
-    detections, truth = detections.by_frame(), truth.by_frame()
     metrics = {
         Metric.BBOX: (_iou_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
         Metric.BEV: (_iou_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),

@@ -73,14 +73,13 @@ def usual_sizes(
     by_class: dict[str, list[np.ndarray]] = defaultdict(list)
     for name, size_m in sizes:
         by_class[name].append(_sides(size_m))
-    enough = {name: np.array(sides) for name, sides in by_class.items() if len(sides) >= LEAST_FOR_MEDIAN}
-    return {name: _usual(sides, least_factor) for name, sides in enough.items()}
-
-
-def _usual(sides: Float64[np.ndarray, "n 3"], least_factor: float) -> UsualSize:
-    median = np.median(sides, axis=0)
-    deviation = DEVIATION_OF_MAD * np.median(np.abs(np.log(sides / median)), axis=0)
-    return UsualSize(median, np.maximum(least_factor, np.exp(SIZE_DEVIATIONS * deviation)))
+    usual: dict[str, UsualSize] = {}
+    for name, every in by_class.items():
+        if len(every) >= LEAST_FOR_MEDIAN:
+            sides, median = np.array(every), np.median(every, axis=0)
+            deviation = DEVIATION_OF_MAD * np.median(np.abs(np.log(sides / median)), axis=0)
+            usual[name] = UsualSize(median, np.maximum(least_factor, np.exp(SIZE_DEVIATIONS * deviation)))
+    return usual
 
 
 def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[BoxBreach]:

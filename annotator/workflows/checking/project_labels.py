@@ -35,20 +35,7 @@ from annotator.types.bases import Strict
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
-from annotator.workflows.checking.label_rules import (
-    LEAST_POINTS,
-    OVERLAP_IOU,
-    TRACK_SIZE_FACTOR,
-    UsualSize,
-    few_points_message,
-    heading_jumps,
-    odd_frame_values,
-    odd_size_message,
-    odd_sizes,
-    odd_values,
-    overlaps,
-    usual_sizes,
-)
+from annotator.workflows.checking import label_rules
 from annotator.workflows.frame_source import FrameSource, why_gone
 
 # Within the project: data that can be recomputed.
@@ -194,7 +181,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     stored = project.labels.select(states=CHECKED_STATES)
     for entry in stored:
         by_frame[entry.frame_id].append(entry.label)
-    usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
+    usual = label_rules.usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     tracks = _Tracks(stored, frames)
     config = project.config
     classes, attributes, of_frames = set(config.classes), config.attributes, project.frames.attributes()
@@ -213,11 +200,14 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
                 for each in labels
                 if each.label not in classes
             ),
-            *_lines(Kind.ATTRIBUTE, labels, odd_values(labels, attributes)),
-            *((Kind.ATTRIBUTE, None, message) for message in odd_frame_values(values, attributes, is_complete)),
+            *_lines(Kind.ATTRIBUTE, labels, label_rules.odd_values(labels, attributes)),
+            *(
+                (Kind.ATTRIBUTE, None, message)
+                for message in label_rules.odd_frame_values(values, attributes, is_complete)
+            ),
             *tracks.odd(labels, frame, attributes),
             *_sizes(labels, usual, tracks, frame),
-            *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
+            *_lines(Kind.HEADING, labels, label_rules.heading_jumps(labels, earlier)),
             *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
             *_empty(labels, count_points(frame, [label.box for label in labels]) if labels else None),
         ]
@@ -240,7 +230,7 @@ class _Tracks:
     def __init__(self, stored: Sequence[StoredLabel], frames: Mapping[int, StoredFrame]) -> None:
         tracked = [(e.label, self.key(e.label, frames[e.frame_id])) for e in stored if e.label.track_id is not None]
         reviewed = ((key, label.box.size_m) for label, key in tracked if label.state in REVIEWED)
-        self.usual = usual_sizes(reviewed, TRACK_SIZE_FACTOR)
+        self.usual = label_rules.usual_sizes(reviewed, label_rules.TRACK_SIZE_FACTOR)
         # by track, then by attribute; None: the class
         self._values = defaultdict[str, dict[str | None, Counter[AttributeValue]]](lambda: defaultdict(Counter))
         for label, key in tracked:
@@ -269,17 +259,17 @@ class _Tracks:
 
 
 def _sizes(
-    labels: Sequence[Label], usual: Mapping[str, UsualSize], tracks: _Tracks, frame: StoredFrame
+    labels: Sequence[Label], usual: Mapping[str, label_rules.UsualSize], tracks: _Tracks, frame: StoredFrame
 ) -> Iterator[Line]:
     """Yields sizes that are odd for their class, else for their track."""
-    of_class = dict(odd_sizes(labels, usual))
+    of_class = dict(label_rules.odd_sizes(labels, usual))
     for number, label in enumerate(labels):
         of_track = tracks.usual.get(tracks.key(label, frame))
         if number in of_class:
             yield Kind.SIZE, label.uid, of_class[number]
         elif of_track is not None and of_track.odd(label.box.size_m):
             name = f"track {label.track_id}: {label.label}"
-            yield Kind.SIZE, label.uid, odd_size_message(name, label.box.size_m, of_track)
+            yield Kind.SIZE, label.uid, label_rules.odd_size_message(name, label.box.size_m, of_track)
 
 
 def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
@@ -293,12 +283,12 @@ def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict
 
 
 def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:
-    for first, second, iou in overlaps(labels, OVERLAP_IOU):
+    for first, second, iou in label_rules.overlaps(labels, label_rules.OVERLAP_IOU):
         if labels[first].label == labels[second].label:
             yield second, f"two boxes of {labels[first].label} overlap by {iou:.0%} (IoU)"
 
 
 def _empty(labels: Sequence[Label], points: Sequence[int] | None) -> Iterator[Line]:
     for label, count in zip(labels, points or (), strict=False):
-        if count < LEAST_POINTS:
-            yield Kind.EMPTY, label.uid, few_points_message(label.label, count)
+        if count < label_rules.LEAST_POINTS:
+            yield Kind.EMPTY, label.uid, label_rules.few_points_message(label.label, count)
