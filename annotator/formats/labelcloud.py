@@ -75,12 +75,6 @@ class LabelFile(FileRecord):
     objects: tuple[BoxObject, ...]
 
 
-class ClassesFile(FileRecord):
-    """The box form of all label files; the classes of a file are not read."""
-
-    format: str = CENTROID_REL
-
-
 DECIMALS = 8
 SIDES = ("length", "width", "height")
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
@@ -290,7 +284,9 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
         UnitError: the angles contradict the file, or show no unit.
     """
     classes = folder / CLASSES_FILE
-    form = reading.read_model(classes, ClassesFile).format if classes.is_file() else None
+    content = reading.read_json(classes) if classes.is_file() else None
+    # the classes of the file are not read
+    form = content.get("format", CENTROID_REL) if isinstance(content, dict) else None
     turns = [entry.rotations for content in files.values() for entry in content.objects if entry.vertices is None]
     angles = [angle for each in turns if each is not None for angle in (each.x, each.y, each.z) if angle != 0]
     lowest, highest, worst = min([0.0, *angles]), max([0.0, *angles]), max(angles, key=abs, default=0.0)

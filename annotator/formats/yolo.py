@@ -336,23 +336,19 @@ def _require_different(file: Path, names: Mapping[int, str]) -> None:
 
 def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
-    root = file.parent
+    root, problem = file.parent, ""
     name = posix_path(entry)
-    outside: OutsideError | None = None
-    is_inside = False
     # some services export ../train/images where train/images is right
     for candidate in (str(PurePosixPath(posix_path(base or "")) / name), entry, name.removeprefix("../")):
         try:
             place = inside(root, candidate)
         except OutsideError as error:
-            outside = outside or error
+            problem = problem or str(error)
             continue
-        is_inside = True
         if place.exists() or _inside(_labels_of(place, root), root).is_dir():
             return place
-    if is_inside:
-        raise FormatError(file, f"{part}: there is no {entry[:NAME_SHOWN]!r} in the dataset's folder")
-    raise FormatError(file, f"{part}: {outside}")
+        problem = f"there is no {entry[:NAME_SHOWN]!r} in the dataset's folder"
+    raise FormatError(file, f"{part}: {problem}")
 
 
 def _inside(path: Path, root: Path) -> Path:
