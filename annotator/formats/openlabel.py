@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import uuid
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -258,23 +258,17 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Lab
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
     """
-    numbers = _Numbers(Angles(angles), Quaternions(w_first=False))
+    read, quaternions = Angles(angles), Quaternions(w_first=False)
     frames: dict[str, LabelledFrame] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         names = DatasetNames.of(file.parent)
-        for name, frame in parse(file, read_model(file, doc.Document, unique_keys), names, numbers):
+        content = read_model(file, doc.Document, unique_keys).openlabel
+        for name, frame in _Reader(file, content, read, quaternions).frames(names):
             add_once(frames, file, name, frame)
-    numbers.angles.require()
-    numbers.quaternions.require(path)
+    read.require()
+    quaternions.require(path)
     return frames
-
-
-class _Numbers(NamedTuple):
-    """Those of all cuboids; quaternions only of those in level frames."""
-
-    angles: Angles
-    quaternions: Quaternions
 
 
 class _Box(NamedTuple):
@@ -286,50 +280,6 @@ class _Box(NamedTuple):
     state: ReviewState | None
 
 
-def parse(
-    path: Path, document: doc.Document, names: DatasetNames, numbers: _Numbers
-) -> Iterator[tuple[str, LabelledFrame]]:
-    """Yields the names and frames of one document, once for each of its cameras."""
-    content = document.openlabel
-    sensors = _sensors(path, content)
-    for number, frame in (content.frames or {}).items():
-        properties = frame.frame_properties or doc.FrameProperties()
-        try:
-            coordinates = doc.Coordinates(content.coordinate_systems or {}, properties.transforms)
-        except ValueError as error:
-            raise FormatError(path, f"openlabel.frames.{number}: {error}") from error
-        boxes = [
-            _box(path, place, each, cuboid, uid, numbers, sensors)
-            for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
-            # null means "no cuboid" in the standard
-            if cuboid.val is not None
-        ]
-        contexts = (frame.contexts or {}).values()
-        values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
-        for sensor, of_camera in sensors.items():
-            stream = (properties.streams or {}).get(sensor)
-            if stream is None and len(sensors) > 1:
-                # this camera has no image in the frame
-                continue
-            # paths may come from Windows; only the file name is used, the file is not opened
-            stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
-            is_placed = stem in names.frames and PLACE in (properties.transforms or {})
-            pose = in_world(coordinates.transform(WORLD, sensor) if is_placed else None) if of_camera else of_recording
-            truths = [_in_sensor(path, box, coordinates, sensor) for box in boxes]
-            yield names.known(stem), LabelledFrame(truths, pose, [box.state for box in boxes], values)
-
-
-def _in_sensor(path: Path, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
-    if box.system == sensor:
-        return box.truth
-    try:
-        T = coordinates.transform(sensor, box.system)
-        said = tuple(each.transformed(T) for each in box.truth.said)
-        return replace(box.truth, box=box.truth.box.transformed(T), said=said)
-    except ValueError as error:
-        raise FormatError(path, f"{box.place}: {error}") from error
-
-
 def _documents(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
@@ -339,66 +289,97 @@ def _documents(path: Path) -> list[Path]:
     return documents
 
 
-def _sensors(path: Path, content: doc.Content) -> dict[str, bool]:
-    """Returns the streams to read boxes for: the cameras (True), or without cameras the only LiDAR (False)."""
-    streams = content.streams or {}
-    if cameras := [name for name, stream in streams.items() if stream.type == "camera"]:
-        return dict.fromkeys(cameras, True)
-    clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
-    if len(clouds) != 1:
-        raise FormatError(
-            path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
-        )
-    return {clouds[0]: False}
+class _Reader:
+    """Reads one document.
 
+    Args:
+        angles, quaternions: those of the cuboids of all documents; quaternions only of those in level frames.
+    """
 
-def _cuboids(
-    path: Path, content: doc.Content, number: int, frame: doc.Frame
-) -> Iterator[tuple[str, str, doc.Object, doc.Cuboid]]:
-    """Yields place, object uid, object and cuboid: first those of the frame, then those of static objects."""
-    objects = content.objects or {}
-    for uid, dynamic in (frame.objects or {}).items():
-        where = f"openlabel.frames.{number}.objects.{uid}"
-        if uid not in objects:
-            raise FormatError(path, f"{where}: the object is not listed in openlabel.objects; add it there")
-        if dynamic.object_data is not None:
-            for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
-                yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
-    for uid, each in objects.items():
-        spans = each.frame_intervals
-        is_present = not spans or any(span.frame_start <= number <= span.frame_end for span in spans)
-        for place, cuboid in enumerate((is_present and each.object_data and each.object_data.cuboid) or ()):
-            yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
+    def __init__(self, path: Path, content: doc.Content, angles: Angles, quaternions: Quaternions) -> None:
+        self._path, self._content = path, content
+        self._angles, self._quaternions = angles, quaternions
+        streams = content.streams or {}
+        # the cameras (True), or without cameras the only LiDAR (False)
+        self._sensors = {name: True for name, stream in streams.items() if stream.type == "camera"}
+        if not self._sensors:
+            self._sensors = {name: False for name, stream in streams.items() if stream.type == "lidar"}
+            if len(self._sensors) != 1:
+                raise FormatError(
+                    path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
+                )
 
+    def frames(self, names: DatasetNames) -> Iterator[tuple[str, LabelledFrame]]:
+        """Yields the names and frames, once for each of the cameras."""
+        for number, frame in (self._content.frames or {}).items():
+            properties = frame.frame_properties or doc.FrameProperties()
+            try:
+                coordinates = doc.Coordinates(self._content.coordinate_systems or {}, properties.transforms)
+            except ValueError as error:
+                raise FormatError(self._path, f"openlabel.frames.{number}: {error}") from error
+            boxes = list(self._boxes(int(number), frame))
+            contexts = (frame.contexts or {}).values()
+            values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
+            for sensor, of_camera in self._sensors.items():
+                stream = (properties.streams or {}).get(sensor)
+                if stream is None and len(self._sensors) > 1:
+                    # this camera has no image in the frame
+                    continue
+                # paths may come from Windows; only the file name is used, the file is not opened
+                stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
+                is_placed = stem in names.frames and PLACE in (properties.transforms or {})
+                in_map = in_world(coordinates.transform(WORLD, sensor) if is_placed else None)
+                truths = [self._in_sensor(box, coordinates, sensor) for box in boxes]
+                states = [box.state for box in boxes]
+                yield names.known(stem), LabelledFrame(truths, in_map if of_camera else of_recording, states, values)
 
-def _box(
-    path: Path,
-    place: str,
-    each: doc.Object,
-    cuboid: doc.Cuboid,
-    uid: str,
-    numbers: _Numbers,
-    sensors: Mapping[str, bool],
-) -> _Box:
-    system = cuboid.coordinate_system or each.coordinate_system
-    if system is None:
-        raise FormatError(path, f"{place}: has no coordinate_system, and its object has none either; add one")
-    values, val = cuboid.attributes.values() if cuboid.attributes else {}, list(cuboid.val or ())
-    if len(val) == 9:
-        val[3:6] = [numbers.angles.radians(angle, path) for angle in val[3:6]]
-    elif not sensors.get(system):
-        numbers.quaternions.add(val[3:7])
-    score, state, kind = (values.get(name) for name in ("score", "state", "box_kind"))
-    try:
-        box, track_id = doc.box_from(val), _track(values.get("track_id"), uid)
-        said = doc.said_from(str(values[doc.SAID_BY])) if doc.SAID_BY in values else ()
-    except ValueError as error:
-        raise FormatError(path, f"{place}: {error}") from error
-    review = ReviewState(state) if state in set(ReviewState) else None
-    score = score if isinstance(score, float) else None
-    box_kind = known_kind(kind) or BoxKind.BOX
-    truth = Truth(each.type, box, track_id, score, None, box_kind, doc.values_of(cuboid.attributes), said)
-    return _Box(place, system, truth, review)
+    def _boxes(self, number: int, frame: doc.Frame) -> Iterator[_Box]:
+        """Yields the cuboids of a frame, then those of static objects."""
+        objects = self._content.objects or {}
+        present = {f"frames.{number}.objects.{uid}": (uid, each) for uid, each in (frame.objects or {}).items()}
+        for uid, each in objects.items():
+            spans = each.frame_intervals
+            if not spans or any(span.frame_start <= number <= span.frame_end for span in spans):
+                present[f"objects.{uid}"] = (uid, each)
+        for where, (uid, data) in present.items():
+            if uid not in objects:
+                problem = "the object is not listed in openlabel.objects; add it there"
+                raise FormatError(self._path, f"openlabel.{where}: {problem}")
+            for place, cuboid in enumerate((data.object_data and data.object_data.cuboid) or ()):
+                # null means "no cuboid" in the standard
+                if cuboid.val is not None:
+                    yield self._box(f"openlabel.{where}.object_data.cuboid.{place}", uid, cuboid, list(cuboid.val))
+
+    def _box(self, place: str, uid: str, cuboid: doc.Cuboid, val: list[float]) -> _Box:
+        each = (self._content.objects or {})[uid]
+        system = cuboid.coordinate_system or each.coordinate_system
+        if system is None:
+            problem = "has no coordinate_system, and its object has none either; add one"
+            raise FormatError(self._path, f"{place}: {problem}")
+        values = cuboid.attributes.values() if cuboid.attributes else {}
+        if len(val) == 9:
+            val[3:6] = [self._angles.radians(angle, self._path) for angle in val[3:6]]
+        elif not self._sensors.get(system):
+            self._quaternions.add(val[3:7])
+        score, state, kind = (values.get(name) for name in ("score", "state", "box_kind"))
+        try:
+            box, track_id = doc.box_from(val), _track(values.get("track_id"), uid)
+            said = doc.said_from(str(values[doc.SAID_BY])) if doc.SAID_BY in values else ()
+        except ValueError as error:
+            raise FormatError(self._path, f"{place}: {error}") from error
+        score, box_kind = score if isinstance(score, float) else None, known_kind(kind) or BoxKind.BOX
+        truth = Truth(each.type, box, track_id, score, None, box_kind, doc.values_of(cuboid.attributes), said)
+        return _Box(place, system, truth, ReviewState(state) if state in set(ReviewState) else None)
+
+    def _in_sensor(self, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
+        if box.system == sensor:
+            return box.truth
+        try:
+            T = coordinates.transform(sensor, box.system)
+            said = tuple(each.transformed(T) for each in box.truth.said)
+            return replace(box.truth, box=box.truth.box.transformed(T), said=said)
+        except ValueError as error:
+            raise FormatError(self._path, f"{box.place}: {error}") from error
 
 
 def _track(attribute: AttributeValue | None, uid: str) -> int | None:
