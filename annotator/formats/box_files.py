@@ -32,9 +32,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.reading import BoundedTrack, finite_number, read_object, write_text
+from annotator.formats.reading import Angles, AngleUnit, BoundedTrack, finite_number, read_object, write_text
 from annotator.formats.sunrgbd import upright_frame
-from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.oriented_box import box_corners
 from annotator.text import normal
 from annotator.types import OrientedBox, Truth

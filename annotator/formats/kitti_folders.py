@@ -39,8 +39,7 @@ from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
 from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
-from annotator.formats.reading import MOST, text_files, text_rows
-from annotator.formats.units import Angles, AngleUnit
+from annotator.formats.reading import MOST, Angles, AngleUnit, text_files, text_rows
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.image_bytes import encoded_image

@@ -38,7 +38,7 @@ from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, ply
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, of_recording
 from annotator.formats.kitti_folders import P2_SHAPE, matrices_text, read_matrices, shift_of
-from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, angles_xyz, rotation_problem
+from annotator.formats.reading import BEYOND, MOST_RAD, AngleUnit, angles_xyz, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import spelled

@@ -48,7 +48,7 @@ from annotator.formats import reading
 from annotator.formats.attributes import VISIBILITY, dotted, from_dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, in_world
-from annotator.formats.units import Lengths
+from annotator.formats.reading import Lengths
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened

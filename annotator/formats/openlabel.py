@@ -28,8 +28,7 @@ from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, has_frames, in_world, of_recording
-from annotator.formats.reading import known_kind, read_model, unique_keys
-from annotator.formats.units import Angles, AngleUnit
+from annotator.formats.reading import Angles, AngleUnit, known_kind, read_model, unique_keys
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth

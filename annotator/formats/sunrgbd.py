@@ -50,8 +50,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
-from annotator.formats.reading import MAX_BYTES, finite_number, read_model, text_files, text_rows
-from annotator.formats.units import rotation_problem
+from annotator.formats.reading import MAX_BYTES, finite_number, read_model, rotation_problem, text_files, text_rows
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened

@@ -37,8 +37,16 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
 from annotator.formats.frame_names import DatasetNames, LabelledFrame, Pose, add_once, in_world
-from annotator.formats.reading import Axes, Bounded, BoundedPositive, read_model
-from annotator.formats.units import Angles, AngleUnit, angles_xyz, rotation_problem
+from annotator.formats.reading import (
+    Angles,
+    AngleUnit,
+    Axes,
+    Bounded,
+    BoundedPositive,
+    angles_xyz,
+    read_model,
+    rotation_problem,
+)
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled

@@ -33,7 +33,7 @@ from annotator.formats.kitti_rows import (
     row_truth,
 )
 from annotator.formats.kitti_tracklets import read_tracklets
-from annotator.formats.units import Angles
+from annotator.formats.reading import Angles
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import pixel_rays

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from annotator.formats.box_files import read_boxes, read_upright_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.reading import read_mask, read_object
-from annotator.formats.units import Angles, Lengths
+from annotator.formats.reading import Angles, Lengths, read_mask, read_object
 from annotator.types.errors import FormatError, UnitError, UnitKind
 
 # file names contain no NUL and no lone surrogates

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats.reading import angles_xyz
 from annotator.formats.sustechpoints import read_sustechpoints
-from annotator.formats.units import angles_xyz
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.workflows.importing import BoxFormat, format_of

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.formats.rcv import MANIFEST
-from annotator.formats.units import Angles
+from annotator.formats.reading import Angles
 from annotator.geometry.oriented_box import contains
 from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.bases import Strict

@@ -18,11 +18,10 @@ from annotator.formats.labelcloud import read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results
 from annotator.formats.openlabel import read_openlabel
 from annotator.formats.rcv import labelled_frames
-from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.reading import AngleUnit, Lengths, OnFault, raise_fault
 from annotator.formats.sunrgbd import read_extracted_folder, read_meta
 from annotator.formats.sustechpoints import read_sustechpoints
 from annotator.formats.table import FORMATS, BoxFormat
-from annotator.formats.units import AngleUnit, Lengths
 from annotator.project import Project
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.look_around import LookAround

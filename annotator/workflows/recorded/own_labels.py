@@ -22,7 +22,7 @@ from annotator.workflows.recorded.reading import has_truth, is_labelled, label_f
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"
 # Frames are read one by one, but only all boxes together show that their numbers are in another unit than their format
-# has (`annotator.formats.units`). The readers of other formats read all frames at once.
+# has (`annotator.formats.reading`). The readers of other formats read all frames at once.
 FORMATS = {
     "kitti_object": BoxFormat.KITTI,
     "kitti_tracking": BoxFormat.KITTI,

@@ -24,10 +24,9 @@ from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
 from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
-from annotator.formats.reading import read_mask, text_rows
+from annotator.formats.reading import Angles, read_mask, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
 from annotator.formats.table import BoxFormat
-from annotator.formats.units import Angles
 from annotator.geometry.outline import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.project import REVIEWED
