@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from annotator.evaluation.boxes import evaluate_oriented
 from annotator.evaluation.kitti import (
     DIFFICULTIES,
     NEIGHBOURS,
@@ -32,7 +33,6 @@ from annotator.evaluation.kitti import (
     MinOverlap,
     evaluate_kitti,
 )
-from annotator.evaluation.oriented import evaluate_oriented
 from annotator.formats.box_files import read_upright_boxes
 from annotator.formats.kitti_folders import read_kitti_folder
 from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_row

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from annotator import recordings
 from annotator.api.frames import choice
 from annotator.detection.perfect import PerfectDetector, Scene
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.boxes import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
 from annotator.formats.box_files import write_boxes
 from annotator.formats.reading import AngleUnit

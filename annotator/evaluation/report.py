@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, RootModel
 
+from annotator.evaluation.boxes import SUNRGBD_THRESHOLDS, OrientedClass, OrientedResult, PrecisionRecall
 from annotator.evaluation.kitti import DIFFICULTIES, SAMPLES, KittiCurve, KittiResult, Metric
-from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, OrientedClass, OrientedResult, PrecisionRecall
 from annotator.files import write_atomic
 from annotator.types.errors import FormatError
 

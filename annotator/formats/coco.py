@@ -28,9 +28,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
-from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.dataset_writing import PictureWriter
-from annotator.formats.frame_names import PictureLabels
+from annotator.formats.frame_names import NO_VALUES, PictureLabels, Values, from_dotted
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D
 from annotator.types.bases import FileRecord

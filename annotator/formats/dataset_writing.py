@@ -19,8 +19,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.files import new_folder
-from annotator.formats.attributes import Values
-from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, PictureLabels, dump_frames, has_frames
+from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, PictureLabels, Values, dump_frames, has_frames
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.image_bytes import encoded_image

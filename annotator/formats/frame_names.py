@@ -1,4 +1,4 @@
-"""The frames and images of a dataset: what readers return of them, and `frames.csv`, which tells where they come from.
+"""The frames, images and attribute values of a dataset that readers return, and `frames.csv`: where frames come from.
 
 `frames.csv` is for formats that cannot store the origin of a frame. One line per frame under the header
 `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem of its files, or its token), the
@@ -13,20 +13,81 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from urllib.parse import unquote
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.attributes import Values
 from annotator.formats.reading import read_text
 from annotator.geometry.outline import clip_to_image, edges_of
 from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind, Frame, ReviewState, Truth
 from annotator.types.errors import FormatError
+from annotator.types.label import AttributeValue
+
+Values = Mapping[str, AttributeValue]
+NO_VALUES: Values = MappingProxyType({})
+
+# Attributes that formats measure or have fields for; an operator's value wins.
+TRUNCATION, OCCLUSION, VISIBILITY = "truncation", "occlusion", "visibility"
+
+
+def held_by_kitti(values: Values) -> dict[str, float]:
+    """The values that a row of KITTI can hold: a truncation in 0..1 and an occlusion of 0 to 3."""
+    numbers = {
+        name: value for name, value in values.items() if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    held = {}
+    if 0 <= numbers.get(TRUNCATION, -1) <= 1:
+        held[TRUNCATION] = float(numbers[TRUNCATION])
+    if numbers.get(OCCLUSION, -1) in range(4):
+        held[OCCLUSION] = float(numbers[OCCLUSION])
+    return held
+
+
+def of_kitti(truncated: float, occluded: int) -> dict[str, AttributeValue]:
+    """The values of a row; negative ones mean that they are unknown."""
+    values: dict[str, AttributeValue] = {TRUNCATION: float(truncated), OCCLUSION: occluded}
+    return {name: value for name, value in values.items() if not (isinstance(value, int | float) and value < 0)}
+
+
+def dotted(values: Values) -> tuple[str, ...]:
+    """Values as names like nuScenes' attributes, `pose.sitting`."""
+    return tuple(f"{name}.{str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items())
+
+
+def from_dotted(names: Iterable[str]) -> dict[str, AttributeValue]:
+    """The values of such names; a name without a dot is the value true."""
+    parts = (name.partition(".") for name in names)
+    return {name.strip(): typed_value(value) if dot else True for name, dot, value in parts}
+
+
+def typed_value(text: str) -> AttributeValue:
+    """The number or boolean that `dotted` writes as this text, else the text: "0012" and "nan" stay texts."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    is_number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+    return value if is_number and json.dumps(value) == text else text
+
+
+def joined(values: Values) -> str:
+    """Values as one text, `pose.sitting,helmet.true`; commas within them are escaped as in URLs."""
+    return ",".join(name.replace("%", "%25").replace(",", "%2C") for name in dotted(values))
+
+
+def from_joined(text: str) -> dict[str, AttributeValue]:
+    """The values of such a text, or of one that a person wrote: `door open, occluded`."""
+    return from_dotted(unquote(part) if "." in part else part.strip() for part in text.split(",") if part.strip())
+
 
 FRAMES_CSV = "frames.csv"
 HEADER = ("id", "recording", "key", "split")

@@ -35,9 +35,15 @@ from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import kitti_rows
-from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
-from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
+from annotator.formats.frame_names import (
+    TRUNCATION,
+    ClassWords,
+    DatasetNames,
+    LabelledFrame,
+    held_by_kitti,
+    six_digit_ids,
+)
 from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
 from annotator.formats.reading import MOST, Angles, AngleUnit, text_files, text_rows
 from annotator.geometry.outline import Sight

@@ -45,9 +45,16 @@ from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.attributes import VISIBILITY, dotted, from_dotted
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
-from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, in_world
+from annotator.formats.frame_names import (
+    VISIBILITY,
+    DatasetNames,
+    LabelledFrame,
+    add_once,
+    dotted,
+    from_dotted,
+    in_world,
+)
 from annotator.formats.reading import Lengths
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import Sight

@@ -34,19 +34,9 @@ from jaxtyping import Float64
 from pydantic import ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.attributes import from_joined, joined
+from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
-from annotator.formats.frame_names import DatasetNames, LabelledFrame, Pose, add_once, in_world
-from annotator.formats.reading import (
-    Angles,
-    AngleUnit,
-    Axes,
-    Bounded,
-    BoundedPositive,
-    angles_xyz,
-    read_model,
-    rotation_problem,
-)
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, Pose, add_once, from_joined, in_world, joined
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.text import normal, spelled
@@ -62,15 +52,15 @@ EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler(
 
 
 class _Scale(FileRecord):
-    x: BoundedPositive
-    y: BoundedPositive
-    z: BoundedPositive
+    x: reading.BoundedPositive
+    y: reading.BoundedPositive
+    z: reading.BoundedPositive
 
 
 class _Psr(FileRecord):
-    position: Axes
+    position: reading.Axes
     scale: _Scale
-    rotation: Axes
+    rotation: reading.Axes
 
 
 class _Object(FileRecord):
@@ -89,15 +79,15 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
-class _EgoPose(Axes):
-    azimuth: Bounded
-    pitch: Bounded
-    roll: Bounded
+class _EgoPose(reading.Axes):
+    azimuth: reading.Bounded
+    pitch: reading.Bounded
+    roll: reading.Bounded
 
 
 class _Calibration(FileRecord):
-    extrinsic: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)]
-    intrinsic: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=9)]
+    extrinsic: Annotated[tuple[reading.Bounded, ...], Field(min_length=16, max_length=16)]
+    intrinsic: Annotated[tuple[reading.Bounded, ...], Field(min_length=9, max_length=9)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +102,7 @@ class SceneCamera:
 SAME_CAMERA = 0.01
 
 
-def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+def read_sustechpoints(path: Path, angles: reading.AngleUnit | None = None) -> dict[str, LabelledFrame]:
     """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file. Ids that are no whole
@@ -132,8 +122,8 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
             pose: Pose = (
                 partial(_of_export, cameras[0], in_world(_place(file))) if is_export else partial(_by_camera, cameras)
             )
-            files[file], poses[file] = read_model(file, _Labels).root, (names.known(file.stem), pose)
-    tracks, read, frames = _tracks(files), Angles(angles), dict[str, LabelledFrame]()
+            files[file], poses[file] = reading.read_model(file, _Labels).root, (names.known(file.stem), pose)
+    tracks, read, frames = _tracks(files), reading.Angles(angles), dict[str, LabelledFrame]()
     for file, objects in files.items():
         truths = [_truth(each, file, tracks.get((file.parent, _id(each))), read) for each in objects]
         name, pose = poses[file]
@@ -169,7 +159,7 @@ def _label_folders(path: Path) -> Iterator[Path]:
     yield from found[:-1] if len(found) > 1 and found[-1] == path else found
 
 
-def _truth(entry: _Object, file: Path, track_id: int | None, read: Angles) -> Truth:
+def _truth(entry: _Object, file: Path, track_id: int | None, read: reading.Angles) -> Truth:
     psr = entry.psr
     angles = [read.radians(each, file) for each in (psr.rotation.x, psr.rotation.y, psr.rotation.z)]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
@@ -200,10 +190,10 @@ def _tracks(files: Mapping[Path, Sequence[_Object]]) -> dict[tuple[Path, str], i
 
 
 def _camera(file: Path) -> SceneCamera:
-    content = read_model(file, _Calibration)
+    content = reading.read_model(file, _Calibration)
     pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
     R = pose[:3, :3]
-    if (problem := rotation_problem(R)) is not None:
+    if (problem := reading.rotation_problem(R)) is not None:
         raise FormatError(file, f"extrinsic {problem}")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
 
@@ -213,7 +203,7 @@ def _place(label_file: Path) -> RigidTransform | None:
     file = spelled(label_file.parent.parent / POSES, label_file.name)
     if not file.is_file():
         return None
-    pose = read_model(file, _EgoPose)
+    pose = reading.read_model(file, _EgoPose)
     turn = Rotation.from_euler("ZXY", [-pose.azimuth, pose.pitch, pose.roll], degrees=True)
     return RigidTransform.from_components([pose.x, pose.y, pose.z], turn) * EGO_CLOUD
 
@@ -258,7 +248,7 @@ def _entry(label: Label, box: OrientedBox) -> dict[str, object]:
     psr = {
         "position": _axes(box.center_m),
         "scale": _axes(box.size_m),
-        "rotation": _axes(angles_xyz(box.rotation)),
+        "rotation": _axes(reading.angles_xyz(box.rotation)),
     }
     entry: dict[str, object] = {
         "obj_id": "" if label.track_id is None else str(label.track_id),

@@ -31,9 +31,9 @@ from annotator.formats import (
     sustechpoints,
     yolo,
 )
-from annotator.formats.attributes import OCCLUSION, TRUNCATION
 from annotator.formats.box_files import is_box_csv
 from annotator.formats.dataset_writing import Format, Lost
+from annotator.formats.frame_names import OCCLUSION, TRUNCATION
 from annotator.formats.reading import read_json, text_files, text_rows
 from annotator.types.errors import FormatError
 

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.evaluation.boxes import BoxTable
+from annotator.evaluation.boxes import SUNRGBD_THRESHOLDS, BoxTable, evaluate_oriented
 from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
-from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_files import read_upright_boxes

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.evaluation.boxes import BoxTable
+from annotator.evaluation.boxes import LABELLINGS, BoxTable, evaluate_oriented, pose_errors
 from annotator.evaluation.kitti import RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti, score_thresholds
-from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.types import OrientedBox
 
 

@@ -18,7 +18,6 @@ from pydantic import Field
 
 from annotator import __version__
 from annotator.files import new_folder
-from annotator.formats.attributes import NO_VALUES, Values
 from annotator.formats.dataset_writing import (
     DatasetInfo,
     DatasetItem,
@@ -32,7 +31,7 @@ from annotator.formats.dataset_writing import (
     write_frames,
     writing,
 )
-from annotator.formats.frame_names import FrameOrigin, PictureLabels
+from annotator.formats.frame_names import NO_VALUES, FrameOrigin, PictureLabels, Values
 from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.outline import clip_to_image
 from annotator.image_bytes import encoded_image
