@@ -409,7 +409,7 @@ def write_frames(folder: Path, origins: Iterable[FrameOrigin]) -> None:
 
 
 def count_lost(losses: Losses, item: DatasetItem, kinds: Iterable[Lost]) -> None:
-    """Counts what a format that cannot hold these kinds (keys of `counts`) loses of a frame and its labels."""
+    """Counts what a format that cannot hold these kinds loses of a frame and its labels."""
     frame = item.frame
     counts = {
         Lost.LENS: not frame.camera.is_ideal,

@@ -309,7 +309,7 @@ class SunRgbdWriter(DatasetWriter):
 
 
 def dump_label_row(label: str, box: OrientedBox, on_image: Box2D) -> str:
-    """Returns a label row, which `labels.extracted_truth` reads.
+    """Returns a label row, which `extracted_truth` reads.
 
     Args:
         label: one word.

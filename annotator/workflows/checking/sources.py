@@ -22,7 +22,8 @@ from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.formats.reading import OnFault, text_rows
-from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, format_of, marked
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, format_of
+from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.kitti import KittiObject
@@ -61,20 +62,20 @@ class Layout(NamedTuple):
 
 # labelCloud's labels, without `_classes.json`
 JSON_OF_CLOUDS = f"{LABELS}/[!_]*.json"
+# with clouds or classes beside them; YOLO's label files in a folder of their own, or beside `classes.txt`
+LABELCLOUD, YOLO = (CLOUDS, f"{LABELS}/{CLASSES_FILE}"), ("labels/*.txt", "[!c]*.txt")
 LAYOUTS = (
     Layout(BoxFormat.NUSCENES, "nuScenes tables", ("v1.0-*/sample_annotation.json",), is_recording=False),
-    Layout(BoxFormat.LABELCLOUD, "labelCloud labels", (CLOUDS, JSON_OF_CLOUDS), opened_as="cloud_folder"),
-    Layout(
-        BoxFormat.LABELCLOUD,
-        "labelCloud labels",
-        (f"{LABELS}/{CLASSES_FILE}", JSON_OF_CLOUDS),
-        opened_as="cloud_folder",
+    *(
+        Layout(BoxFormat.LABELCLOUD, "labelCloud labels", (beside, JSON_OF_CLOUDS), opened_as="cloud_folder")
+        for beside in LABELCLOUD
     ),
     Layout(BoxFormat.SUSTECHPOINTS, "SUSTechPOINTS labels", (sustechpoints.CLOUDS, f"{sustechpoints.LABELS}/*.json")),
     Layout(FlatFormat.COCO, "COCO boxes", FORMATS[FlatFormat.COCO].marks),
+    Layout(FlatFormat.YOLO, "YOLO boxes", (DATA_YAML,)),
+    *(Layout(FlatFormat.YOLO, "YOLO boxes", (CLASSES, files)) for files in YOLO),
 )
 DOCUMENTS = Layout(BoxFormat.OPENLABEL, "OpenLABEL documents", is_recording=False, opened_as="openlabel")
-YOLO = Layout(FlatFormat.YOLO, "YOLO boxes")
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,6 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
         return None
     found = (each for each in LAYOUTS if all(next(path.glob(file), None) is not None for file in each.files))
     layout = DOCUMENTS if any(map(is_document, path.glob("*.json"))) else next(found, None)
-    if layout is None and FlatFormat.YOLO in marked(path):
-        layout = YOLO
     return None if layout is None else OtherSoftwareDataset(path, layout)
 
 
