@@ -227,11 +227,17 @@ def read_labelcloud(
 def read_labelcloud_file(file: Path) -> list[Truth]:
     """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
     content = reading.read_model(file, LabelFile)
-    degrees = _degrees(file.parent, {file: content})
-    try:
-        return [Truth(entry.name, box_of(entry, degrees)) for entry in content.objects]
-    except ValueError as error:
-        raise FormatError(file, str(error)) from error
+    return _truths(file, content, _degrees(file.parent, {file: content}), reading.raise_fault)
+
+
+def _truths(file: Path, content: LabelFile, degrees: bool, on_fault: reading.OnFault) -> list[Truth]:
+    truths = []
+    for number, entry in enumerate(content.objects):
+        try:
+            truths.append(Truth(entry.name, box_of(entry, degrees)))
+        except ValueError as error:
+            on_fault(FormatError(file, f"objects.{number}: {error}"))
+    return truths
 
 
 def _label_folders(path: Path) -> list[Path]:
@@ -259,12 +265,7 @@ def _read_folder(
             on_fault(fault)
     degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
     for file, content in files.items():
-        objects = []
-        for number, entry in enumerate(content.objects):
-            try:
-                objects.append(Truth(entry.name, box_of(entry, degrees)))
-            except ValueError as error:
-                on_fault(FormatError(file, f"objects.{number}: {error}"))
+        objects = _truths(file, content, degrees, on_fault)
         pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
             T_camera_cloud = read_calibration_pose(pose) if pose.is_file() else None

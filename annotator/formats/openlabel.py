@@ -32,7 +32,6 @@ from annotator.formats.reading import Angles, AngleUnit, known_kind, read_model,
 from annotator.geometry.transforms import Quaternions
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
-from annotator.types import Frame as RecordedFrame
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue
 
@@ -81,8 +80,12 @@ class Scene:
             CAMERA: {"uri": image, "stream_properties": {**intrinsics, "sync": sync}},
             CLOUD: {"uri": cloud, "stream_properties": {"sync": sync}},
         }
-        transforms = _transforms(frame)
-        self._is_placed |= transforms is not None
+        transforms = None
+        if frame.T_world_camera is not None:
+            # the pose of the base in map coordinates
+            pose = doc.transform_values(frame.T_world_camera * T_BASE_CAMERA.inv())
+            transforms = {PLACE: {"src": BASE, "dst": WORLD, "transform_src_to_dst": pose}}
+            self._is_placed = True
         contexts = None
         if item.attributes:
             self._with_values.append(number)
@@ -157,14 +160,6 @@ class Scene:
             "frame_intervals": intervals,
             "object_data_pointers": {f"{CAMERA}__cuboid__{label}": pointer},
         }
-
-
-def _transforms(frame: RecordedFrame) -> doc.Part | None:
-    """Returns the pose of the base in map coordinates; None if a frame has none."""
-    if frame.T_world_camera is None:
-        return None
-    T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
-    return {PLACE: {"src": BASE, "dst": WORLD, "transform_src_to_dst": doc.transform_values(T_world_base)}}
 
 
 def _uuid(*parts: str) -> str:

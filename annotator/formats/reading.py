@@ -342,7 +342,9 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise FormatError(path, first_problem(error) + _more(error)) from error
+        more = error.error_count() - 1
+        others = f" (and {amount(more, 'more problem')})" if more else ""
+        raise FormatError(path, first_problem(error) + others) from error
 
 
 def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
@@ -383,11 +385,6 @@ def read_object(path: Path) -> dict[str, object]:
     if not isinstance(content, dict):
         raise FormatError(path, "must be a JSON object with one entry per frame")
     return content
-
-
-def _more(error: ValidationError) -> str:
-    more = error.error_count() - 1
-    return f" (and {amount(more, 'more problem')})" if more else ""
 
 
 def write_text(path: Path, text: str) -> None:

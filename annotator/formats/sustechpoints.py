@@ -23,11 +23,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -90,8 +89,7 @@ class _Calibration(FileRecord):
     intrinsic: Annotated[tuple[reading.Bounded, ...], Field(min_length=9, max_length=9)]
 
 
-@dataclass(frozen=True, eq=False)
-class SceneCamera:
+class SceneCamera(NamedTuple):
     """One calibrated camera of a scene: its 3 x 3 matrix, and the transform from the clouds to it."""
 
     K: Float64[np.ndarray, "3 3"]

@@ -233,7 +233,9 @@ def format_of(path: Path) -> AnyFormat:
 
 
 def _of_folder(folder: Path) -> list[AnyFormat]:
-    return marked(folder) or _of_files_in(folder) or _of_images_in(folder)
+    # without labels, SUN RGB-D as VoteNet extracts it: its reader says what to do
+    is_sunrgbd = all((folder / name).is_dir() for name in ("image", "calib"))
+    return marked(folder) or _of_files_in(folder) or ([BoxFormat.SUNRGBD] if is_sunrgbd else [])
 
 
 def marked(folder: Path) -> list[AnyFormat]:
@@ -268,11 +270,6 @@ def _of_files_in(folder: Path) -> list[AnyFormat]:
             if file.name not in ("frames.csv", labelcloud.CLASSES_FILE) and (found := _of_file(file)):
                 return found
     return []
-
-
-def _of_images_in(folder: Path) -> list[AnyFormat]:
-    """SUN RGB-D as VoteNet extracts it, without labels: its reader says what to do."""
-    return [BoxFormat.SUNRGBD] if all((folder / name).is_dir() for name in ("image", "calib")) else []
 
 
 def _of_file(file: Path) -> list[AnyFormat]:
