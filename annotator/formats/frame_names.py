@@ -18,6 +18,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import unquote
@@ -239,12 +240,10 @@ class DatasetNames:
     Attributes:
         root: the folder with frames.csv; None without that file.
         frames: the frames' origins by the `normal` stem of their files.
-        classes: class names by word, where the two differ.
     """
 
     root: Path | None = None
     frames: dict[str, FrameOrigin] = field(default_factory=dict)
-    classes: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, labels: Path) -> DatasetNames:
@@ -262,7 +261,7 @@ class DatasetNames:
                 raise FormatError(
                     root / FRAMES_CSV, f"the ids {ids[origin.name]} and {origin.id} both name {origin.name}; keep one"
                 )
-        return cls(root, frames, read_class_names(root))
+        return cls(root, frames)
 
     def frame(self, stem: str) -> str:
         """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv."""
@@ -279,6 +278,11 @@ class DatasetNames:
         """As `frame`, but the `normal` stem also of a file that frames.csv does not list."""
         stem = normal(stem)
         return self.frames[stem].name if stem in self.frames else stem
+
+    @cached_property
+    def classes(self) -> dict[str, str]:
+        """Class names by word, where the two differ; formats without such words may have another `classes.txt`."""
+        return {} if self.root is None else read_class_names(self.root)
 
     def label(self, word: str) -> str:
         """Returns the class name of a word."""
