@@ -188,7 +188,8 @@ def _values(label: Label) -> dict[str, AttributeValue]:
         doc.SAID_BY: doc.said_text(label.said) if label.said else None,
     }
     known = {name: value for name, value in own.items() if value is not None}
-    return known | {doc.key_of(name): value for name, value in label.attributes.items()}
+    given = label.attributes.items()
+    return known | {f"{doc.PREFIX}{name}" if name in doc.RESERVED else name: value for name, value in given}
 
 
 def _intervals(numbers: Iterable[int]) -> list[dict[str, int]]:

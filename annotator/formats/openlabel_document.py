@@ -237,17 +237,14 @@ def transform_from(data: TransformData) -> RigidTransform:
     if data.quaternion is not None:
         rotation = _rotation(data.quaternion)
     elif data.euler_angles is not None:
-        rotation = _euler(data.euler_angles, (data.sequence or "ZYX").upper())
+        sequence = (data.sequence or "ZYX").upper()
+        if any(a == b for a, b in pairwise(sequence)):
+            raise ValueError(f"the sequence {sequence} names one axis twice in a row")
+        # intrinsic rotations about the named axes
+        rotation = Rotation.from_euler(sequence, data.euler_angles)
     else:
         raise ValueError("a transform with a translation also needs quaternion or euler_angles")
     return RigidTransform.from_components(np.array(data.translation), rotation)
-
-
-def _euler(angles_rad: tuple[float, float, float], sequence: str) -> Rotation:
-    """Returns intrinsic rotations about the named axes."""
-    if any(a == b for a, b in pairwise(sequence)):
-        raise ValueError(f"the sequence {sequence} names one axis twice in a row")
-    return Rotation.from_euler(sequence, angles_rad)
 
 
 def pinhole_of(camera: Camera) -> Part:
@@ -352,15 +349,10 @@ def said_from(text: str) -> tuple[Said, ...]:
 
 # Names that annotator itself gives to data of a cuboid; attributes of these names get a prefix.
 OWN = ("score", "track_id", "expected_iou_loss", "state", "source", "author", "suggested_by", "suggestion", "box_kind")
-RESERVED = frozenset((*OWN, SAID_BY))
+RESERVED = {*OWN, SAID_BY}
 PREFIX = "attribute:"
 # Name and type of the context that has the attributes of frames.
 FRAME_CONTEXT = "frame"
-
-
-def key_of(name: str) -> str:
-    """Returns the name of an attribute in a document."""
-    return PREFIX + name if name in RESERVED else name
 
 
 def attributes_of(values: Mapping[str, AttributeValue]) -> dict[str, list[Part]]:
