@@ -50,13 +50,6 @@ class Record(FileRecord):
     token: Token
 
 
-class Linked(Record):
-    """A row with the tokens of its neighbours in time; empty at the ends."""
-
-    prev: str = ""
-    next: str = ""
-
-
 class Sensor(Record):
     """A sensor of the vehicle."""
 
@@ -84,29 +77,23 @@ class EgoPose(Record):
 class Scene(Record):
     """A sequence of samples."""
 
-    log_token: str = ""
-    nbr_samples: int = 0
-    first_sample_token: str = ""
-    last_sample_token: str = ""
     name: Annotated[str, Field(min_length=1)]
-    description: str = ""
 
 
-class Sample(Linked):
+class Sample(Record):
     """An annotated moment."""
 
     timestamp: Time
     scene_token: Token
 
 
-class SampleData(Linked):
+class SampleData(Record):
     """The data of one sensor; `filename` is relative to the dataset's root."""
 
     sample_token: Token
     ego_pose_token: Token
     calibrated_sensor_token: Token
     timestamp: Time = 0
-    fileformat: str = ""
     is_key_frame: bool
     height: int = 0
     width: int = 0

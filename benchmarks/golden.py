@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from annotator.evaluation.boxes import evaluate_oriented
 from annotator.evaluation.kitti import (
     DIFFICULTIES,
     NEIGHBOURS,
@@ -32,9 +33,8 @@ from annotator.evaluation.kitti import (
     MinOverlap,
     evaluate_kitti,
 )
-from annotator.evaluation.oriented import evaluate_oriented
-from annotator.formats.box_csv import read_box_csv
-from annotator.formats.kitti_objects import read_kitti_folder
+from annotator.formats.box_files import read_upright_boxes
+from annotator.formats.kitti_folders import read_kitti_folder
 from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_row
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import box_corners
@@ -42,7 +42,7 @@ from annotator.geometry.projection import project
 from annotator.recordings.kitti import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.evaluate import box_rows, kitti_rows
+from annotator.workflows.evaluate import frame_tables, kitti_rows
 from benchmarks.report import Options, Table, guarded, program
 
 # The reference's corners in our order: bottom at +l +w, +l -w, -l -w, -l +w, then the top.
@@ -227,10 +227,8 @@ def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
     """Average precision of each class, and their mean, at each threshold; 0..1."""
     rows = _table(folder / SUNRGBD)
     thresholds = sorted({float(row["iou"]) for row in rows})
-    numbers: dict[str, int] = {}
-    detections, truth = (
-        box_rows(read_box_csv(folder / file, scored=scored), numbers)
-        for file, scored in ((SUNRGBD_FOUND, True), (SUNRGBD_TRUTH, False))
+    detections, truth = frame_tables(
+        read_upright_boxes(folder / SUNRGBD_FOUND, scored=True), read_upright_boxes(folder / SUNRGBD_TRUTH)
     )
     result = evaluate_oriented(detections, truth, thresholds)
     for row in rows:

@@ -23,8 +23,7 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend
-from annotator.evaluation.boxes import BoxTable
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.boxes import BoxTable, evaluate_oriented
 from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy

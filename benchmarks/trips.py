@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from annotator.formats.losses import Lost
+from annotator.formats.dataset_writing import Lost
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.project.classes import edit

@@ -12,11 +12,11 @@ from jaxtyping import UInt8
 from annotator import recordings
 from annotator.api.frames import choice
 from annotator.detection.perfect import PerfectDetector, Scene
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.boxes import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
-from annotator.formats.boxes_json import write_boxes
+from annotator.formats.box_files import write_boxes
+from annotator.formats.reading import AngleUnit
 from annotator.formats.table import BoxFormat
-from annotator.formats.units import AngleUnit
 from annotator.geometry.oriented_box import EDGES, box_corners
 from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project

@@ -69,7 +69,7 @@ def run(
     # print first: the numbers may have taken minutes, and writing the curves may fail
     _show(report, as_json)
     if curves is not None:
-        from annotator.evaluation.curves import draw_curves
+        from annotator.evaluation.report import draw_curves
 
         files = draw_curves(report.diagrams, curves)
         if not as_json:

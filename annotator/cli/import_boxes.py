@@ -11,8 +11,8 @@ from tyro.conf import arg
 
 from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed, open_named
 from annotator.cli.output import counted, print_line
+from annotator.formats.reading import AngleUnit
 from annotator.formats.table import named_format
-from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError

@@ -1,13 +1,22 @@
-"""Oriented boxes of a whole dataset as columns, and the pairs that overlap."""
+"""Oriented boxes of a whole dataset: as columns, the pairs that overlap, and their protocol.
+
+The protocol gives average precision with exact 3D IoU, mean IoU, and pose errors. Average precision is the area under
+the precision envelope (PASCAL VOC since 2010), over all frames together. Detections are processed in order of
+descending score. Each is compared only with the true box of its frame that it overlaps most. It is a true positive if
+the IoU is above the threshold and the box has not been matched before. SUN RGB-D's benchmark is the same as in VoteNet
+(`utils/eval_det.py`, area under the envelope).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int, Int64, Shaped
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types import OrientedBox
@@ -29,7 +38,9 @@ def pairs_within(
     begin = np.searchsorted(ordered, groups_a, side="left")
     count = np.searchsorted(ordered, groups_a, side="right") - begin
     rows = np.repeat(np.arange(len(groups_a)), count)
-    return rows, order[np.repeat(begin, count) + place_within(rows)]
+    # the place of each pair among those of its row
+    places = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+    return rows, order[np.repeat(begin, count) + places]
 
 
 # Detections per pass, so that memory does not grow with the dataset.
@@ -43,14 +54,6 @@ def blocks_within(
     for start in range(0, len(groups_a), BLOCK):
         rows, columns = pairs_within(groups_a[start : start + BLOCK], groups_b)
         yield rows + start, columns
-
-
-def place_within(groups: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """The position of each row within its group, from 0; the rows of a group must be adjacent."""
-    if len(groups) == 0:
-        return np.zeros(0, np.int64)
-    starts = np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1]]))
-    return np.arange(len(groups)) - np.repeat(starts, np.diff(np.append(starts, len(groups))))
 
 
 T = TypeVar("T", bound="Table")
@@ -160,3 +163,198 @@ def exact_iou(a: BoxTable, b: BoxTable) -> Float64[np.ndarray, "k"]:
     inner = intersection_volume_pairs(a.center, a.rotation, a.size, b.center, b.rotation, b.size)
     iou[near] = np.minimum(inner / (a.volume_m3 + b.volume_m3 - inner), 1.0)
     return iou
+
+
+@dataclass(frozen=True, eq=False)
+class PrecisionRecall:
+    """Precision and recall after each detection, in order of descending score; both 0..1."""
+
+    recall: Float64[np.ndarray, "n"]
+    precision: Float64[np.ndarray, "n"]
+
+    @property
+    def area(self) -> float:
+        """Average precision, 0..1: the area under the envelope, the best precision at this or any higher recall."""
+        recall = np.concatenate([[0.0], self.recall, [1.0]])
+        precision = np.concatenate([[0.0], self.precision, [0.0]])
+        envelope = np.maximum.accumulate(precision[::-1])[::-1]
+        return float(np.sum(np.diff(recall) * envelope[1:]))
+
+    @property
+    def final_recall(self) -> float:
+        """The share of the true boxes that were detected."""
+        return float(self.recall[-1]) if len(self.recall) else 0.0
+
+
+def precision_recall(
+    score: Float64[np.ndarray, "d"], pairs: BoxPairs, objects: int, iou_threshold: float
+) -> PrecisionRecall:
+    """The curve of one class.
+
+    Args:
+        score: of each detection; equal scores are processed in the order of the rows.
+        pairs: the overlapping pairs of detections and true boxes.
+        objects: number of true boxes, at least 1.
+        iou_threshold: a match needs a larger IoU.
+    """
+    best = pairs.best()
+    best = best.take(best.iou > iou_threshold)
+    target = np.full(len(score), -1)
+    target[best.detection] = best.truth
+    order = np.argsort(-score, kind="stable")
+    target = target[order]
+    hits = np.zeros(len(target), bool)
+    hits[np.unique(target, return_index=True)[1]] = True
+    hits &= target >= 0
+    true_positives = np.cumsum(hits)
+    return PrecisionRecall(true_positives / objects, true_positives / np.arange(1, len(hits) + 1))
+
+
+# Labellings whose size misfit is within this factor of the best one are equivalent: a nearly square footprint looks the
+# same after a quarter turn.
+SAME_LENGTHS = 1.1
+
+# The 24 labellings of a box's axes: which axis, with which sign, becomes x, y, z.
+LABELLINGS = np.rint(Rotation.create_group("O").as_matrix())
+LABELLINGS.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """The errors of n pairs of a detection and a true box.
+
+    Attributes:
+        center_m: distance of the centres.
+        rotation_rad: the smallest rotation that aligns the axes, 0..pi.
+        size: mean of |length - true length| / true length over the three axes.
+    """
+
+    center_m: Float64[np.ndarray, "n"]
+    rotation_rad: Float64[np.ndarray, "n"]
+    size: Float64[np.ndarray, "n"]
+
+
+def pose_errors(boxes: BoxTable, truth: BoxTable) -> PoseErrors:
+    """Compares the i-th box with the i-th true box.
+
+    24 labellings of the axes describe the same box. Among the labellings whose sizes fit the true ones best
+    (within `SAME_LENGTHS`), the one with the smallest rotation counts. So front and back are equivalent, and length and
+    width are equivalent if they are similar.
+    """
+    every = np.arange(len(boxes))
+    sizes = np.abs(LABELLINGS).transpose(0, 2, 1)[:, None] @ boxes.size[None, :, :, None]
+    share = sizes[..., 0] / truth.size
+    misfit = np.abs(np.log(share)).max(axis=2)
+    allowed = misfit <= misfit.min(axis=0) + np.log(SAME_LENGTHS)
+    turned = np.swapaxes(truth.rotation, 1, 2) @ boxes.rotation @ LABELLINGS[:, None]
+    # precise near 0, unlike the arc cosine of the trace
+    chord = np.linalg.norm(turned - np.eye(3), axis=(2, 3)) / np.sqrt(8.0)
+    angle = np.where(allowed, 2.0 * np.arcsin(np.minimum(chord, 1.0)), np.inf)
+    # for equal rotations, the best sizes
+    best = np.lexsort((misfit, np.round(angle, 9)), axis=0)[0]
+    return PoseErrors(
+        np.linalg.norm(boxes.center - truth.center, axis=1),
+        angle[best, every],
+        np.abs(share[best, every] - 1.0).mean(axis=1),
+    )
+
+
+THRESHOLDS, SUNRGBD_THRESHOLDS = (0.25, 0.5, 0.7), (0.15, 0.25, 0.5)
+# Minimum IoU of pairs whose poses are compared; below it, angles are meaningless.
+POSE_IOU = 0.25
+
+
+@dataclass(frozen=True)
+class OrientedClass:
+    """The result of one class.
+
+    Attributes:
+        curves: by IoU threshold.
+        objects, detections: number of true boxes and of detections.
+        matched: number of assigned pairs with an IoU above `POSE_IOU`, whose poses were compared.
+        mean_iou: mean over all true boxes, 0 for those without a detection.
+        center_error_m, rotation_error_rad, size_error: means over the matched pairs (see `pose_errors`); NaN
+            without pairs.
+    """
+
+    curves: Mapping[float, PrecisionRecall]
+    objects: int
+    detections: int
+    matched: int
+    mean_iou: float
+    center_error_m: float
+    rotation_error_rad: float
+    size_error: float
+
+
+@dataclass(frozen=True)
+class OrientedResult:
+    """The results of all classes with a true box."""
+
+    classes: Mapping[str, OrientedClass]
+
+    def mean(self, threshold: float) -> float:
+        """Mean average precision over the classes, 0..1; NaN without classes."""
+        areas = [one.curves[threshold].area for one in self.classes.values()]
+        return float(np.mean(areas)) if areas else float("nan")
+
+
+def evaluate_oriented(
+    detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = THRESHOLDS
+) -> OrientedResult:
+    """Evaluates the detections of all frames, class by class.
+
+    VoteNet intersects upright boxes. The exact intersection used here gives the same result for them, and is also
+    defined for tilted boxes.
+
+    Args:
+        detections: with scores; those in frames without a true box count as false positives.
+    """
+    labels = np.unique(truth.label).tolist()
+    return OrientedResult(
+        {label: _class(detections.of_class(label), truth.of_class(label), thresholds) for label in labels}
+    )
+
+
+def _class(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float]) -> OrientedClass:
+    pairs = overlapping(detections, truth, exact_iou)
+    chosen = assigned(pairs, truth.frame)
+    near = chosen.take(chosen.iou > POSE_IOU)
+    errors = pose_errors(detections.take(near.detection), truth.take(near.truth))
+    return OrientedClass(
+        curves={
+            threshold: precision_recall(detections.score, pairs, len(truth), threshold) for threshold in thresholds
+        },
+        objects=len(truth),
+        detections=len(detections),
+        matched=len(near.iou),
+        mean_iou=float(chosen.iou.sum() / len(truth)),
+        center_error_m=_mean(errors.center_m),
+        rotation_error_rad=_mean(errors.rotation_rad),
+        size_error=_mean(errors.size),
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
+    """The pairs of the one-to-one assignment with the largest total IoU, per frame.
+
+    Args:
+        pairs: all overlapping pairs.
+        truth_frame: the frame of each true box.
+    """
+    chosen = [np.zeros(0, np.int64)]
+    order = np.argsort(truth_frame[pairs.truth], kind="stable")
+    starts = np.flatnonzero(np.diff(truth_frame[pairs.truth[order]])) + 1
+    for in_frame in np.split(order, starts):
+        _, rows = np.unique(pairs.detection[in_frame], return_inverse=True)
+        _, columns = np.unique(pairs.truth[in_frame], return_inverse=True)
+        shape = (rows.max(initial=-1) + 1, columns.max(initial=-1) + 1)
+        iou, pair = np.zeros(shape), np.full(shape, -1)
+        iou[rows, columns], pair[rows, columns] = pairs.iou[in_frame], in_frame
+        matched = pair[linear_sum_assignment(-iou)]
+        chosen.append(matched[matched >= 0])
+    return pairs.take(np.concatenate(chosen))

@@ -3,11 +3,8 @@
 It follows the devkit's program (devkit_object, `cpp/evaluate_object.cpp`) exactly, including the order in which boxes
 are matched, and gives the same numbers.
 
-The greedy assignment of detections to true boxes is done for all frames and all score thresholds at once. In each
-frame, the true boxes are processed in the order of the file. Each takes its preferred detection among the remaining
-ones. The order of preference is independent of earlier assignments and of the score threshold, which only removes
-detections. So each true box has a fixed list of candidates, and all frames and thresholds are processed in parallel:
-the first candidate of each frame's first box, then its second candidate, and so on.
+The greedy assignment of detections to true boxes is done for all score thresholds at once: a threshold only removes
+detections, so the order in which a true box prefers the others is the same.
 """
 
 from __future__ import annotations
@@ -19,14 +16,14 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64, Shaped
 
-from annotator.evaluation.boxes import BoxPairs, Table, blocks_within, overlapping, place_within
+from annotator.evaluation.boxes import BoxPairs, Table, blocks_within, overlapping
 from annotator.geometry.outline import rectangle_intersection_pairs
 
 
 def assign(
     truth: Int[np.ndarray, "p"],
     detection: Int[np.ndarray, "p"],
-    frames: Int[np.ndarray, "g"],
+    truths: int,
     detections: int,
     preference: Sequence[Shaped[np.ndarray, "p"]],
     usable: Bool[np.ndarray, "p t"],
@@ -36,8 +33,7 @@ def assign(
     Args:
         truth, detection: row indices of the pairs that overlap enough, from 0. The true rows of a frame are processed
             in the order of their indices.
-        frames: frame of each true row.
-        detections: number of detections.
+        truths, detections: number of true rows and of detections.
         preference: sort keys of each true row's candidates, smallest first; the first array is the primary key.
         usable: whether the pair's detection passes each threshold.
 
@@ -46,37 +42,20 @@ def assign(
     """
     columns = usable.shape[1]
     pair = np.zeros((len(truth), columns), bool)
-    served, taken = np.zeros((len(frames), columns), bool), np.zeros((detections, columns), bool)
-    for step in _steps(truth, frames[truth], preference):
-        # one true row per frame, so no detection occurs twice in a step
+    served, taken = np.zeros((truths, columns), bool), np.zeros((detections, columns), bool)
+    for step in np.lexsort((*reversed(preference), truth)):
         row, candidate = truth[step], detection[step]
-        assigned = usable[step] & ~served[row] & ~taken[candidate]
-        pair[step] = assigned
+        pair[step] = assigned = usable[step] & ~served[row] & ~taken[candidate]
         served[row] |= assigned
         taken[candidate] |= assigned
     return pair, served, taken
-
-
-def _steps(
-    truth: Int[np.ndarray, "p"], frame: Int[np.ndarray, "p"], preference: Sequence[Shaped[np.ndarray, "p"]]
-) -> list[Int[np.ndarray, "k"]]:
-    """The pairs that are processed together, step by step."""
-    order = np.lexsort((*reversed(preference), truth, frame))
-    place = place_within(truth[order])
-    # the position of each true row within its frame, counting only rows with a candidate
-    first = np.flatnonzero(place == 0)
-    row_in_frame = np.repeat(place_within(frame[order][first]), np.diff(np.append(first, len(order))))
-    by_step = np.lexsort((place, row_in_frame))
-    row_in_frame, place = row_in_frame[by_step], place[by_step]
-    changes = np.flatnonzero((np.diff(row_in_frame) != 0) | (np.diff(place) != 0)) + 1
-    return [part for part in np.split(order[by_step], changes) if len(part)]
 
 
 @dataclass(frozen=True, eq=False)
 class KittiRows(Table):
     """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
 
-    The rows of a frame are adjacent and in the order of their file, since the first of two equally good boxes counts.
+    The rows of a frame are in the order of their file, since the first of two equally good boxes counts.
 
     Attributes:
         label: KITTI's `type`, not case-sensitive.
@@ -97,10 +76,6 @@ class KittiRows(Table):
     bottom: Float64[np.ndarray, "n 3"]
     rotation_y: Float64[np.ndarray, "n"]
     score: Float64[np.ndarray, "n"]
-
-    def by_frame(self) -> KittiRows:
-        """The rows stably sorted by frame."""
-        return self if (np.diff(self.frame) >= 0).all() else self.take(np.argsort(self.frame, kind="stable"))
 
     def is_of(self, *labels: str) -> Shaped[np.ndarray, "n"]:
         """A mask of the rows of these classes."""
@@ -278,7 +253,6 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
             height of the 2D box to ignore small objects.
         truth: labels, DontCare areas included.
     """
-    detections, truth = detections.by_frame(), truth.by_frame()
     metrics = {
         Metric.BBOX: (_iou_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
         Metric.BEV: (_iou_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),
@@ -322,7 +296,7 @@ class _ClassEvaluation:
         rows, columns, iou = rows[enough], columns[enough], iou[enough]
         score, right = self.detections.score[rows], counts[columns] & valid[rows]
         # first pass, without a threshold: prefer the highest score, including small detections of any class
-        sides = (columns, rows, self.truth.frame, len(self.detections))
+        sides = (columns, rows, len(self.truth), len(self.detections))
         chosen, _, _ = assign(*sides, (-score, rows), (score > NO_DETECTION)[:, None])
         scores, objects = score[chosen[:, 0] & right], int(counts.sum())
         thresholds = score_thresholds(scores, objects)

@@ -1,17 +1,25 @@
-"""The report of an evaluation: a JSON object, a table, and curves to draw."""
+"""The report of an evaluation: a JSON object, a table, and curves, which may be drawn as PNG files.
+
+The only module that uses matplotlib, which is imported on first use.
+"""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, RootModel
 
+from annotator.evaluation.boxes import SUNRGBD_THRESHOLDS, OrientedClass, OrientedResult, PrecisionRecall
 from annotator.evaluation.kitti import DIFFICULTIES, SAMPLES, KittiCurve, KittiResult, Metric
-from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, OrientedClass, OrientedResult, PrecisionRecall
+from annotator.files import write_atomic
+from annotator.types.errors import FormatError
 
 Row = tuple[str | int | float | None, ...]
 
@@ -89,14 +97,9 @@ def sunrgbd_report(result: OrientedResult) -> Report:
     }
     heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in by_threshold]
     rows: list[Row] = [
-        (
-            label,
-            one.objects,
-            one.detections,
-            *(curve.area for curve in one.curves.values()),
-            *(curve.final_recall for curve in one.curves.values()),
-        )
+        (label, one.objects, one.detections, *(c.area for c in curves), *(c.final_recall for c in curves))
         for label, one in result.classes.items()
+        for curves in (one.curves.values(),)
     ]
     rows.append(("mean", None, None, *map(result.mean, by_threshold), *(None for _ in by_threshold)))
     diagrams = [
@@ -152,13 +155,57 @@ def _lines(curves: Mapping[str, PrecisionRecall]) -> list[Line]:
 
 def _oriented_class(one: OrientedClass) -> dict[str, Any]:
     names = ("mean_iou", "rotation_error_rad", "size_error", "center_error_m")
-    return {
-        "AP": {f"{threshold:g}": curve.area for threshold, curve in one.curves.items()},
-        **{name: _or_none(getattr(one, name)) for name in names},
-        **{name: getattr(one, name) for name in ("objects", "detections", "matched")},
-    }
+    areas = {f"{threshold:g}": curve.area for threshold, curve in one.curves.items()}
+    counts = {"objects": one.objects, "detections": one.detections, "matched": one.matched}
+    return {"AP": areas, **{name: _or_none(getattr(one, name)) for name in names}, **counts}
 
 
 def _or_none(value: float) -> float | None:
     """The value, or None for NaN and infinity, which JSON cannot represent."""
     return value if np.isfinite(value) else None
+
+
+INCHES = (6.4, 4.8)
+DPI = 120
+
+
+def draw_curves(diagrams: Sequence[Diagram], folder: Path) -> list[Path]:
+    """Writes one PNG per diagram into a folder, which is created if missing; existing files are replaced.
+
+    Returns:
+        the files, in the order of the diagrams.
+
+    Raises:
+        FormatError: the folder or a file cannot be written.
+    """
+    written: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for diagram in diagrams:
+            # class names may contain characters that are invalid in file names
+            path = folder / (re.sub(r"[^\w.-]+", "_", diagram.name).lstrip(".") + ".png")
+            if path in written:
+                path = path.with_stem(f"{path.stem}-{len(written)}")
+            write_atomic(path, _png(diagram))
+            written.append(path)
+    except OSError as error:
+        raise FormatError(folder, f"the curves cannot be written ({error.strerror})") from error
+    return written
+
+
+def _png(diagram: Diagram) -> bytes:
+    # not pyplot, which needs a display
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=INCHES, dpi=DPI, layout="constrained")
+    axes = figure.add_subplot(xlim=(0.0, 1.0), ylim=(0.0, 1.02), xlabel="recall", ylabel=diagram.y_label)
+    axes.set_title(diagram.title)
+    axes.grid(alpha=0.3)
+    for line in diagram.lines:
+        axes.plot(line.recall, line.precision, label=line.name)
+    if diagram.lines:
+        axes.legend(loc="lower left", fontsize="small")
+    content = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(content)
+    return content.getvalue()

@@ -28,8 +28,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 
-from annotator.formats.attributes import NO_VALUES, Values, from_dotted
-from annotator.formats.frame_names import PictureLabels
+from annotator.formats.dataset_writing import PictureWriter
+from annotator.formats.frame_names import NO_VALUES, PictureLabels, Values, from_dotted
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_model, write_text
 from annotator.types import Box2D
 from annotator.types.bases import FileRecord
@@ -157,13 +157,7 @@ def _refuse_corners(path: Path, annotations: Iterable[_Annotation], images: Mapp
 
 
 def _area_px(annotation: _Annotation) -> float:
-    """Returns the area that the box must have, as something else than the box says it; NaN if nothing does.
-
-    It is that of the rectangle around the polygons; without a segmentation, it is `area`.
-    """
-    corners = np.array([value for polygon in _polygons(annotation.segmentation) for value in polygon]).reshape(-1, 2)
-    if len(corners):
-        return float(np.prod(np.ptp(corners, axis=0)))
+    """Returns the area that the box must have: `area`, without a segmentation; NaN if nothing says it."""
     if annotation.segmentation or not isinstance(annotation.area, int | float):
         return math.nan
     return float(max(0, min(annotation.area, LARGEST**2)))
@@ -336,34 +330,29 @@ WHOLE = "all"
 _FILE = re.compile(r"instances_(.+)\.json")
 
 
-class CocoWriter:
-    """Fills a folder with a dataset."""
+class CocoWriter(PictureWriter):
+    """The ids of the categories count from 1 in the order of the classes."""
 
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
-        """
-        Args:
-            classes: the categories; ids count from 1 in this order.
-            parts: names of all parts, including empty ones; () for a dataset without parts.
-        """
+        super().__init__(folder, classes, parts or (WHOLE,))
         if ANNOTATIONS in parts:
             raise FormatError(
                 folder,
                 f"a part cannot be called {ANNOTATIONS}: COCO stores the boxes in a folder of this name",
             )
-        self._folder, self._classes = folder, classes
-        self._images: dict[str, list[PictureLabels]] = {part: [] for part in parts or (WHOLE,)}
-        for part in self._images:
+        self._images: dict[str, list[PictureLabels]] = {part: [] for part in self.parts}
+        for part in self.parts:
             (folder / part).mkdir()
 
     def add(self, picture: PictureLabels, content: bytes, part: str | None = None) -> None:
-        (self._folder / (part or WHOLE) / picture.file_name).write_bytes(content)
+        self.put(f"{part or WHOLE}/{picture.file_name}", content)
         self._images[part or WHOLE].append(picture)
 
     def finish(self) -> Mapping[str, Path]:
-        (self._folder / ANNOTATIONS).mkdir()
+        (self.folder / ANNOTATIONS).mkdir()
         for part, images in self._images.items():
-            write_coco(self._folder / ANNOTATIONS / f"instances_{part}.json", images, self._classes)
-        return {part: self._folder / part for part in self._images}
+            write_coco(self.folder / ANNOTATIONS / f"instances_{part}.json", images, self.classes)
+        return {part: self.folder / part for part in self.parts}
 
 
 def coco_files(path: Path) -> list[tuple[Path, Path]]:

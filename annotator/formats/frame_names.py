@@ -1,4 +1,4 @@
-"""The frames and images of a dataset: what readers return of them, and `frames.csv`, which tells where they come from.
+"""The frames, images and attribute values of a dataset that readers return, and `frames.csv`: where frames come from.
 
 `frames.csv` is for formats that cannot store the origin of a frame. One line per frame under the header
 `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem of its files, or its token), the
@@ -13,20 +13,82 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
+from urllib.parse import unquote
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.attributes import Values
 from annotator.formats.reading import read_text
 from annotator.geometry.outline import clip_to_image, edges_of
 from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind, Frame, ReviewState, Truth
 from annotator.types.errors import FormatError
+from annotator.types.label import AttributeValue
+
+Values = Mapping[str, AttributeValue]
+NO_VALUES: Values = MappingProxyType({})
+
+# Attributes that formats measure or have fields for; an operator's value wins.
+TRUNCATION, OCCLUSION, VISIBILITY = "truncation", "occlusion", "visibility"
+
+
+def held_by_kitti(values: Values) -> dict[str, float]:
+    """The values that a row of KITTI can hold: a truncation in 0..1 and an occlusion of 0 to 3."""
+    numbers = {
+        name: value for name, value in values.items() if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+    held = {}
+    if 0 <= numbers.get(TRUNCATION, -1) <= 1:
+        held[TRUNCATION] = float(numbers[TRUNCATION])
+    if numbers.get(OCCLUSION, -1) in range(4):
+        held[OCCLUSION] = float(numbers[OCCLUSION])
+    return held
+
+
+def of_kitti(truncated: float, occluded: int) -> dict[str, AttributeValue]:
+    """The values of a row; negative ones mean that they are unknown."""
+    values: dict[str, AttributeValue] = {TRUNCATION: float(truncated), OCCLUSION: occluded}
+    return {name: value for name, value in values.items() if not (isinstance(value, int | float) and value < 0)}
+
+
+def dotted(values: Values) -> tuple[str, ...]:
+    """Values as names like nuScenes' attributes, `pose.sitting`."""
+    return tuple(f"{name}.{str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items())
+
+
+def from_dotted(names: Iterable[str]) -> dict[str, AttributeValue]:
+    """The values of such names; a name without a dot is the value true."""
+    parts = (name.partition(".") for name in names)
+    return {name.strip(): typed_value(value) if dot else True for name, dot, value in parts}
+
+
+def typed_value(text: str) -> AttributeValue:
+    """The number or boolean that `dotted` writes as this text, else the text: "0012" and "nan" stay texts."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    is_number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+    return value if is_number and json.dumps(value) == text else text
+
+
+def joined(values: Values) -> str:
+    """Values as one text, `pose.sitting,helmet.true`; commas within them are escaped as in URLs."""
+    return ",".join(name.replace("%", "%25").replace(",", "%2C") for name in dotted(values))
+
+
+def from_joined(text: str) -> dict[str, AttributeValue]:
+    """The values of such a text, or of one that a person wrote: `door open, occluded`."""
+    return from_dotted(unquote(part) if "." in part else part.strip() for part in text.split(",") if part.strip())
+
 
 FRAMES_CSV = "frames.csv"
 HEADER = ("id", "recording", "key", "split")
@@ -178,12 +240,10 @@ class DatasetNames:
     Attributes:
         root: the folder with frames.csv; None without that file.
         frames: the frames' origins by the `normal` stem of their files.
-        classes: class names by word, where the two differ.
     """
 
     root: Path | None = None
     frames: dict[str, FrameOrigin] = field(default_factory=dict)
-    classes: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, labels: Path) -> DatasetNames:
@@ -201,7 +261,7 @@ class DatasetNames:
                 raise FormatError(
                     root / FRAMES_CSV, f"the ids {ids[origin.name]} and {origin.id} both name {origin.name}; keep one"
                 )
-        return cls(root, frames, read_class_names(root))
+        return cls(root, frames)
 
     def frame(self, stem: str) -> str:
         """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv."""
@@ -213,6 +273,16 @@ class DatasetNames:
                 self.root / FRAMES_CSV, f"does not list the frame {stem}, which has labels; add a line for this frame"
             )
         return self.frames[stem].name
+
+    def known(self, stem: str) -> str:
+        """As `frame`, but the `normal` stem also of a file that frames.csv does not list."""
+        stem = normal(stem)
+        return self.frames[stem].name if stem in self.frames else stem
+
+    @cached_property
+    def classes(self) -> dict[str, str]:
+        """Class names by word, where the two differ; formats without such words may have another `classes.txt`."""
+        return {} if self.root is None else read_class_names(self.root)
 
     def label(self, word: str) -> str:
         """Returns the class name of a word."""
@@ -246,6 +316,13 @@ class LabelledFrame:
     def T_camera(self, read: Callable[[], Frame]) -> RigidTransform | None:
         """Returns the transform to the camera of the project's frame, which is read only if that is necessary."""
         return self.pose if self.pose is None or isinstance(self.pose, RigidTransform) else self.pose(read())
+
+
+def add_once(frames: dict[str, LabelledFrame], file: Path, name: str, frame: LabelledFrame) -> None:
+    """Adds a frame of a label file; FormatError if its dataset has labels for it in another place, too."""
+    if name in frames:
+        raise FormatError(file, f"the frame {name} has labels twice; import one folder, scene or sensor at a time")
+    frames[name] = frame
 
 
 def of_recording(frame: Frame) -> RigidTransform | None:

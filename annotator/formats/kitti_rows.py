@@ -29,9 +29,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
-from annotator.formats.reading import OnFault, finite_number, raise_fault, text_rows
-from annotator.formats.units import Angles
+from annotator.formats.frame_names import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti, of_kitti
+from annotator.formats.reading import Angles, OnFault, finite_number, raise_fault, text_rows
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
 from annotator.geometry.outline import Sight, cut_segments
 from annotator.geometry.projection import project

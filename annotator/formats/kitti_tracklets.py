@@ -18,8 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.files import TABLE_BYTES, read_file
-from annotator.formats.reading import finite_number
-from annotator.formats.units import Angles
+from annotator.formats.reading import Angles, finite_number
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 

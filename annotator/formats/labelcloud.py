@@ -23,26 +23,26 @@ from __future__ import annotations
 import colorsys
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import Field, model_validator
+from pydantic import Field
+from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, write_ply
-from annotator.formats.frame_names import LabelledFrame, of_recording, read_frames
-from annotator.formats.kitti_objects import P2_SHAPE, matrices_text, read_matrices, shift_of
-from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, ply
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, of_recording
+from annotator.formats.kitti_folders import P2_SHAPE, matrices_text, read_matrices, shift_of
+from annotator.formats.reading import BEYOND, MOST_RAD, AngleUnit, angles_xyz, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import encoded_image
-from annotator.text import normal, spelled
-from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.text import spelled
+from annotator.types import OrientedBox, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -68,29 +68,15 @@ class BoxObject(FileRecord):
     rotations: reading.Axes | None = None
     vertices: Annotated[tuple[reading.Bounded3, ...], Field(min_length=8, max_length=8)] | None = None
 
-    @model_validator(mode="after")
-    def _is_a_box(self) -> BoxObject:
-        if self.vertices is None and None in (self.centroid, self.dimensions, self.rotations):
-            raise ValueError("a box needs centroid, dimensions and rotations, or vertices")
-        return self
-
 
 class LabelFile(FileRecord):
-    """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
+    """The labels of one cloud. Where it is is not read: a label file's own stem is its id."""
 
-    folder: str = ""
-    filename: str = ""
-    path: str = ""
     objects: tuple[BoxObject, ...]
 
 
-class ClassesFile(FileRecord):
-    """The box form of all label files; the classes of a file are not read."""
-
-    format: str = CENTROID_REL
-
-
 DECIMALS = 8
+SIDES = ("length", "width", "height")
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
 CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in SIGNS]) / 2
 # So many angles in degrees are not all below half a turn in radians.
@@ -99,22 +85,17 @@ LEAST_SMALL = 10
 OFF_BOX_M, OFF_BOX_SHARE = 2e-3, 1e-2
 
 
-def centroid_object(name: str, box: OrientedBox) -> BoxObject:
+def centroid_object(name: str, box: OrientedBox) -> dict[str, object]:
     """Returns a box of the cloud's frame as `centroid_rel`."""
-    return BoxObject(
-        name=name,
-        centroid=_axes(box.center_m),
-        dimensions=Dimensions(
-            **dict(zip(("length", "width", "height"), map(_rounded, box.size_m.tolist()), strict=True))
-        ),
-        rotations=_axes(angles_xyz(box.rotation)),
-    )
+    # the inverse of Rz Ry Rx turns about x first
+    angles = -angles_xyz(box.rotation.T)
+    rows = (("centroid", "xyz", box.center_m), ("dimensions", SIDES, box.size_m), ("rotations", "xyz", angles))
+    return {"name": name} | {key: dict(zip(names, _rounded(row), strict=True)) for key, names, row in rows}
 
 
-def vertices_object(name: str, box: OrientedBox) -> BoxObject:
+def vertices_object(name: str, box: OrientedBox) -> dict[str, object]:
     """Returns a box of the cloud's frame as `vertices`."""
-    rows = box.T_camera_box.apply(CORNERS * box.size_m).tolist()
-    return BoxObject(name=name, vertices=tuple((_rounded(x), _rounded(y), _rounded(z)) for x, y, z in rows))
+    return {"name": name, "vertices": list(map(_rounded, box.T_camera_box.apply(CORNERS * box.size_m)))}
 
 
 def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
@@ -130,63 +111,12 @@ def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
         return _of_vertices(np.array(entry.vertices))
     if entry.centroid is None or entry.dimensions is None or entry.rotations is None:
         raise ValueError("a box needs centroid, dimensions and rotations, or vertices")
-    angles = [entry.rotations.z, entry.rotations.y, entry.rotations.x]
-    center = np.array([entry.centroid.x, entry.centroid.y, entry.centroid.z])
-    size = entry.dimensions
+    center, size, turns = entry.centroid, entry.dimensions, entry.rotations
+    rotation = Rotation.from_euler("ZYX", [turns.z, turns.y, turns.x], degrees=degrees)
     return OrientedBox.at(
-        RigidTransform.from_components(center, Rotation.from_euler("ZYX", angles, degrees=degrees)),
+        RigidTransform.from_components([center.x, center.y, center.z], rotation),
         np.array([size.length, size.width, size.height]),
     )
-
-
-def angles_xyz(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
-    """Returns the angles x, y, z of R = Rz Ry Rx, radians in [-pi, pi].
-
-    If the box's x axis is vertical (gimbal lock), only the sum or difference of x and z is determined. y and x are
-    therefore computed from the rotation that remains after z, so that all three together are exact.
-    """
-    z = math.atan2(rotation[1, 0], rotation[0, 0])
-    rest = Rotation.from_rotvec([0.0, 0.0, -z]).as_matrix() @ rotation
-    return np.array([math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), z])
-
-
-def in_degrees(angles: Iterable[float]) -> bool | None:
-    """Returns True for degrees (`centroid_abs`), False for radians, None if both are possible.
-
-    Raises:
-        ValueError: some can only be degrees, others only radians.
-    """
-    lowest, highest = 0.0, 0.0
-    for angle in angles:
-        lowest, highest = min(lowest, angle), max(highest, angle)
-    half = math.pi + 10.0**-DECIMALS
-    if lowest < -half or (lowest < 0 and highest > half):
-        raise ValueError(f"angles from {lowest} to {highest} are neither radians in -pi..pi nor degrees in 0..360")
-    if lowest < 0 or highest == 0:
-        return False
-    return True if highest > half else None
-
-
-def contradiction(angles: Sequence[float], *, degrees: bool) -> str | None:
-    """Returns what shows that angles are not in the unit that `_classes.json` names; None if nothing does.
-
-    labelCloud writes degrees in 0..360. Negative degrees are those of another program; if all are within half a turn in
-    radians, they are radians. So are many angles of which none is larger.
-
-    Args:
-        degrees: the unit that the file names; False: radians.
-    """
-    others = [angle for angle in angles if angle != 0]
-    if not others:
-        return None
-    worst, count = max(others, key=abs), amount(len(others), "angle")
-    if not degrees and abs(worst) > MOST_RAD:
-        beyond = sum(abs(angle) > MOST_RAD for angle in others)
-        return f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 {BEYOND})"
-    half = math.pi + 10.0**-DECIMALS
-    if degrees and abs(worst) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
-        return f"{count} other than 0, all within -pi..pi, look like radians"
-    return None
 
 
 def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
@@ -206,23 +136,12 @@ def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
     return box
 
 
-def _axes(values: Float64[np.ndarray, "3"]) -> reading.Axes:
-    x, y, z = map(_rounded, values.tolist())
-    return reading.Axes(x=x, y=y, z=z)
-
-
-def _rounded(value: float) -> float:
+def _rounded(values: Float64[np.ndarray, "3"]) -> list[float]:
     # + 0.0: no negative zero
-    return round(value, DECIMALS) + 0.0
+    return [round(value, DECIMALS) + 0.0 for value in values.tolist()]
 
 
 SHAPES = P2_SHAPE | {"R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
-
-
-def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """Returns the text for an ideal camera, which is also rectified camera 0."""
-    P = np.hstack([camera.matrix, np.zeros((3, 1))])
-    return matrices_text(P, P, T_camera_cloud.as_matrix()[:3])
 
 
 def read_calibration_pose(path: Path) -> RigidTransform:
@@ -243,38 +162,31 @@ GOLDEN = 0.618034
 
 class LabelCloudWriter(DatasetWriter):
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        folder = self.folder / (item.split or "")
-        for name in (CLOUDS, LABELS, CALIBRATIONS):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        T_level_camera = level_pose(item.frame.up)
-        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
-        image = folder / CLOUDS / f"{frame_id}.{self.info.image_format}"
-        image.write_bytes(encoded_image(rgb, self.info.image_format))
-        write_ply(folder / CLOUDS / f"{frame_id}.ply", _level(item.frame, T_level_camera), LEVEL_FRAME)
-        calibration = dump_calibration(camera, T_level_camera.inv())
-        (folder / CALIBRATIONS / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        folder, frame = item.split or ".", item.frame
+        T_level_camera = level_pose(frame.up)
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        self.put_image(f"{folder}/{CLOUDS}/{frame_id}", rgb)
+        level = replace(frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"))
+        self.put(f"{folder}/{CLOUDS}/{frame_id}.ply", ply(level, LEVEL_FRAME))
+        # an ideal camera, which is also rectified camera 0
+        P = np.hstack([camera.matrix, np.zeros((3, 1))])
+        calibration = matrices_text(P, P, T_level_camera.inv().as_matrix()[:3])
+        self.put(f"{folder}/{CALIBRATIONS}/{frame_id}.txt", calibration)
         dump = vertices_object if self.info.vertices else centroid_object
-        content = LabelFile(
-            folder=CLOUDS,
-            filename=f"{frame_id}.ply",
-            path=f"{CLOUDS}/{frame_id}.ply",
-            objects=tuple(dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels),
-        )
-        text = content.model_dump_json(indent=1, exclude_none=True) + "\n"
-        (folder / LABELS / f"{frame_id}.json").write_text(text, encoding="utf-8")
+        content = {
+            "folder": CLOUDS,
+            "filename": f"{frame_id}.ply",
+            "path": f"{CLOUDS}/{frame_id}.ply",
+            "objects": [dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels],
+        }
+        self.put(f"{folder}/{LABELS}/{frame_id}.json", to_json(content, indent=1) + b"\n")
         self.counts.update(label.label for label in item.labels)
 
     def finish(self) -> None:
         version = self.info.generator.removeprefix("annotator ")
         content = _classes(self.info.classes, VERTICES if self.info.vertices else CENTROID_REL, version)
-        for split in dict.fromkeys(origin.split for origin in self.origins):
-            (self.folder / (split or "") / LABELS / CLASSES_FILE).write_text(content, encoding="utf-8")
-
-
-def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
-    return replace(
-        frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"), pixel_index=None, normals=None
-    )
+        for part in self.parts("."):
+            self.put(f"{part}/{LABELS}/{CLASSES_FILE}", content)
 
 
 def _classes(names: Sequence[str], form: str, version: str) -> str:
@@ -306,23 +218,26 @@ def read_labelcloud(
     """
     frames: dict[str, LabelledFrame] = {}
     for folder in _label_folders(path):
-        origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
-        for stem, frame in _read_folder(folder, angles, on_fault):
-            name = origins[stem].name if stem in origins else stem
-            if name in frames:
-                raise FormatError(folder / f"{stem}.json", f"the frame {name} has labels in two folders; import one")
-            frames[name] = frame
+        names = DatasetNames.of(folder)
+        for file, frame in _read_folder(folder, angles, on_fault):
+            add_once(frames, file, names.known(file.stem), frame)
     return frames
 
 
 def read_labelcloud_file(file: Path) -> list[Truth]:
     """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
     content = reading.read_model(file, LabelFile)
-    degrees = _degrees(file.parent, {file: content})
-    try:
-        return [Truth(entry.name, box_of(entry, degrees)) for entry in content.objects]
-    except ValueError as error:
-        raise FormatError(file, str(error)) from error
+    return _truths(file, content, _degrees(file.parent, {file: content}), reading.raise_fault)
+
+
+def _truths(file: Path, content: LabelFile, degrees: bool, on_fault: reading.OnFault) -> list[Truth]:
+    truths = []
+    for number, entry in enumerate(content.objects):
+        try:
+            truths.append(Truth(entry.name, box_of(entry, degrees)))
+        except ValueError as error:
+            on_fault(FormatError(file, f"objects.{number}: {error}"))
+    return truths
 
 
 def _label_folders(path: Path) -> list[Path]:
@@ -341,7 +256,7 @@ def _label_files(folder: Path) -> Iterator[Path]:
 
 def _read_folder(
     folder: Path, angles: AngleUnit | None, on_fault: reading.OnFault
-) -> Iterator[tuple[str, LabelledFrame]]:
+) -> Iterator[tuple[Path, LabelledFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
         try:
@@ -350,54 +265,56 @@ def _read_folder(
             on_fault(fault)
     degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
     for file, content in files.items():
-        objects = []
-        for number, entry in enumerate(content.objects):
-            try:
-                objects.append(Truth(entry.name, box_of(entry, degrees)))
-            except ValueError as error:
-                on_fault(FormatError(file, f"objects.{number}: {error}"))
+        objects = _truths(file, content, degrees, on_fault)
         pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
             T_camera_cloud = read_calibration_pose(pose) if pose.is_file() else None
         except FormatError as fault:
             on_fault(fault)
             continue
-        yield normal(file.stem), LabelledFrame(objects, of_recording if T_camera_cloud is None else T_camera_cloud)
+        yield file, LabelledFrame(objects, of_recording if T_camera_cloud is None else T_camera_cloud)
 
 
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
-    """True for angles in degrees: from the folder's `_classes.json`, else from the range of all its angles."""
+    """True for angles in degrees: from the folder's `_classes.json`, else from the range of all its angles.
+
+    labelCloud writes radians in -pi..pi, or degrees in 0..360. Negative degrees are those of another program; if all
+    are within half a turn in radians, they are radians. So are many angles of which none is larger.
+
+    Raises:
+        UnitError: the angles contradict the file, or show no unit.
+    """
     classes = folder / CLASSES_FILE
-    form = reading.read_model(classes, ClassesFile).format if classes.is_file() else None
-    angles = [
-        angle
-        for content in files.values()
-        for entry in content.objects
-        if entry.vertices is None and entry.rotations is not None
-        for angle in (entry.rotations.x, entry.rotations.y, entry.rotations.z)
-    ]
-    if form in (CENTROID_ABS, CENTROID_REL):
-        is_abs = form == CENTROID_ABS
-        if (problem := contradiction(angles, degrees=is_abs)) is not None:
-            units = ("degrees", CENTROID_REL) if is_abs else ("radians", CENTROID_ABS)
-            raise UnitError(
-                UnitKind.ANGLE,
-                folder,
-                f'{problem}, and "format": "{form}" in {CLASSES_FILE} means {units[0]}; if that is wrong, write '
-                f'"{units[1]}", else `annotator import --angles {units[0]}` reads them',
-            )
-        return is_abs
-    try:
-        degrees = in_degrees(angles)
-    except ValueError as error:
-        problem = f"{error}; import with --angles {AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
-        raise UnitError(UnitKind.ANGLE, folder, problem) from error
-    if degrees is None:
-        raise UnitError(
-            UnitKind.ANGLE,
-            folder,
+    content = reading.read_json(classes) if classes.is_file() else None
+    # the classes of the file are not read
+    form = content.get("format", CENTROID_REL) if isinstance(content, dict) else None
+    turns = [entry.rotations for content in files.values() for entry in content.objects if entry.vertices is None]
+    angles = [angle for each in turns if each is not None for angle in (each.x, each.y, each.z) if angle != 0]
+    lowest, highest, worst = min([0.0, *angles]), max([0.0, *angles]), max(angles, key=abs, default=0.0)
+    half, count = math.pi + 10.0**-DECIMALS, amount(len(angles), "angle")
+    is_small, problem = abs(worst) <= half, None
+    if form == CENTROID_REL and abs(worst) > MOST_RAD:
+        beyond = sum(abs(angle) > MOST_RAD for angle in angles)
+        problem = f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 {BEYOND})"
+    elif form == CENTROID_ABS and angles and is_small and (lowest < 0 or len(angles) >= LEAST_SMALL):
+        problem = f"{count} other than 0, all within -pi..pi, look like radians"
+    if problem is not None:
+        unit, other = ("degrees", CENTROID_REL) if form == CENTROID_ABS else ("radians", CENTROID_ABS)
+        problem += (
+            f', and "format": "{form}" in {CLASSES_FILE} means {unit}; if that is wrong, write "{other}", else '
+            f"`annotator import --angles {unit}` reads them"
+        )
+    elif form not in (CENTROID_REL, CENTROID_ABS) and lowest < 0 and not is_small:
+        problem = (
+            f"angles from {lowest} to {highest} are neither radians in -pi..pi nor degrees in 0..360; import with "
+            f"--angles {AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
+        )
+    elif form not in (CENTROID_REL, CENTROID_ABS) and lowest == 0 and 0 < highest <= half:
+        problem = (
             "the angles may be radians or degrees; put labelCloud's _classes.json beside the labels, with "
             f'"format": "{CENTROID_REL}" (radians) or "format": "{CENTROID_ABS}" (degrees), or import with --angles '
-            f"{AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}",
+            f"{AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
         )
-    return degrees
+    if problem is not None:
+        raise UnitError(UnitKind.ANGLE, folder, problem)
+    return form == CENTROID_ABS or (form != CENTROID_REL and highest > half)

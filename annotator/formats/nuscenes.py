@@ -1,4 +1,4 @@
-"""Reads nuScenes: tables, one JSON list of records each, linked by tokens; and results of detectors and trackers.
+"""nuScenes: tables, one JSON list of records each, linked by tokens; and results of detectors and trackers.
 
 Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit) and `utils/data_classes.py`: metres, sizes
 are width, length, height; a box's x axis points along its length, y along its width, z along its height, as in
@@ -11,30 +11,58 @@ frame, by the tokens of their samples. Trackers write `tracking_name`, `tracking
     {"meta": {...}, "results": {"SAMPLE": [{"translation": [x, y, z], "size": [width, length, height],
         "rotation": [w, x, y, z], "detection_name": "car", "detection_score": 0.8, "attribute_name": "vehicle.moving"},
         ...], ...}}
+
+A dataset that annotator writes opens with the nuscenes-devkit:
+
+    v1.0-annotator/*.json            the tables; splits.json names the scenes of each part
+    samples/CAM_FRONT/ID.png         rectified images (or .jpg)
+    samples/LIDAR_TOP/ID.pcd.bin     clouds
+    maps/none.png                    the map that the tables require: one black pixel
+    frames.csv                       the origin of each frame
+
+Scenes are recordings, instances are tracks. Ego and LiDAR frame are the same: the level frame at the camera (x ahead, y
+left, z against gravity). The global frame is that of the recording's map coordinates; without such, it is the ego
+frame, because the camera's motion is unknown.
 """
 
 from __future__ import annotations
 
+import json
+import uuid
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import count
+from math import isnan
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
 from pydantic import AliasChoices, Field, ValidationError
+from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import reading
-from annotator.formats.attributes import VISIBILITY, from_dotted
-from annotator.formats.frame_names import LabelledFrame, in_world, read_frames
-from annotator.formats.units import Lengths
-from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.transforms import Quaternions
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
+from annotator.formats.frame_names import (
+    VISIBILITY,
+    DatasetNames,
+    LabelledFrame,
+    add_once,
+    dotted,
+    from_dotted,
+    in_world,
+)
+from annotator.formats.reading import Lengths
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.outline import Sight
+from annotator.geometry.projection import straightened
+from annotator.geometry.transforms import Quaternions, level_pose
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
-    Linked,
     Record,
     SampleData,
     Sensor,
@@ -45,7 +73,7 @@ from annotator.nuscenes_tables import (
     read_rows,
 )
 from annotator.text import normal, stem_of
-from annotator.types import OrientedBox, PointCloud, Truth
+from annotator.types import Camera, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
@@ -55,25 +83,16 @@ Vector3 = reading.Bounded3
 Quaternion = reading.Bounded4
 
 
-class Category(Record):
-    """A class."""
+class Named(Record):
+    """A class, or a property that an annotation may have."""
 
-    name: Annotated[str, Field(min_length=1)]
-    description: str = ""
-
-
-class Attribute(Record):
-    """A property that an annotation may have."""
-
-    name: str
-    description: str = ""
+    name: Token
 
 
 class Visibility(Record):
     """A level of visibility of an object."""
 
     level: str
-    description: str = ""
 
 
 class Instance(Record):
@@ -81,21 +100,10 @@ class Instance(Record):
 
     category_token: Token
     nbr_annotations: int
-    first_annotation_token: str
-    last_annotation_token: str
     track_id: reading.BoundedTrack | None = None
 
 
-class Log(Record):
-    """A drive."""
-
-    logfile: str
-    vehicle: str
-    date_captured: str
-    location: str
-
-
-class SampleAnnotation(Linked):
+class SampleAnnotation(Record):
     """A box of a sample, global frame; its x axis is the length, y the width."""
 
     sample_token: Token
@@ -105,37 +113,20 @@ class SampleAnnotation(Linked):
     translation: Vector3
     size: tuple[reading.BoundedPositive, reading.BoundedPositive, reading.BoundedPositive]
     rotation: Quaternion
-    num_lidar_pts: int = 0
-    num_radar_pts: int = 0
-
-
-class Map(Record):
-    """A map image of the ground, for a set of drives."""
-
-    log_tokens: tuple[str, ...]
-    category: Literal["semantic_prior"] = "semantic_prior"
-    filename: str
 
 
 MOST_INTENSITY = 255.0
 
 
-def vector(values: np.ndarray) -> Vector3:
-    """Returns three numbers for JSON, without negative zeros."""
-    x, y, z = (values + 0.0).tolist()
-    return (x, y, z)
+def vector(values: np.ndarray) -> list[float]:
+    """Returns numbers for JSON, without negative zeros."""
+    numbers: list[float] = (values + 0.0).tolist()
+    return numbers
 
 
-def quaternion(rotation: Rotation) -> Quaternion:
+def quaternion(rotation: Rotation) -> list[float]:
     """Returns w x y z, w not negative."""
-    w, x, y, z = (rotation.as_quat(canonical=True, scalar_first=True) + 0.0).tolist()
-    return (w, x, y, z)
-
-
-def width_length_height(box: OrientedBox) -> Vector3:
-    """Returns the full sizes in nuScenes' order."""
-    length, width, height = box.size_m.tolist()
-    return (width, length, height)
+    return vector(rotation.as_quat(canonical=True, scalar_first=True))
 
 
 def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> OrientedBox:
@@ -173,16 +164,10 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
         path: the dataset's root, or its folder of tables.
     """
     folder = _table_folder(path)
-    origins = read_frames(folder.parent)
+    names = DatasetNames.of(folder)
     boxes = _boxes(folder, _rows(folder / ANNOTATIONS, SampleAnnotation), on_fault)
     frames: dict[str, LabelledFrame] = {}
     for stem, row, camera, T_global_camera in _camera_images(folder):
-        name = origins[stem].name if stem in origins else stem
-        if name in frames:
-            raise FormatError(
-                folder / "sample_data.json",
-                f"row {row.token}: a second camera image is called {name}; file names must be unique",
-            )
         T_camera_global, K, found = T_global_camera.inv(), np.array(camera.camera_intrinsic), list[Truth]()
         for truth in boxes.get(row.sample_token, ()):
             try:
@@ -191,11 +176,12 @@ def read_nuscenes(path: Path, on_fault: reading.OnFault = reading.raise_fault) -
                 on_fault(FormatError(folder / ANNOTATIONS, f"a box of the sample {row.sample_token}: {error}"))
                 continue
             # an export has one camera, which has all boxes
-            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
+            if names.frames or (len(K) and is_seen(box, K, row.width, row.height)):
                 found.append(replace(truth, box=box))
         # without map coordinates, the camera is the origin
-        is_placed = stem in origins and T_global_camera.translation.any()
-        frames[name] = LabelledFrame(found, in_world(T_global_camera) if is_placed else None)
+        is_placed = stem in names.frames and T_global_camera.translation.any()
+        pose = in_world(T_global_camera) if is_placed else None
+        add_once(frames, folder / "sample_data.json", names.known(stem), LabelledFrame(found, pose))
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return frames
@@ -243,11 +229,11 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth,
 
 def _boxes(tables: Path, annotations: Sequence[SampleAnnotation], on_fault: reading.OnFault) -> dict[str, list[Truth]]:
     """Returns the boxes in the global frame, by the token of their sample."""
-    instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Category)
+    instances, categories = _table(tables, "instance", Instance), _table(tables, "category", Named)
     # a track is the row's number
     numbers = {token: number for number, token in enumerate(instances)}
     # other tools leave these tables out
-    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Named)}
     levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
     require_w_first(tables, annotations, instances)
     boxes: dict[str, list[Truth]] = {}
@@ -360,7 +346,10 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
     """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
     tracks: dict[str | int, int] = {}
     quaternions = Quaternions()
-    for sample, boxes in reading.read_pairs(path, RESULTS):
+    samples = reading.read_object(path).get(RESULTS)
+    if not isinstance(samples, dict):
+        raise FormatError(path, f"has no object {RESULTS!r}")
+    for sample, boxes in samples.items():
         if not isinstance(boxes, list):
             raise FormatError(path, f"results.{sample}: must be a list of boxes")
         yield (
@@ -382,3 +371,223 @@ def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], 
     track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
     attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
     return Truth(row.label, box, track, row.score, attributes=attributes)
+
+
+VERSION = "v1.0-annotator"
+SPLITS = "splits.json"
+# The channels that nuScenes' devkit uses.
+CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
+MAP_FILE = "maps/none.png"
+# nuScenes' levels with their least visible fraction.
+SHARES = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
+LEVELS = {level: number for number, (_, level) in SHARES.items()}
+# Namespace of the tokens: the same project gives the same tables.
+NAMESPACE = uuid.UUID("0b9c4a1e-7d55-5f0a-8a57-3a1a5e9be6d2")
+# Interval of samples without a time, as in nuScenes.
+STEP_US = 500_000
+
+Part = dict[str, Any]
+Key = tuple[str, str | None]
+
+
+def token(*parts: object) -> str:
+    """Returns 32 hexadecimal digits, a hash of the parts."""
+    return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
+
+
+class NuScenesWriter(DatasetWriter):
+    """Keeps all rows in memory, without images and clouds."""
+
+    def begin(self) -> None:
+        import cv2
+
+        # rows that follow each other in time: the samples of a scene, their data of a sensor, boxes of an instance
+        self._samples = defaultdict[Key, list[Part]](list)
+        self._data = defaultdict[tuple[Key, str], list[Part]](list)
+        self._boxes = defaultdict[str, list[Part]](list)
+        self._annotations: list[Part] = []
+        self._poses: list[Part] = []
+        self._calibrations: dict[str, Part] = {}
+        self._instances: dict[str, tuple[str, int | None]] = {}
+        self._attributes: set[str] = set()
+        self._shifts_us: dict[Key, int] = {}
+        self._starts_us: set[int] = set()
+        self.put(MAP_FILE, cv2.imencode(".png", np.zeros((1, 1), np.uint8))[1].tobytes())
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        frame, key = item.frame, (item.recording, item.split)
+        T_level_camera, world = level_pose(frame.up), frame.T_world_camera
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        files = {
+            CAMERA: self.put_image(f"samples/{CAMERA}/{frame_id}", rgb),
+            LIDAR: f"samples/{LIDAR}/{frame_id}.pcd.bin",
+        }
+        self.put(files[LIDAR], scan(frame.cloud, T_level_camera).tobytes())
+        default_us = len(self._poses) // 2 * STEP_US
+        time_us = self._shifted(key, default_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000)
+        sample = token("sample", item.recording, frame.key)
+        follow(self._samples[key], sample, timestamp=time_us, scene_token=token("scene", *key))
+        ego = RigidTransform.identity() if world is None else world * T_level_camera.inv()
+        for channel, T in ((CAMERA, T_level_camera), (LIDAR, RigidTransform.identity())):
+            data = token("data", channel, item.recording, frame.key)
+            self._poses.append({"token": data, "timestamp": time_us} | _pose(ego, "rotation", "translation"))
+            is_image = channel == CAMERA
+            follow(
+                self._data[key, channel],
+                data,
+                sample_token=sample,
+                ego_pose_token=data,
+                calibrated_sensor_token=self._calibrated(channel, T, camera),
+                timestamp=time_us,
+                fileformat=files[channel].rpartition(".")[2] if is_image else "pcd",
+                is_key_frame=True,
+                height=camera.height_px if is_image else 0,
+                width=camera.width_px if is_image else 0,
+                filename=files[channel],
+            )
+        self._annotate(item, sample, T_level_camera if world is None else world)
+        self.counts.update(label.label for label in item.labels)
+
+    def finish(self) -> None:
+        for name, rows in self._tables().items():
+            self.put(f"{VERSION}/{name}.json", to_json(rows, indent=0) + b"\n")
+        splits = defaultdict[str, list[str]](list)
+        for (_, split), name in self._scene_names().items():
+            if split is not None:
+                splits[split].append(name)
+        if splits:
+            self.put(f"{VERSION}/{SPLITS}", json.dumps(splits, indent=1) + "\n")
+
+    def _tables(self) -> dict[str, list[Part]]:
+        """Returns the rows of every table, by the table's name."""
+        names = self._scene_names()
+        logs = [self._log(key) for key in names]
+        no_map = {"token": token("map"), "log_tokens": [log["token"] for log in logs]}
+        return {
+            "category": [_named("category", name) for name in self.info.classes],
+            "attribute": [_named("attribute", name) for name in sorted(self._attributes)],
+            "visibility": [{"token": name, "level": level, "description": ""} for name, (_, level) in SHARES.items()],
+            "instance": [
+                {"token": instance, "category_token": token("category", label)}
+                | _span("annotation", self._boxes[instance])
+                | {"track_id": track_id}
+                for instance, (label, track_id) in self._instances.items()
+            ],
+            "sensor": [
+                {"token": token("sensor", channel), "channel": channel, "modality": modality}
+                for channel, modality in ((CAMERA, "camera"), (LIDAR, "lidar"))
+            ],
+            "calibrated_sensor": list(self._calibrations.values()),
+            "ego_pose": self._poses,
+            "log": logs,
+            "scene": [
+                {"token": token("scene", *key), "log_token": token("log", *key)}
+                | _span("sample", self._samples[key])
+                | {"name": name, "description": f"recording {key[0]}"}
+                for key, name in names.items()
+            ],
+            "sample": [row for rows in self._samples.values() for row in rows],
+            "sample_data": [row for rows in self._data.values() for row in rows],
+            "sample_annotation": self._annotations,
+            "map": [no_map | {"category": "semantic_prior", "filename": MAP_FILE}],
+        }
+
+    def _scene_names(self) -> dict[Key, str]:
+        """Returns the name of each scene; a scene is a recording, or the frames of it in one part of the dataset."""
+        parts = Counter(recording for recording, _ in self._samples)
+        names = FileNames()
+        return {
+            (recording, split): names.add(recording, split) if split and parts[recording] > 1 else names.add(recording)
+            for recording, split in self._samples
+        }
+
+    def _shifted(self, key: Key, time_us: int) -> int:
+        """Returns the time, shifted by a few microseconds if another scene begins at the same time.
+
+        The devkit sorts scenes by their start and fails on equal ones.
+        """
+        if key not in self._shifts_us:
+            start_us = next(each for each in count(time_us) if each not in self._starts_us)
+            self._starts_us.add(start_us)
+            self._shifts_us[key] = start_us - time_us
+        return time_us + self._shifts_us[key]
+
+    def _calibrated(self, channel: str, T_ego_sensor: RigidTransform, camera: Camera) -> str:
+        """Adds the row of a calibrated sensor unless an equal one exists, and returns its token."""
+        matrix = camera.matrix.tolist() if channel == CAMERA else []
+        name = token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), matrix)
+        pose = _pose(T_ego_sensor, "translation", "rotation")
+        self._calibrations[name] = {
+            "token": name,
+            "sensor_token": token("sensor", channel),
+            **pose,
+            "camera_intrinsic": matrix,
+        }
+        return name
+
+    def _annotate(self, item: DatasetItem, sample: str, T_global_camera: RigidTransform) -> None:
+        xyz = item.frame.cloud.xyz_m
+        sight = Sight(xyz)
+        seen: Counter[tuple[object, ...]] = Counter()
+        for label in item.labels:
+            identity = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
+            # an instance occurs once per sample, even if two labels have the same track
+            seen[label.label, *identity] += 1
+            occurrence = seen[label.label, *identity]
+            instance = token("instance", item.recording, item.split, label.label, *identity, occurrence)
+            self._instances.setdefault(instance, (label.label, label.track_id))
+            box = label.box.transformed(T_global_camera)
+            # with a given level, too, so that an import can tell it from a measured one
+            names = dotted(label.attributes)
+            self._attributes |= set(names)
+            row = follow(
+                self._boxes[instance],
+                token("annotation", sample, instance),
+                sample_token=sample,
+                instance_token=instance,
+                visibility_token=LEVELS.get(str(label.attributes.get(VISIBILITY))) or _visibility(sight, label),
+                attribute_tokens=[token("attribute", name) for name in names],
+                translation=vector(box.center_m),
+                size=box.size_m[[1, 0, 2]].tolist(),
+                rotation=quaternion(box.T_camera_box.rotation),
+                num_lidar_pts=int(np.count_nonzero(contains(label.box, xyz))),
+                num_radar_pts=0,
+            )
+            self._annotations.append(row)
+
+    def _log(self, key: Key) -> Part:
+        """Returns the row of a drive; its date is 1970-01-01 if the recording has no times."""
+        day = datetime.fromtimestamp(self._samples[key][0]["timestamp"] / 1e6, UTC).date().isoformat()
+        head = {"token": token("log", *key), "logfile": key[0], "vehicle": ""}
+        return head | {"date_captured": day, "location": "unknown"}
+
+
+def follow(rows: list[Part], name: str, **fields: object) -> Part:
+    """Appends a row with the token `name`; it and the one before refer to each other."""
+    row = {"token": name, "prev": rows[-1]["token"] if rows else "", "next": "", **fields}
+    if rows:
+        rows[-1]["next"] = name
+    rows.append(row)
+    return row
+
+
+def _named(table: str, name: str) -> Part:
+    return {"token": token(table, name), "name": name, "description": ""}
+
+
+def _span(what: str, rows: Sequence[Part]) -> Part:
+    """The number of rows, and the first and the last one."""
+    first, last = rows[0]["token"], rows[-1]["token"]
+    return {f"nbr_{what}s": len(rows), f"first_{what}_token": first, f"last_{what}_token": last}
+
+
+def _pose(T: RigidTransform, *names: str) -> Part:
+    parts = {"translation": vector(T.translation), "rotation": quaternion(T.rotation)}
+    return {name: parts[name] for name in names}
+
+
+def _visibility(sight: Sight, label: Label) -> str:
+    """Returns the visibility level of an object: the lowest one if there is no line of sight to it."""
+    share = sight.hidden(label.box).share
+    seen = 0.0 if isnan(share) else 1.0 - share
+    return max(name for name, (least, _) in SHARES.items() if seen >= least)

@@ -14,26 +14,24 @@ from __future__ import annotations
 
 import uuid
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
 from annotator.formats import openlabel_document as doc
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, write_ply
-from annotator.formats.frame_names import FrameOrigin, LabelledFrame, has_frames, in_world, of_recording, read_frames
-from annotator.formats.reading import read_model, unique_keys
-from annotator.formats.units import Angles, AngleUnit
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, ply
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, add_once, has_frames, in_world, of_recording
+from annotator.formats.reading import Angles, AngleUnit, known_kind, read_model, unique_keys
 from annotator.geometry.transforms import Quaternions
-from annotator.image_bytes import encoded_image
 from annotator.text import normal, stem_of
 from annotator.types import BoxKind, Label, ReviewState, Truth
-from annotator.types import Frame as RecordedFrame
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue
 
@@ -48,32 +46,26 @@ PLACE = f"{BASE}_to_{WORLD}"
 NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
 
 
-@dataclass
-class _Track:
-    """One object in the frames so far."""
-
-    name: str
-    type: str
-    frames: list[int] = field(default_factory=list)
-    attributes: dict[str, doc.AttributeKind] = field(default_factory=dict)
-
-
-@dataclass
 class Scene:
     """The document of a recording so far, without images and clouds.
 
-    Attributes:
+    Args:
         recording: the recording's name.
         generator: program and version.
         comment: about the boxes, if any.
     """
 
-    recording: str
-    generator: str
-    comment: str | None = None
-    _camera: dict[str, object] | None = None
-    _frames: dict[int, doc.Frame] = field(default_factory=dict)
-    _tracks: dict[str, _Track] = field(default_factory=dict)
+    def __init__(self, recording: str, generator: str, comment: str | None) -> None:
+        self._recording = recording
+        self._metadata = doc.known(
+            schema_version=doc.SCHEMA_VERSION, name=recording, annotator=generator, comment=comment
+        )
+        self._camera: doc.Part | None = None
+        self._frames: dict[int, doc.Part] = {}
+        self._is_placed = False
+        self._with_values: list[int] = []
+        # of each object: its class, its frames, and the kinds of its attributes by name
+        self._tracks: dict[str, tuple[str, list[int], dict[str, str]]] = {}
 
     def add(self, item: DatasetItem, image: str, cloud: str) -> None:
         """Adds a frame; `image` and `cloud` are its files, relative to the document."""
@@ -81,92 +73,93 @@ class Scene:
         camera = doc.pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
-        sync: dict[str, object] = {"frame_stream": number} if time is None else {"timestamp": time}
+        sync: doc.Part = {"frame_stream": number} if time is None else {"timestamp": time}
         # a frame has intrinsics only if they differ from those of the stream
         intrinsics = {} if camera == self._camera else {"intrinsics_pinhole": camera}
         streams = {
-            CAMERA: doc.FrameStream(uri=image, stream_properties={**intrinsics, "sync": sync}),
-            CLOUD: doc.FrameStream(uri=cloud, stream_properties={"sync": sync}),
+            CAMERA: {"uri": image, "stream_properties": {**intrinsics, "sync": sync}},
+            CLOUD: {"uri": cloud, "stream_properties": {"sync": sync}},
         }
-        self._frames[number] = doc.Frame(
-            frame_properties=doc.FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
+        transforms = None
+        if frame.T_world_camera is not None:
+            # the pose of the base in map coordinates
+            pose = doc.transform_values(frame.T_world_camera * T_BASE_CAMERA.inv())
+            transforms = {PLACE: {"src": BASE, "dst": WORLD, "transform_src_to_dst": pose}}
+            self._is_placed = True
+        contexts = None
+        if item.attributes:
+            self._with_values.append(number)
+            contexts = {self._context: {"context_data": doc.attributes_of(item.attributes)}}
+        self._frames[number] = doc.known(
+            frame_properties=doc.known(timestamp=time, streams=streams, transforms=transforms),
             objects=self._objects(number, item.labels) or None,
-            contexts={self._context: doc.FrameContext(context_data=doc.attributes_of(item.attributes))}
-            if item.attributes
-            else None,
+            contexts=contexts,
         )
 
-    def document(self) -> doc.Document:
+    def document(self) -> doc.Part:
         """Returns the document, frames in the order of their numbers."""
         numbers = sorted(self._frames)
-        pose = doc.transform_values(T_BASE_CAMERA)
-        is_placed = any(frame.frame_properties and frame.frame_properties.transforms for frame in self._frames.values())
-        world = {WORLD: doc.CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
+        world = {WORLD: {"type": "scene", "parent": "", "children": [BASE]}} if self._is_placed else {}
+        base = {"type": "local", "parent": WORLD if world else "", "children": [CAMERA, CLOUD]}
         # some readers require children, even if there are none
-        sensor = doc.CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
-        return doc.Document(
-            openlabel=doc.Content(
-                metadata=doc.Metadata(
-                    schema_version=doc.SCHEMA_VERSION,
-                    name=self.recording,
-                    annotator=self.generator,
-                    comment=self.comment,
-                ),
-                coordinate_systems={
-                    **world,
-                    BASE: doc.CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
-                    CAMERA: sensor,
-                    CLOUD: sensor,
-                },
-                streams={
-                    CAMERA: doc.Stream(
-                        type="camera",
-                        uri="images",
-                        stream_properties={"intrinsics_pinhole": self._camera},
-                    ),
-                    CLOUD: doc.Stream(type="lidar", uri="clouds"),
-                },
-                contexts=self._contexts(),
-                objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
-                frames={str(number): self._frames[number] for number in numbers},
-                frame_intervals=_intervals(numbers),
-            )
+        pose = doc.transform_values(T_BASE_CAMERA)
+        sensor = {"type": "sensor", "parent": BASE, "pose_wrt_parent": pose, "children": []}
+        intrinsics = {"intrinsics_pinhole": self._camera}
+        context = {
+            **dict.fromkeys(("name", "type"), doc.FRAME_CONTEXT),
+            "frame_intervals": _intervals(sorted(self._with_values)),
+        }
+        content = doc.known(
+            metadata=self._metadata,
+            coordinate_systems={**world, BASE: base, CAMERA: sensor, CLOUD: sensor},
+            streams={
+                CAMERA: {"uri": "images", "stream_properties": intrinsics, "type": "camera"},
+                CLOUD: {"uri": "clouds", "type": "lidar"},
+            },
+            objects={uid: self._object(uid, place) for place, uid in enumerate(self._tracks, 1)} or None,
+            contexts={self._context: context} if self._with_values else None,
+            frames={str(number): self._frames[number] for number in numbers},
+            frame_intervals=_intervals(numbers),
         )
+        return {"openlabel": content}
 
     @property
     def _context(self) -> str:
-        return _uuid(self.recording, doc.FRAME_CONTEXT)
+        return _uuid(self._recording, doc.FRAME_CONTEXT)
 
-    def _contexts(self) -> dict[str, object] | None:
-        numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
-        intervals = [each.model_dump() for each in _intervals(numbers)]
-        context = {"name": doc.FRAME_CONTEXT, "type": doc.FRAME_CONTEXT, "frame_intervals": intervals}
-        return {self._context: context} if numbers else None
-
-    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.FrameObject]:
-        objects: dict[str, doc.FrameObject] = {}
+    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, doc.Part]:
+        objects: dict[str, doc.Part] = {}
         seen: Counter[str] = Counter()
         for label in labels:
             identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
             # an object occurs once per frame, even if two labels have the same track
             seen[f"{label.label} {identity}"] += 1
-            occurrence = seen[f"{label.label} {identity}"]
-            uid = _uuid(self.recording, label.label, identity, str(occurrence))
-            cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
-            objects[uid] = doc.FrameObject(object_data=doc.ObjectData(cuboid=(cuboid,)))
-            if uid not in self._tracks:
-                self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
-            self._tracks[uid].frames.append(number)
-            self._tracks[uid].attributes |= _kinds(cuboid)
+            uid = _uuid(self._recording, label.label, identity, str(seen[f"{label.label} {identity}"]))
+            attributes = doc.attributes_of(_values(label))
+            cuboid = {
+                "name": f"{CAMERA}__cuboid__{label.label}",
+                "val": doc.cuboid_values(label.box),
+                "coordinate_system": CAMERA,
+                "uid": _uuid(self._recording, str(number), label.uid),
+                "attributes": attributes,
+            }
+            objects[uid] = {"object_data": {"cuboid": [cuboid]}}
+            _, frames, kinds = self._tracks.setdefault(uid, (label.label, [], {}))
+            frames.append(number)
+            for kind in ("num", "text", "boolean"):
+                kinds.update({str(each["name"]): kind for each in attributes.get(kind, ())})
         return objects
 
-
-def _transforms(frame: RecordedFrame) -> dict[str, doc.Transform] | None:
-    """Returns the pose of the base in map coordinates; None if a frame has none."""
-    if frame.T_world_camera is None:
-        return None
-    T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
-    return {PLACE: doc.Transform(src=BASE, dst=WORLD, transform_src_to_dst=doc.transform_values(T_world_base))}
+    def _object(self, uid: str, place: int) -> doc.Part:
+        label, numbers, kinds = self._tracks[uid]
+        intervals = _intervals(sorted(numbers))
+        pointer = {"type": "cuboid", "frame_intervals": intervals, "attribute_pointers": kinds}
+        return {
+            "name": f"{label} {place}",
+            "type": label,
+            "frame_intervals": intervals,
+            "object_data_pointers": {f"{CAMERA}__cuboid__{label}": pointer},
+        }
 
 
 def _uuid(*parts: str) -> str:
@@ -179,67 +172,35 @@ def _seconds(time_ns: int) -> str:
     return f"{whole}.{rest:09d}"
 
 
-def _cuboid(label: Label, uid: str) -> doc.Cuboid:
-    numbers: dict[str, AttributeValue | None] = {
+def _values(label: Label) -> dict[str, AttributeValue]:
+    """Returns all that a cuboid's attributes hold of a label: annotator's own data, and the label's attributes."""
+    suggestion = label.suggestion
+    own: dict[str, AttributeValue | None] = {
         "score": label.score,
         "track_id": label.track_id,
         "expected_iou_loss": label.expected_iou_loss,
-    }
-    texts: dict[str, AttributeValue | None] = {
         "state": label.state.value,
         "source": label.source.value,
         "author": label.author,
+        "suggested_by": None if suggestion is None else suggestion.detector,
+        "suggestion": None if suggestion is None else "corrected" if suggestion.corrected else "accepted",
+        "box_kind": None if label.box_kind is BoxKind.BOX else label.box_kind.value,
+        doc.SAID_BY: doc.said_text(label.said) if label.said else None,
     }
-    if label.suggestion is not None:
-        texts |= {
-            "suggested_by": label.suggestion.detector,
-            "suggestion": "corrected" if label.suggestion.corrected else "accepted",
-        }
-    if label.box_kind is not BoxKind.BOX:
-        texts["box_kind"] = label.box_kind.value
-    if label.said:
-        texts[doc.SAID_BY] = doc.said_text(label.said)
-    own = {name: value for name, value in (numbers | texts).items() if value is not None}
-    return doc.Cuboid(
-        name=f"{CAMERA}__cuboid__{label.label}",
-        val=doc.cuboid_values(label.box),
-        coordinate_system=CAMERA,
-        uid=uid,
-        attributes=doc.attributes_of(own | {doc.key_of(name): value for name, value in label.attributes.items()}),
-    )
+    known = {name: value for name, value in own.items() if value is not None}
+    given = label.attributes.items()
+    return known | {f"{doc.PREFIX}{name}" if name in doc.RESERVED else name: value for name, value in given}
 
 
-def _kinds(cuboid: doc.Cuboid) -> dict[str, doc.AttributeKind]:
-    attributes = cuboid.attributes or doc.Attributes()
-    kinds: dict[str, doc.AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
-    kinds |= {each.name: "text" for each in attributes.text or () if each.name}
-    return kinds | {each.name: "boolean" for each in attributes.boolean or () if each.name}
-
-
-def _object(track: _Track) -> doc.Object:
-    intervals = _intervals(sorted(track.frames))
-    pointer = {
-        "type": "cuboid",
-        "frame_intervals": [each.model_dump() for each in intervals],
-        "attribute_pointers": track.attributes,
-    }
-    return doc.Object(
-        name=track.name,
-        type=track.type,
-        frame_intervals=intervals,
-        object_data_pointers={f"{CAMERA}__cuboid__{track.type}": pointer},
-    )
-
-
-def _intervals(numbers: Iterable[int]) -> tuple[doc.FrameInterval, ...]:
+def _intervals(numbers: Iterable[int]) -> list[dict[str, int]]:
     """Returns the runs of consecutive numbers in a sorted sequence of frame numbers."""
-    runs: list[list[int]] = []
+    runs: list[dict[str, int]] = []
     for number in numbers:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
+        if runs and number == runs[-1]["frame_end"] + 1:
+            runs[-1]["frame_end"] = number
         else:
-            runs.append([number, number])
-    return tuple(doc.FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
+            runs.append({"frame_start": number, "frame_end": number})
+    return runs
 
 
 # Documents have the key "openlabel" within these first bytes.
@@ -253,12 +214,10 @@ class OpenLabelWriter(DatasetWriter):
         self._comment = f"Detectors that proposed boxes: {'; '.join(used)}" if used else None
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
-        folder = self.folder / (item.split or "")
-        for name in ("images", "clouds"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        (folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
-        write_ply(folder / cloud, item.frame.cloud)
+        place = f"{item.split}/" if item.split else ""
+        image, cloud = f"images/{frame_id}", f"clouds/{frame_id}.ply"
+        image = self.put_image(place + image, item.frame.rgb).removeprefix(place)
+        self.put(place + cloud, ply(item.frame.cloud))
         scene = Scene(item.recording, self.info.generator, self._comment)
         self._scenes.setdefault((item.split, item.recording), scene).add(item, image, cloud)
         self.counts.update(label.label for label in item.labels)
@@ -268,13 +227,7 @@ class OpenLabelWriter(DatasetWriter):
         names = FileNames()
         stems = {recording: names.add(recording) for recording in dict.fromkeys(each for _, each in self._scenes)}
         for (split, recording), scene in self._scenes.items():
-            file = self.folder / (split or "") / f"{stems[recording]}.json"
-            file.write_text(dump(scene.document()), encoding="utf-8")
-
-
-def dump(document: doc.Document) -> str:
-    """Returns the text of a document."""
-    return document.model_dump_json(indent=1, exclude_none=True) + "\n"
+            self.put(f"{split or '.'}/{stems[recording]}.json", to_json(scene.document(), indent=1) + b"\n")
 
 
 def is_openlabel_export(folder: Path) -> bool:
@@ -300,28 +253,17 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Lab
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
     """
-    numbers = _Numbers(Angles(angles), Quaternions(w_first=False))
+    read, quaternions = Angles(angles), Quaternions(w_first=False)
     frames: dict[str, LabelledFrame] = {}
-    source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
-        origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        document = read_model(file, doc.Document, unique_keys)
-        for name, frame in parse(file, document, origins, numbers):
-            if name in frames:
-                where = f"here and in {source[name].name}" if source[name] != file else "for two sensors"
-                raise FormatError(file, f"the frame {name} has labels {where}; import one of them at a time")
-            frames[name], source[name] = frame, file
-    numbers.angles.require()
-    numbers.quaternions.require(path)
+        names = DatasetNames.of(file.parent)
+        content = read_model(file, doc.Document, unique_keys).openlabel
+        for name, frame in _Reader(file, content, read, quaternions).frames(names):
+            add_once(frames, file, name, frame)
+    read.require()
+    quaternions.require(path)
     return frames
-
-
-class _Numbers(NamedTuple):
-    """Those of all cuboids; quaternions only of those in level frames."""
-
-    angles: Angles
-    quaternions: Quaternions
 
 
 class _Box(NamedTuple):
@@ -333,55 +275,6 @@ class _Box(NamedTuple):
     state: ReviewState | None
 
 
-def parse(
-    path: Path, document: doc.Document, origins: Mapping[str, FrameOrigin], numbers: _Numbers
-) -> Iterator[tuple[str, LabelledFrame]]:
-    """Yields the names and frames of one document, once for each of its cameras.
-
-    Args:
-        origins: origins of frames, by the stem of their files.
-    """
-    content = document.openlabel
-    sensors = _sensors(path, content)
-    for number, frame in (content.frames or {}).items():
-        properties = frame.frame_properties or doc.FrameProperties()
-        try:
-            coordinates = doc.Coordinates(content.coordinate_systems or {}, properties.transforms)
-        except ValueError as error:
-            raise FormatError(path, f"openlabel.frames.{number}: {error}") from error
-        boxes = [
-            _box(path, place, each, cuboid, uid, numbers, sensors)
-            for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
-            # null means "no cuboid" in the standard
-            if cuboid.val is not None
-        ]
-        contexts = (frame.contexts or {}).values()
-        values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
-        for sensor, of_camera in sensors.items():
-            stream = (properties.streams or {}).get(sensor)
-            if stream is None and len(sensors) > 1:
-                # this camera has no image in the frame
-                continue
-            # paths may come from Windows; only the file name is used, the file is not opened
-            stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
-            name = origins[stem].name if stem in origins else stem
-            is_placed = stem in origins and PLACE in (properties.transforms or {})
-            pose = in_world(coordinates.transform(WORLD, sensor) if is_placed else None) if of_camera else of_recording
-            truths = [_in_sensor(path, box, coordinates, sensor) for box in boxes]
-            yield name, LabelledFrame(truths, pose, [box.state for box in boxes], values)
-
-
-def _in_sensor(path: Path, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
-    if box.system == sensor:
-        return box.truth
-    try:
-        T = coordinates.transform(sensor, box.system)
-        said = tuple(each.transformed(T) for each in box.truth.said)
-        return replace(box.truth, box=box.truth.box.transformed(T), said=said)
-    except ValueError as error:
-        raise FormatError(path, f"{box.place}: {error}") from error
-
-
 def _documents(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
@@ -391,71 +284,101 @@ def _documents(path: Path) -> list[Path]:
     return documents
 
 
-def _sensors(path: Path, content: doc.Content) -> dict[str, bool]:
-    """Returns the streams to read boxes for: the cameras (True), or without cameras the only LiDAR (False)."""
-    streams = content.streams or {}
-    if cameras := [name for name, stream in streams.items() if stream.type == "camera"]:
-        return dict.fromkeys(cameras, True)
-    clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
-    if len(clouds) != 1:
-        raise FormatError(
-            path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
-        )
-    return {clouds[0]: False}
+class _Reader:
+    """Reads one document.
+
+    Args:
+        angles, quaternions: those of the cuboids of all documents; quaternions only of those in level frames.
+    """
+
+    def __init__(self, path: Path, content: doc.Content, angles: Angles, quaternions: Quaternions) -> None:
+        self._path, self._content = path, content
+        self._angles, self._quaternions = angles, quaternions
+        streams = content.streams or {}
+        # the cameras (True), or without cameras the only LiDAR (False)
+        self._sensors = {name: True for name, stream in streams.items() if stream.type == "camera"}
+        if not self._sensors:
+            self._sensors = {name: False for name, stream in streams.items() if stream.type == "lidar"}
+            if len(self._sensors) != 1:
+                raise FormatError(
+                    path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
+                )
+
+    def frames(self, names: DatasetNames) -> Iterator[tuple[str, LabelledFrame]]:
+        """Yields the names and frames, once for each of the cameras."""
+        for number, frame in (self._content.frames or {}).items():
+            properties = frame.frame_properties or doc.FrameProperties()
+            try:
+                coordinates = doc.Coordinates(self._content.coordinate_systems or {}, properties.transforms)
+            except ValueError as error:
+                raise FormatError(self._path, f"openlabel.frames.{number}: {error}") from error
+            boxes = list(self._boxes(int(number), frame))
+            contexts = (frame.contexts or {}).values()
+            values = {key: value for each in contexts for key, value in doc.values_of(each.context_data).items()}
+            for sensor, of_camera in self._sensors.items():
+                stream = (properties.streams or {}).get(sensor)
+                if stream is None and len(self._sensors) > 1:
+                    # this camera has no image in the frame
+                    continue
+                # paths may come from Windows; only the file name is used, the file is not opened
+                stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
+                is_placed = stem in names.frames and PLACE in (properties.transforms or {})
+                in_map = in_world(coordinates.transform(WORLD, sensor) if is_placed else None)
+                truths = [self._in_sensor(box, coordinates, sensor) for box in boxes]
+                states = [box.state for box in boxes]
+                yield names.known(stem), LabelledFrame(truths, in_map if of_camera else of_recording, states, values)
+
+    def _boxes(self, number: int, frame: doc.Frame) -> Iterator[_Box]:
+        """Yields the cuboids of a frame, then those of static objects."""
+        objects = self._content.objects or {}
+        present = {f"frames.{number}.objects.{uid}": (uid, each) for uid, each in (frame.objects or {}).items()}
+        for uid, each in objects.items():
+            spans = each.frame_intervals
+            if not spans or any(span.frame_start <= number <= span.frame_end for span in spans):
+                present[f"objects.{uid}"] = (uid, each)
+        for where, (uid, data) in present.items():
+            if uid not in objects:
+                problem = "the object is not listed in openlabel.objects; add it there"
+                raise FormatError(self._path, f"openlabel.{where}: {problem}")
+            for place, cuboid in enumerate((data.object_data and data.object_data.cuboid) or ()):
+                # null means "no cuboid" in the standard
+                if cuboid.val is not None:
+                    yield self._box(f"openlabel.{where}.object_data.cuboid.{place}", uid, cuboid, list(cuboid.val))
+
+    def _box(self, place: str, uid: str, cuboid: doc.Cuboid, val: list[float]) -> _Box:
+        each = (self._content.objects or {})[uid]
+        system = cuboid.coordinate_system or each.coordinate_system
+        if system is None:
+            problem = "has no coordinate_system, and its object has none either; add one"
+            raise FormatError(self._path, f"{place}: {problem}")
+        values = cuboid.attributes.values() if cuboid.attributes else {}
+        if len(val) == 9:
+            val[3:6] = [self._angles.radians(angle, self._path) for angle in val[3:6]]
+        elif not self._sensors.get(system):
+            self._quaternions.add(val[3:7])
+        score, state, kind = (values.get(name) for name in ("score", "state", "box_kind"))
+        try:
+            box, track_id = doc.box_from(val), _track(values.get("track_id"), uid)
+            said = doc.said_from(str(values[doc.SAID_BY])) if doc.SAID_BY in values else ()
+        except ValueError as error:
+            raise FormatError(self._path, f"{place}: {error}") from error
+        score, box_kind = score if isinstance(score, float) else None, known_kind(kind) or BoxKind.BOX
+        truth = Truth(each.type, box, track_id, score, None, box_kind, doc.values_of(cuboid.attributes), said)
+        return _Box(place, system, truth, ReviewState(state) if state in set(ReviewState) else None)
+
+    def _in_sensor(self, box: _Box, coordinates: doc.Coordinates, sensor: str) -> Truth:
+        if box.system == sensor:
+            return box.truth
+        try:
+            T = coordinates.transform(sensor, box.system)
+            said = tuple(each.transformed(T) for each in box.truth.said)
+            return replace(box.truth, box=box.truth.box.transformed(T), said=said)
+        except ValueError as error:
+            raise FormatError(self._path, f"{box.place}: {error}") from error
 
 
-def _cuboids(
-    path: Path, content: doc.Content, number: int, frame: doc.Frame
-) -> Iterator[tuple[str, str, doc.Object, doc.Cuboid]]:
-    """Yields place, object uid, object and cuboid: first those of the frame, then those of static objects."""
-    objects = content.objects or {}
-    for uid, dynamic in (frame.objects or {}).items():
-        where = f"openlabel.frames.{number}.objects.{uid}"
-        if uid not in objects:
-            raise FormatError(path, f"{where}: the object is not listed in openlabel.objects; add it there")
-        if dynamic.object_data is not None:
-            for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
-                yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
-    for uid, each in objects.items():
-        spans = each.frame_intervals
-        is_present = not spans or any(span.frame_start <= number <= span.frame_end for span in spans)
-        for place, cuboid in enumerate((is_present and each.object_data and each.object_data.cuboid) or ()):
-            yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
-
-
-def _box(
-    path: Path,
-    place: str,
-    each: doc.Object,
-    cuboid: doc.Cuboid,
-    uid: str,
-    numbers: _Numbers,
-    sensors: Mapping[str, bool],
-) -> _Box:
-    system = cuboid.coordinate_system or each.coordinate_system
-    if system is None:
-        raise FormatError(path, f"{place}: has no coordinate_system, and its object has none either; add one")
-    attributes, val = cuboid.attributes or doc.Attributes(), list(cuboid.val or ())
-    named = {num.name: num.val for num in attributes.num or ()}
-    texts = {text.name: text.val for text in attributes.text or ()}
-    if len(val) == 9:
-        val[3:6] = [numbers.angles.radians(angle, path) for angle in val[3:6]]
-    elif not sensors.get(system):
-        numbers.quaternions.add(val[3:7])
-    try:
-        box, track_id = doc.box_from(val), _track(named.get("track_id"), uid)
-        said = doc.said_from(texts[doc.SAID_BY]) if doc.SAID_BY in texts else ()
-    except ValueError as error:
-        raise FormatError(path, f"{place}: {error}") from error
-    state, kind = texts.get("state"), texts.get("box_kind")
-    review = ReviewState(state) if state in set(ReviewState) else None
-    box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    truth = Truth(each.type, box, track_id, named.get("score"), None, box_kind, doc.values_of(attributes), said)
-    return _Box(place, system, truth, review)
-
-
-def _track(attribute: float | None, uid: str) -> int | None:
-    if attribute is not None:
+def _track(attribute: AttributeValue | None, uid: str) -> int | None:
+    if isinstance(attribute, float):
         if not attribute.is_integer():
             raise ValueError(f"track_id must be a whole number, not {attribute}")
         return int(attribute)

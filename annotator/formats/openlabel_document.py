@@ -1,7 +1,7 @@
 """The parts of an OpenLABEL 1.0.0 document that boxes need. Source: the ASAM standard and its JSON schema.
 
 Names and nesting are the standard's. Other parts of a document (other geometry, actions, relations, ontologies) are
-ignored when reading. Optional parts are None and are left out when writing.
+ignored when reading. The models are what is read; documents are written as plain dictionaries.
 
 The schema does not define the order of a cuboid's Euler angles; it is taken from Vicomtech's VCD library, the
 standard's reference implementation: `rx ry rz` mean R = Rz(rz) Ry(ry) Rx(rx), and `sequence` names intrinsic rotations,
@@ -20,14 +20,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
+from pydantic_core import to_json
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.reading import Bounded, Bounded3, Bounded4, BoundedTrack, Exact
-from annotator.formats.units import rotation_problem
+from annotator.formats.reading import Bounded, Bounded3, Bounded4, Exact, SaidRecord, rotation_problem
 from annotator.types import BoxKind, Camera, OrientedBox
 from annotator.types.bases import FileRecord
 from annotator.types.label import AttributeValue, Said
@@ -38,9 +38,14 @@ SCHEMA_VERSION = "1.0.0"
 # Frames are numbered; elements have a number or a UUID.
 FrameNumber = Annotated[str, StringConstraints(pattern=r"^[0-9]{1,18}$")]
 Uid = Annotated[str, StringConstraints(pattern=r"^(-?[0-9]{1,18}|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12})$")]
-# Parts that are written, and not read.
-Unread = dict[str, Any] | str | float | None
-AttributeKind = Literal["num", "text", "boolean", "vec"]
+Name = Annotated[str, Field(min_length=1)]
+Part = dict[str, object]
+"""A part of a document that is written."""
+
+
+def known(**content: object) -> Part:
+    """Returns a part of a document, without what is None."""
+    return {name: value for name, value in content.items() if value is not None}
 
 
 Value = TypeVar("Value")
@@ -53,26 +58,24 @@ class Named(FileRecord, Generic[Value]):
     val: Value
 
 
-Num = Named[Exact]
-Text = Named[str]
-Boolean = Named[bool]
-
-
 class Attributes(FileRecord):
     """Attributes of a cuboid, or data of a context."""
 
-    boolean: tuple[Boolean, ...] | None = None
-    num: tuple[Num, ...] | None = None
-    text: tuple[Text, ...] | None = None
+    boolean: tuple[Named[bool], ...] | None = None
+    num: tuple[Named[Exact], ...] | None = None
+    text: tuple[Named[str], ...] | None = None
+
+    def values(self) -> dict[str, AttributeValue]:
+        """Returns all values by name."""
+        every: list[Named[bool] | Named[float] | Named[str]] = [*(self.boolean or ()), *(self.num or ())]
+        return {each.name: each.val for each in (*every, *(self.text or ())) if each.name}
 
 
 class Cuboid(FileRecord):
-    """`val`: x y z, then qx qy qz qw or rx ry rz, then the full sizes sx sy sz; metres and radians."""
+    """`val`: x y z, then qx qy qz qw or rx ry rz, then the full sizes sx sy sz; metres and radians; null: none."""
 
-    name: str
     val: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=10)] | None
     coordinate_system: str | None = None
-    uid: str | None = None
     attributes: Attributes | None = None
 
 
@@ -95,15 +98,12 @@ class FrameInterval(FileRecord):
     frame_end: Annotated[int, Field(ge=0)]
 
 
-class Object(FileRecord):
+class Object(FrameObject):
     """An object in all frames; `type` is its class."""
 
-    name: str
-    type: Annotated[str, Field(min_length=1)]
+    type: Name
     coordinate_system: str | None = None
     frame_intervals: tuple[FrameInterval, ...] | None = None
-    object_data: ObjectData | None = None
-    object_data_pointers: Unread = None
 
 
 class TransformData(FileRecord):
@@ -119,10 +119,8 @@ class TransformData(FileRecord):
 class CoordinateSystem(FileRecord):
     """`pose_wrt_parent` maps coordinates of this system to those of its parent; the root has the parent ""."""
 
-    type: str
     parent: str
     pose_wrt_parent: TransformData | None = None
-    children: tuple[str, ...] | None = None
 
 
 class Transform(FileRecord):
@@ -133,24 +131,17 @@ class Transform(FileRecord):
     transform_src_to_dst: TransformData
 
 
-class FrameStream(FileRecord):
-    """A stream in one frame; `uri` is its file. The properties are its intrinsics, its time or place in the stream."""
-
-    uri: str | None = None
-    stream_properties: Unread = None
-
-
-class Stream(FrameStream):
-    """A sensor."""
+class Stream(FileRecord):
+    """A sensor, or its file `uri` in one frame."""
 
     type: str | None = None
+    uri: str | None = None
 
 
 class FrameProperties(FileRecord):
-    """Time, files and transforms of one frame."""
+    """Files and transforms of one frame."""
 
-    timestamp: Unread = None
-    streams: dict[str, FrameStream] | None = None
+    streams: dict[str, Stream] | None = None
     transforms: dict[str, Transform] | None = None
 
 
@@ -169,12 +160,9 @@ class Frame(FileRecord):
 
 
 class Metadata(FileRecord):
-    """Data about the document; `name` is the recording's name."""
+    """Data about the document."""
 
     schema_version: Literal["1.0.0"]
-    name: str | None = None
-    annotator: str | None = None
-    comment: str | None = None
 
 
 class Content(FileRecord):
@@ -184,9 +172,7 @@ class Content(FileRecord):
     coordinate_systems: dict[str, CoordinateSystem] | None = None
     streams: dict[str, Stream] | None = None
     objects: dict[Uid, Object] | None = None
-    contexts: Unread = None
     frames: dict[FrameNumber, Frame] | None = None
-    frame_intervals: tuple[FrameInterval, ...] | None = None
 
 
 class Document(FileRecord):
@@ -226,11 +212,10 @@ def _rotation(xyzw: Sequence[float]) -> Rotation:
     return Rotation.from_quat(np.array(xyzw))
 
 
-def transform_values(T_dst_src: RigidTransform) -> TransformData:
+def transform_values(T_dst_src: RigidTransform) -> Part:
     """Returns the transform as quaternion and translation."""
-    x, y, z = T_dst_src.translation.tolist()
-    qx, qy, qz, qw = T_dst_src.rotation.as_quat(canonical=True).tolist()
-    return TransformData(quaternion=(qx, qy, qz, qw), translation=(x, y, z))
+    quaternion = T_dst_src.rotation.as_quat(canonical=True)
+    return {"quaternion": quaternion.tolist(), "translation": T_dst_src.translation.tolist()}
 
 
 def transform_from(data: TransformData) -> RigidTransform:
@@ -252,20 +237,17 @@ def transform_from(data: TransformData) -> RigidTransform:
     if data.quaternion is not None:
         rotation = _rotation(data.quaternion)
     elif data.euler_angles is not None:
-        rotation = _euler(data.euler_angles, (data.sequence or "ZYX").upper())
+        sequence = (data.sequence or "ZYX").upper()
+        if any(a == b for a, b in pairwise(sequence)):
+            raise ValueError(f"the sequence {sequence} names one axis twice in a row")
+        # intrinsic rotations about the named axes
+        rotation = Rotation.from_euler(sequence, data.euler_angles)
     else:
         raise ValueError("a transform with a translation also needs quaternion or euler_angles")
     return RigidTransform.from_components(np.array(data.translation), rotation)
 
 
-def _euler(angles_rad: tuple[float, float, float], sequence: str) -> Rotation:
-    """Returns intrinsic rotations about the named axes."""
-    if any(a == b for a, b in pairwise(sequence)):
-        raise ValueError(f"the sequence {sequence} names one axis twice in a row")
-    return Rotation.from_euler(sequence, angles_rad)
-
-
-def pinhole_of(camera: Camera) -> dict[str, object]:
+def pinhole_of(camera: Camera) -> Part:
     """Returns the camera's record: K as 3x4, row by row, OpenCV's coefficients padded with zeros to the 5 that the
     schema needs.
     """
@@ -328,27 +310,28 @@ class Coordinates:
 SAID_BY = "said_by"
 
 
-class _Entry(FileRecord):
-    source: Annotated[str, Field(min_length=1, max_length=200)]
-    type: Annotated[str, Field(min_length=1)]
+class _Entry(SaidRecord):
+    label: Annotated[str, Field(min_length=1, alias="type")]
     val: Annotated[tuple[Bounded, ...], Field(min_length=10, max_length=10)]
-    score: Annotated[float, Field(ge=0, le=1)] | None = None
-    track_id: BoundedTrack | None = None
-    box_kind: BoxKind = BoxKind.BOX
 
 
-# What sources and their entries have in common.
-OF_SAID = ("source", "score", "track_id", "box_kind")
 _ENTRIES: TypeAdapter[tuple[_Entry, ...]] = TypeAdapter(tuple[_Entry, ...])
 
 
 def said_text(said: Sequence[Said]) -> str:
     """Returns the text."""
-    entries = tuple(
-        _Entry(type=each.label, val=cuboid_values(each.box), **{name: getattr(each, name) for name in OF_SAID})
+    entries = [
+        known(
+            source=each.source,
+            type=each.label,
+            val=cuboid_values(each.box),
+            score=each.score,
+            track_id=each.track_id,
+            box_kind=None if each.box_kind is BoxKind.BOX else each.box_kind,
+        )
         for each in said
-    )
-    return _ENTRIES.dump_json(entries, exclude_defaults=True).decode()
+    ]
+    return to_json(entries).decode()
 
 
 def said_from(text: str) -> tuple[Said, ...]:
@@ -361,55 +344,27 @@ def said_from(text: str) -> tuple[Said, ...]:
         entries = _ENTRIES.validate_json(text)
     except ValidationError as error:
         raise ValueError(f"{first_problem(error, SAID_BY)}; correct it or leave it out") from error
-    return tuple(
-        Said(each.source, each.type, box_from(each.val), each.score, each.track_id, each.box_kind) for each in entries
-    )
+    return tuple(each.said(box_from(each.val)) for each in entries)
 
 
 # Names that annotator itself gives to data of a cuboid; attributes of these names get a prefix.
-RESERVED = frozenset(
-    {
-        "score",
-        "track_id",
-        "expected_iou_loss",
-        "state",
-        "source",
-        "author",
-        "suggested_by",
-        "suggestion",
-        "box_kind",
-        SAID_BY,
-    }
-)
+OWN = ("score", "track_id", "expected_iou_loss", "state", "source", "author", "suggested_by", "suggestion", "box_kind")
+RESERVED = {*OWN, SAID_BY}
 PREFIX = "attribute:"
 # Name and type of the context that has the attributes of frames.
 FRAME_CONTEXT = "frame"
 
 
-def key_of(name: str) -> str:
-    """Returns the name of an attribute in a document."""
-    return PREFIX + name if name in RESERVED else name
-
-
-def attributes_of(values: Mapping[str, AttributeValue]) -> Attributes:
+def attributes_of(values: Mapping[str, AttributeValue]) -> dict[str, list[Part]]:
     """Returns values by their kind."""
-    named = values.items()
-    numbers = [(name, value) for name, value in named if isinstance(value, int | float) and not isinstance(value, bool)]
-    return Attributes(
-        boolean=tuple(Boolean(name=name, val=value) for name, value in named if isinstance(value, bool)) or None,
-        num=tuple(Num(name=name, val=value) for name, value in numbers) or None,
-        text=tuple(Text(name=name, val=value) for name, value in named if isinstance(value, str)) or None,
-    )
+    kinds: dict[str, list[Part]] = {"boolean": [], "num": [], "text": []}
+    for name, value in values.items():
+        kind = "text" if isinstance(value, str) else "boolean" if isinstance(value, bool) else "num"
+        kinds[kind].append({"name": name, "val": float(value) if kind == "num" else value})
+    return {kind: named for kind, named in kinds.items() if named}
 
 
 def values_of(attributes: Attributes | None) -> dict[str, AttributeValue]:
     """Returns the values of attributes, without annotator's own data."""
-    if attributes is None:
-        return {}
-    every: tuple[Boolean | Num | Text, ...] = (
-        *(attributes.boolean or ()),
-        *(attributes.num or ()),
-        *(attributes.text or ()),
-    )
-    named = {each.name: each.val for each in every if each.name and each.name not in RESERVED}
-    return {name.removeprefix(PREFIX): value for name, value in named.items()}
+    values = {} if attributes is None else attributes.values()
+    return {name.removeprefix(PREFIX): value for name, value in values.items() if name not in RESERVED}

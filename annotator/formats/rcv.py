@@ -19,16 +19,15 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, write_ply
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Detector, ply
 from annotator.formats.frame_names import LabelledFrame, in_world
-from annotator.formats.reading import BoundedTrack, read_model
+from annotator.formats.reading import BoundedTrack, SaidRecord, read_model
 from annotator.geometry.transforms import corners_4x8
-from annotator.image_bytes import JPEG_QUALITY, encoded_image
+from annotator.image_bytes import JPEG_QUALITY
 from annotator.text import NAME_SHOWN, OutsideError, inside, spelled
 from annotator.types import BoxKind, Camera, Label, OrientedBox, ReviewState, Source, Suggestion, Truth
 from annotator.types.bases import Strict
 from annotator.types.errors import FormatError
-from annotator.types.label import Said
 from annotator.types.messages import amount
 
 FORMAT_NAME = "annotator-rcv"
@@ -41,6 +40,7 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Values = dict[str, bool | int | Number | str]
 Vector3 = tuple[Number, Number, Number]
+Vector4 = tuple[Number, Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]
 
@@ -50,17 +50,11 @@ class RcvBox(Strict):
 
     center: Vector3
     size: tuple[Positive, Positive, Positive]
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Vector4
 
 
-class RcvSaid(RcvBox):
+class RcvSaid(SaidRecord, RcvBox):
     """What one source, such as a detector, said of an object before its review."""
-
-    source: str = Field(min_length=1, max_length=200)
-    label: str = Field(min_length=1)
-    score: float | None = Field(None, ge=0, le=1)
-    track_id: BoundedTrack | None = None
-    box_kind: BoxKind = BoxKind.BOX
 
 
 class RcvObject(RcvBox):
@@ -91,7 +85,7 @@ class RcvPose(Strict):
     """A pose: it maps coordinates p of the camera to `rotation(quaternion) p + translation`."""
 
     translation: Vector3
-    quaternion: tuple[Number, Number, Number, Number]
+    quaternion: Vector4
 
 
 class RcvLabels(Strict):
@@ -220,7 +214,7 @@ AGREEMENT = 1e-6
 
 def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> RcvLabels:
     """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
-    frame = item.frame
+    frame, world = item.frame, item.frame.T_world_camera
     return RcvLabels(
         id=frame_id,
         recording=item.recording,
@@ -233,7 +227,7 @@ def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> R
         frame_of_reference=FRAME_OF_REFERENCE,
         up=None if frame.up is None else frame.up.tolist(),
         camera=frame.camera,
-        world=None if frame.T_world_camera is None else _pose_record(frame.T_world_camera),
+        world=None if world is None else {"translation": world.translation.tolist(), "quaternion": _quaternion(world)},
         attributes=dict(item.attributes),
         objects=tuple(map(object_record, item.labels)),
     )
@@ -244,9 +238,6 @@ COMMON = (
     *("uid", "label", "score", "source", "state", "author", "time_ns", "track_id"),
     *("expected_iou_loss", "suggestion", "box_kind"),
 )
-
-
-OF_SAID = ("source", "label", "score", "track_id", "box_kind")
 
 
 def _named(of: object, names: Iterable[str]) -> dict[str, Any]:
@@ -263,8 +254,7 @@ def _box_fields(box: OrientedBox) -> dict[str, Any]:
 
 def _box(record: RcvBox) -> OrientedBox:
     """Returns the box of a record; raises ValueError for a quaternion of length zero."""
-    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    return OrientedBox.at(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
+    return OrientedBox.at(_transform(record.center, record.quaternion), np.array(record.size))
 
 
 def object_record(label: Label) -> RcvObject:
@@ -273,7 +263,7 @@ def object_record(label: Label) -> RcvObject:
         **_named(label, COMMON),
         **_box_fields(box),
         attributes=dict(label.attributes),
-        said=tuple(RcvSaid(**_named(each, OF_SAID), **_box_fields(each.box)) for each in label.said),
+        said=tuple(RcvSaid(**_named(each, SaidRecord.model_fields), **_box_fields(each.box)) for each in label.said),
         rotation=box.rotation.tolist(),
         corners=corners_4x8(box).tolist(),
     )
@@ -293,24 +283,17 @@ def label_from(record: RcvObject) -> Label:
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
-    said = tuple(Said(**_named(each, OF_SAID), box=_box(each)) for each in record.said)
+    said = tuple(each.said(_box(each)) for each in record.said)
     return Label(**_named(record, COMMON), box=box, attributes=record.attributes, said=said)
 
 
-def _pose_record(T: RigidTransform) -> RcvPose:
-    return RcvPose(translation=T.translation.tolist(), quaternion=_quaternion(T))
+def _transform(translation: Vector3, quaternion: Vector4) -> RigidTransform:
+    """Returns a pose; raises ValueError for a quaternion of length zero."""
+    return RigidTransform.from_components(translation, Rotation.from_quat(quaternion, scalar_first=True))
 
 
-def pose_from(record: RcvPose) -> RigidTransform:
-    """Returns the transform of a record; raises ValueError for a quaternion of length zero."""
-    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    return RigidTransform.from_components(np.array(record.translation), rotation)
-
-
-def _quaternion(T: RigidTransform) -> tuple[float, float, float, float]:
-    quaternion: tuple[float, float, float, float] = tuple(
-        T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
-    )
+def _quaternion(T: RigidTransform) -> list[float]:
+    quaternion: list[float] = T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
     return quaternion
 
 
@@ -323,49 +306,38 @@ class RcvWriter(DatasetWriter):
     """Writes all that labels hold. Every label must have one of `info.classes`."""
 
     def begin(self) -> None:
-        self.splits: dict[str, list[str]] = {}
         self.cameras: dict[tuple[Any, ...], tuple[Camera, list[str]]] = {}
         self.points = 0
         self.by_recording, self.objects_by_recording = Counter[str](), Counter[str]()
         self.by_state, self.by_source = Counter[ReviewState](), Counter[Source]()
-        for name in FOLDERS:
-            (self.folder / name).mkdir()
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        classes = self.info.classes
+        classes, frame = self.info.classes, item.frame
         for label in item.labels:
             if label.label not in classes:
-                where = f"{item.recording}, frame {item.frame.key}"
+                where = f"{item.recording}, frame {frame.key}"
                 problem = f"{where}: label {label.label!r} is not one of the classes {', '.join(classes)}"
                 raise FormatError(self.out, problem)
-        self._count(item, frame_id)
-        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
-        (self.folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
-        write_ply(self.folder / cloud, item.frame.cloud)
-        record = labels_record(frame_id, item, image, cloud)
-        (self.folder / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
-
-    def _count(self, item: DatasetItem, frame_id: str) -> None:
-        if item.split is not None:
-            self.splits.setdefault(item.split, []).append(frame_id)
-        camera = item.frame.camera
-        _, recordings = self.cameras.setdefault(astuple(camera), (camera, []))
+        _, recordings = self.cameras.setdefault(astuple(frame.camera), (frame.camera, []))
         if item.recording not in recordings:
             recordings.append(item.recording)
-        self.points += len(item.frame.cloud)
+        self.points += len(frame.cloud)
         self.by_recording[item.recording] += 1
         self.objects_by_recording[item.recording] += len(item.labels)
         self.counts.update(label.label for label in item.labels)
         self.by_state.update(label.state for label in item.labels)
         self.by_source.update(label.source for label in item.labels)
+        image, cloud = self.put_image(f"images/{frame_id}", frame.rgb), f"clouds/{frame_id}.ply"
+        self.put(cloud, ply(frame.cloud))
+        record = labels_record(frame_id, item, image, cloud)
+        self.put(f"labels/{frame_id}.json", record.model_dump_json(indent=1) + "\n")
 
     def finish(self) -> None:
         manifest = self.manifest()
-        (self.folder / "README.md").write_text(readme_text(manifest), encoding="utf-8")
-        (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        for name, ids in self.splits.items():
-            (self.folder / SPLITS).mkdir(exist_ok=True)
-            (self.folder / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
+        self.put("README.md", readme_text(manifest))
+        self.put(MANIFEST, manifest.model_dump_json(indent=1) + "\n")
+        for name, ids in self.parts().items():
+            self.put(f"{SPLITS}/{name}.txt", "".join(f"{each}\n" for each in ids))
 
     def manifest(self) -> RcvManifest:
         return RcvManifest(
@@ -412,14 +384,20 @@ class RcvDataset:
     def __len__(self) -> int:
         return len(self.manifest.frames)
 
-    def labels(self, i: int) -> tuple[Label, ...]:
-        """Returns the labels of frame `i`."""
-        return _labels(*self._record(i))
-
     def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
         """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
         path, record = self._record(i)
-        return f"{record.recording}/{record.key}", _labels(path, record), record.attributes, _pose(path, record)
+        labels = []
+        try:
+            pose = None if record.world is None else _transform(record.world.translation, record.world.quaternion)
+        except ValueError as error:
+            raise FormatError(path, f"world: {error}") from error
+        for number, entry in enumerate(record.objects):
+            try:
+                labels.append(label_from(entry))
+            except ValueError as error:
+                raise FormatError(path, f"objects.{number}: {error}") from error
+        return f"{record.recording}/{record.key}", tuple(labels), record.attributes, pose
 
     def place(self, i: int) -> tuple[str, int]:
         """Returns the original recording of frame `i`, and its number there."""
@@ -477,20 +455,3 @@ def _inside(folder: Path, name: str, listed_in: Path) -> Path:
         return inside(folder, name)
     except OutsideError as error:
         raise FormatError(listed_in, str(error)) from error
-
-
-def _pose(path: Path, record: RcvLabels) -> RigidTransform | None:
-    try:
-        return None if record.world is None else pose_from(record.world)
-    except ValueError as error:
-        raise FormatError(path, f"world: {error}") from error
-
-
-def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:
-    labels = []
-    for number, entry in enumerate(record.objects):
-        try:
-            labels.append(label_from(entry))
-        except ValueError as error:
-            raise FormatError(path, f"objects.{number}: {error}") from error
-    return tuple(labels)

@@ -1,6 +1,8 @@
-"""Shared by the label readers: faults, finite numbers, images, the text files of a folder or a zip archive, and JSON.
+"""Shared by the label readers: numbers and their units, images, the text files of a folder or a zip archive, and JSON.
 
-JSON files are read into pydantic models, or pair by pair if they are large.
+Programs write degrees where a format has radians, millimetres where it has metres. One box seldom shows that, but all
+boxes of a set together do. So a reader hands over the numbers of all boxes that belong together, and a set that cannot
+be right is refused. What can be right is read: a format's unit is doubted only where its numbers contradict it.
 """
 
 from __future__ import annotations
@@ -9,24 +11,138 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Annotated, Never, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 from pydantic import BaseModel, Field, ValidationError
+from scipy.spatial.transform import Rotation
 
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file, write_atomic
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image, read_image
 from annotator.text import SHOWN, decoded, normal, to_number
-from annotator.types import BoxKind
+from annotator.types import BoxKind, OrientedBox
 from annotator.types.bases import FileRecord
-from annotator.types.errors import FormatError
-from annotator.types.label import MOST_TRACK
+from annotator.types.errors import FormatError, UnitError, UnitKind
+from annotator.types.label import MOST_TRACK, Said
 from annotator.types.messages import amount, first_problem
+
+# Programs write angles in radians that they have not normalised: OpenPCDet's KITTI results have rotation_y down to
+# -2.75 pi. Those of a set in degrees nearly always have a larger one. Files round to two decimals.
+MOST_RAD = 3 * math.pi + 0.01
+BEYOND = "beyond 3 pi"
+# Limits of the median of the boxes' longest sides, metres. Few objects of a scene are longer than the first one, as
+# ships are; none is longer than the second one, or shorter than the third.
+LONG_M, LONGEST_M, SHORTEST_M = 100.0, 1000.0, 0.005
+
+
+class AngleUnit(StrEnum):
+    """Units of angles."""
+
+    RADIANS = "radians"
+    DEGREES = "degrees"
+
+
+class Angles:
+    """The angles of a set of boxes in a format that has radians; each passes through `radians` while it is read.
+
+    Args:
+        given: the unit that the operator has stated; then nothing is doubted.
+    """
+
+    def __init__(self, given: AngleUnit | None = None) -> None:
+        self._given = given
+        self._count = self._beyond = 0
+        self._worst: tuple[float, Path, int | None] | None = None
+
+    def radians(self, value: float, file: Path, line: int | None = None) -> float:
+        """Returns an angle of a file in radians."""
+        if self._given is AngleUnit.DEGREES:
+            return math.radians(value)
+        self._count += value != 0
+        if abs(value) > MOST_RAD:
+            self._beyond += 1
+            if self._worst is None or abs(value) > abs(self._worst[0]):
+                self._worst = (value, file, line)
+        return value
+
+    def require(self) -> None:
+        """Raises UnitError if something shows that they are not in radians; it names the place of the largest one."""
+        if self._worst is None or self._given is not None:
+            return
+        value, file, line = self._worst
+        problem = (
+            f"{value:g} is no angle in radians, which this format has ({self._beyond} of "
+            f"{amount(self._count, 'angle')} other than 0 {BEYOND}); write radians (`annotator import` converts "
+            f"degrees with --angles {AngleUnit.DEGREES}, and reads the angles as they are with --angles "
+            f"{AngleUnit.RADIANS})"
+        )
+        raise UnitError(UnitKind.ANGLE, file, problem, line)
+
+
+class Lengths:
+    """The sizes of a set of boxes, in a format that has metres."""
+
+    def __init__(self, sizes_m: Iterable[Float64[np.ndarray, "3"]] = ()) -> None:
+        self._longest = array("d", (float(max(size_m)) for size_m in sizes_m))
+
+    def add(self, size_m: Float64[np.ndarray, "3"]) -> None:
+        """Adds the size of a box."""
+        self._longest.append(float(max(size_m)))
+
+    def problem(self) -> str | None:
+        """Returns what shows that the sizes are hardly in metres; None if nothing does."""
+        longest, median = np.array(self._longest), self._median_m
+        if SHORTEST_M <= median <= LONG_M:
+            return None
+        off = (longest > LONG_M) if median > LONG_M else (longest < SHORTEST_M)
+        boxes = f"{off.sum()} of {amount(len(longest), 'box')} {'is' if off.sum() == 1 else 'are'}"
+        if median > LONG_M:
+            unit = "millimetres" if median > LONGEST_M else "millimetres or centimetres"
+            what = f"longer than {LONG_M:g} m (the median is {median:g} m), so they look like {unit}"
+        else:
+            what = f"shorter than {1000 * SHORTEST_M:g} mm (the median is {median:g} m), so they look like kilometres"
+        return f"{boxes} {what}; write centres and sizes in metres"
+
+    @property
+    def _median_m(self) -> float:
+        return float(np.median(self._longest)) if self._longest else 1.0
+
+    def require(self, path: Path) -> None:
+        """Raises UnitError if the sizes cannot be in metres."""
+        if not SHORTEST_M <= self._median_m <= LONGEST_M and (problem := self.problem()) is not None:
+            raise UnitError(UnitKind.LENGTH, path, problem)
+
+
+# Tolerance for R^T R = identity, since matrices in files are rounded.
+MOST_OFF_ROTATION = 1e-2
+
+
+def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float = MOST_OFF_ROTATION) -> str | None:
+    """Returns why a matrix of a file is no rotation; None if it is one."""
+    if not np.abs(R.T @ R - np.eye(3)).max() <= most_off:
+        return "is not a rotation (its columns must have length 1 and be at right angles)"
+    if np.linalg.det(R) < 0:
+        return "has left-handed axes (it mirrors: its determinant is -1), and annotator's are right-handed; negate one"
+    return None
+
+
+def angles_xyz(R: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
+    """Returns the angles x, y, z of R = Rx Ry Rz, radians in [-pi, pi].
+
+    If the z axis that it turns lies along x (gimbal lock), only the sum or difference of x and z is determined. y and z
+    are computed from the rotation that remains after x, so that all three together are exact.
+    """
+    x = np.arctan2(-R[1, 2], R[2, 2])
+    rest = Rotation.from_rotvec([-x, 0.0, 0.0]).as_matrix() @ R
+    return np.array([x, np.arctan2(rest[0, 2], rest[2, 2]), np.arctan2(rest[1, 0], rest[1, 1])])
+
 
 OnFault = Callable[[FormatError], None]
 """Called with each fault. If it returns, the faulty entry is skipped and reading continues."""
@@ -76,7 +192,7 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
 SUFFIX = ".txt"
 
 
-def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Path, str]]:
+def text_files(path: Path, *within: str) -> Iterator[tuple[str, Path, str]]:
     """Yields key (the `normal` name without suffix), path and content of each text file, sorted by name.
 
     In an archive, the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
@@ -84,35 +200,45 @@ def text_files(path: Path, within: str | None = None) -> Iterator[tuple[str, Pat
 
     Args:
         path: the folder or the archive.
-        within: a folder name; if an archive has matching files in a folder of this name, only those are read.
+        within: folder names; if an archive has matching files in such folders, only those are read.
     """
     if path.is_dir():
-        yield from _of_folder(path)
-    elif path.is_file() and _is_archive(path):
-        yield from _of_archive(path, within)
+        try:
+            files = [file for file in path.iterdir() if _is_wanted(file)]
+        except OSError as error:
+            raise FormatError(path, f"cannot be read ({error.strerror})") from error
+        for key, file in _by_key(path, files, "; give the folder that contains them"):
+            yield key, file, read_text(file)
+    elif _is_archive(path):
+        try:
+            with open_file(path) as opened, open_archive(opened) as archive:
+                names = {PurePosixPath(each): each for each in archive.namelist() if not each.endswith("/")}
+                members = list(filter(_is_wanted, names))
+                for key, member in _by_key(path, [each for each in members if each.parent.name in within] or members):
+                    with archive.open(names[member]) as stream:
+                        # the size that an archive declares may be wrong
+                        yield key, path / member.name, _text(path / member.name, stream.read(DOCUMENT_BYTES + 1))
+        except ARCHIVE_ERRORS as error:
+            raise FormatError(path, f"the archive cannot be read ({error})") from error
     elif path.exists():
         raise FormatError(path, f"is neither a folder of *{SUFFIX} files nor a zip archive of one")
     else:
         raise FormatError(path, "there is no such folder or zip archive")
 
 
-def _of_folder(path: Path) -> Iterator[tuple[str, Path, str]]:
-    try:
-        files = sorted(file for file in path.iterdir() if _is_wanted(file))
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    if not files:
-        raise FormatError(path, f"has no {SUFFIX} files; give the folder that contains them")
-    seen = set[str]()
-    for file in files:
-        if (key := normal(file.stem)) in seen:
-            raise _twice(path, file.name)
-        seen.add(key)
-        yield key, file, read_text(file)
+PathKind = TypeVar("PathKind", bound=PurePath)
 
 
-def _twice(path: Path, name: str) -> FormatError:
-    return FormatError(path, f"has two files called {name}; keep one")
+def _by_key(path: Path, files: Iterable[PathKind], advice: str = "") -> list[tuple[str, PathKind]]:
+    """Returns files with their keys, sorted."""
+    found: dict[str, PathKind] = {}
+    for file in sorted(files):
+        if normal(file.stem) in found:
+            raise FormatError(path, f"has two files called {file.name}; keep one")
+        found[normal(file.stem)] = file
+    if not found:
+        raise FormatError(path, f"has no {SUFFIX} files{advice}")
+    return list(found.items())
 
 
 def _is_wanted(file: PurePath) -> bool:
@@ -134,31 +260,10 @@ def text_rows(file: Path, text: str | None = None) -> list[tuple[int, list[str]]
     return [(line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip()]
 
 
-def _of_archive(path: Path, within: str | None) -> Iterator[tuple[str, Path, str]]:
-    try:
-        with open_file(path) as file, open_archive(file) as archive:
-            named: dict[str, zipfile.ZipInfo] = {}
-            for info in _wanted(archive, within):
-                name = PurePosixPath(info.filename)
-                if normal(name.stem) in named:
-                    raise _twice(path, name.name)
-                named[normal(name.stem)] = info
-            if not named:
-                raise FormatError(path, f"has no {SUFFIX} files")
-            for key in sorted(named):
-                with archive.open(named[key]) as stream:
-                    # the size that an archive declares may be wrong
-                    content = stream.read(DOCUMENT_BYTES + 1)
-                member = path / PurePosixPath(named[key].filename).name
-                yield key, member, _text(member, content)
-    except ARCHIVE_ERRORS as error:
-        raise FormatError(path, f"the archive cannot be read ({error})") from error
-
-
 def holds_texts(path: Path) -> bool:
     """True for a folder with text files or one that cannot be listed, and for any zip archive."""
     if not path.is_dir():
-        return path.is_file() and _is_archive(path)
+        return _is_archive(path)
     try:
         return any(_is_wanted(file) for file in path.iterdir())
     except OSError:
@@ -168,13 +273,8 @@ def holds_texts(path: Path) -> bool:
 def _is_archive(path: Path) -> bool:
     with suppress(OSError):
         check_file(path)
-        return zipfile.is_zipfile(path)
+        return path.is_file() and zipfile.is_zipfile(path)
     return False
-
-
-def _wanted(archive: zipfile.ZipFile, within: str | None) -> list[zipfile.ZipInfo]:
-    matching = [info for info in archive.infolist() if not info.is_dir() and _is_wanted(PurePosixPath(info.filename))]
-    return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 
 
 def _text(file: Path, content: bytes) -> str:
@@ -242,37 +342,31 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise FormatError(path, first_problem(error) + _more(error)) from error
+        more = error.error_count() - 1
+        others = f" (and {amount(more, 'more problem')})" if more else ""
+        raise FormatError(path, first_problem(error) + others) from error
 
 
 def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     """Returns the content of a JSON file.
 
+    Unpaired surrogates (`\\ud800`) are refused: they are valid JSON escapes, but cannot be encoded as UTF-8.
+
     Args:
         pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
     """
-    data = _read(path)
-    with json_faults(path):
-        text = decoded(data)
-        content: object = json.loads(text, object_pairs_hook=pairs_hook)
-    require_encodable(path, text, content)
-    return content
-
-
-def _read(path: Path) -> bytes:
     try:
-        return read_file(path, MAX_BYTES)
+        text = decoded(read_file(path, MAX_BYTES))
+        content: object = json.loads(text, object_pairs_hook=pairs_hook)
+        if SURROGATE.search(text) is not None:
+            json.dumps(content, ensure_ascii=False).encode()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-
-
-@contextmanager
-def json_faults(path: Path) -> Iterator[None]:
-    """Converts the errors of parsing JSON into FormatErrors; a KeyError names a key that occurs twice."""
-    try:
-        yield
     except UnicodeDecodeError as error:
         raise FormatError(path, f"is {error}") from error
+    except UnicodeEncodeError as error:
+        shown = f"{error.object[error.start]!a}"
+        raise FormatError(path, f"has an unpaired surrogate ({shown}); write the whole character") from error
     except json.JSONDecodeError as error:
         raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
     except RecursionError as error:
@@ -282,27 +376,15 @@ def json_faults(path: Path) -> Iterator[None]:
     except ValueError as error:
         # an integer of thousands of digits
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
+    return content
 
 
-def require_encodable(path: Path, text: str, content: object) -> None:
-    r"""Rejects unpaired surrogates (`\ud800`): valid JSON escapes, but they cannot be encoded as UTF-8.
-
-    Args:
-        text: the JSON of `content`.
-    """
-    if SURROGATE.search(text) is None:
-        return
-    try:
-        json.dumps(content, ensure_ascii=False).encode()
-    except UnicodeEncodeError as error:
-        raise FormatError(
-            path, f"has an unpaired surrogate ({error.object[error.start]!a}); write the whole character"
-        ) from error
-
-
-def _more(error: ValidationError) -> str:
-    more = error.error_count() - 1
-    return f" (and {amount(more, 'more problem')})" if more else ""
+def read_object(path: Path) -> dict[str, object]:
+    """Returns the object of a JSON file, each key once."""
+    content = read_json(path, unique_keys)
+    if not isinstance(content, dict):
+        raise FormatError(path, "must be a JSON object with one entry per frame")
+    return content
 
 
 def write_text(path: Path, text: str) -> None:
@@ -323,6 +405,20 @@ BoundedTrack = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 Exact = Annotated[float, Field(ge=-MOST_TRACK, le=MOST_TRACK, allow_inf_nan=False)]
 
 
+class SaidRecord(BaseModel):
+    """What one source of boxes said of an object, without its box, in files that annotator writes."""
+
+    source: str = Field(min_length=1, max_length=200)
+    label: str = Field(min_length=1)
+    score: float | None = Field(None, ge=0, le=1)
+    track_id: BoundedTrack | None = None
+    box_kind: BoxKind = BoxKind.BOX
+
+    def said(self, box: OrientedBox) -> Said:
+        """Returns it with its box."""
+        return Said(self.source, self.label, box, self.score, self.track_id, self.box_kind)
+
+
 class Axes(FileRecord):
     """One value per axis: metres, or angles."""
 
@@ -333,84 +429,3 @@ class Axes(FileRecord):
 
 Bounded3 = tuple[Bounded, Bounded, Bounded]
 Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]
-
-
-BLANKS = re.compile(r"[ \t\r\n]*+")
-
-
-def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, object]]:
-    """Yields the pairs of the object in a file, in its order, each key once; they are parsed one by one.
-
-    Args:
-        inside: the key of the object's pair whose own pairs are wanted, instead of the object's.
-    """
-    data = _read(path)
-    with json_faults(path):
-        text = _Text(path, decoded(data))
-        del data
-        keys, found = text.each_key(), inside is None
-        for key in keys:
-            if inside is None:
-                yield key, text.value()
-            elif key == inside:
-                found = True
-                yield from ((name, text.value()) for name in text.each_key())
-            else:
-                text.value()
-        if text.next():
-            text.fail("has something after the end of its object")
-        if not found:
-            raise FormatError(path, f"has no key {inside!r}")
-
-
-class _Text:
-    """The text of a file, and a place in it."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self._path, self._text, self._at = path, text, 0
-        self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
-
-    def each_key(self) -> Iterator[str]:
-        """Yields the keys of the object that begins here; each key's value must be read before the next one."""
-        if self.next() != "{":
-            self.fail("must be a JSON object with one entry per frame")
-        self._at += 1
-        known, end = set[str](), self.next()
-        if end == "}":
-            self._at += 1
-        while end != "}":
-            if self.next() != '"':
-                self.fail("is not valid JSON: a key in double quotes is missing")
-            key = str(self.value())
-            if key in known:
-                raise KeyError(key)
-            known.add(key)
-            self._take(":")
-            yield key
-            end = self._take(",}")
-
-    def value(self) -> object:
-        """Reads the value that begins here."""
-        self.next()
-        value, end = self._json.raw_decode(self._text, self._at)
-        require_encodable(self._path, self._text[self._at : end], value)
-        self._at = end
-        return value
-
-    def next(self) -> str:
-        """Goes to the next character that is not blank, and returns it; "" at the end of the file."""
-        match = BLANKS.match(self._text, self._at)
-        assert match is not None  # it may be empty
-        self._at = match.end()
-        return self._text[self._at : self._at + 1]
-
-    def _take(self, characters: str) -> str:
-        found = self.next()
-        if not found or found not in characters:
-            self.fail(f"is not valid JSON: Expecting {' or '.join(map(repr, characters))}")
-        self._at += 1
-        return found
-
-    def fail(self, reason: str) -> Never:
-        """Raises FormatError for what is here."""
-        raise FormatError(self._path, reason, 1 + self._text.count("\n", 0, self._at))

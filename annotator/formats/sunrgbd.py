@@ -36,6 +36,7 @@ others it follows from gravity: y is the levelled viewing direction. A camera's 
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -48,11 +49,9 @@ from pydantic import BeforeValidator, Field, StringConstraints, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.fenced_files import read_mat
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
 from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
-from annotator.formats.losses import Lost
-from annotator.formats.reading import MAX_BYTES, finite_number, read_model, text_files, text_rows
-from annotator.formats.units import rotation_problem
+from annotator.formats.reading import MAX_BYTES, finite_number, read_model, rotation_problem, text_files, text_rows
 from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
@@ -156,9 +155,7 @@ def meta_frame(
     """
     depth, image = files
     Rtilt = tilt_matrix(T_camera_upright)
-    objects = np.empty((1, len(boxes)), [(field, object) for field in BOX_FIELDS])
-    for number, (label, box, on_image) in enumerate(boxes):
-        objects[0, number] = _object(name, label, box, on_image)
+    objects = _struct(BOX_FIELDS, [_object(name, *each) for each in boxes])
     # the extrinsics level the camera without swapping its axes
     level = SWAPPED.T @ Rtilt @ SWAPPED
     K = one_based_matrix(camera)
@@ -167,10 +164,15 @@ def meta_frame(
 
 def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
     """Returns the content of the file for `scipy.io.savemat`."""
-    table = np.empty((1, len(frames)), [(field, object) for field in FRAME_FIELDS])
-    for number, frame in enumerate(frames):
-        table[0, number] = frame
-    return {VARIABLE: table}
+    return {VARIABLE: _struct(FRAME_FIELDS, frames)}
+
+
+def _struct(fields: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> np.ndarray:
+    """A struct array."""
+    table = np.empty((1, len(rows)), [(field, object) for field in fields])
+    for number, row in enumerate(rows):
+        table[0, number] = row
+    return table
 
 
 def read_meta(path: Path) -> dict[str, LabelledFrame]:
@@ -244,7 +246,6 @@ def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
     return np.asarray(U @ V)
 
 
-PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
 # The data set numbers its frames from 1.
 FIRST_ID = 1
@@ -261,23 +262,20 @@ class SunRgbdWriter(DatasetWriter):
         self._words = ClassWords(self.info.classes)
         self._ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places], FIRST_ID)
         self._table: list[MetaRow] = []
-        for name in PARTS:
-            (self.folder / name).mkdir()
 
     def frame_id(self, item: DatasetItem) -> str:
         return self._ids[item.recording, item.frame.key]
 
     def frame(self, item: DatasetItem, frame_id: str) -> None:
-        from scipy.io import savemat
-
         frame, losses = item.frame, self.losses
         camera, rgb = straightened(frame.camera, frame.rgb)
         T = upright_frame(frame)
-        (self.folder / "image" / f"{frame_id}.jpg").write_bytes(encoded_image(rgb, "jpg"))
-        (self.folder / "calib" / f"{frame_id}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
+        files = (f"depth/{frame_id}.mat", f"image/{frame_id}.jpg")
+        self.put(files[1], encoded_image(rgb, "jpg"))
+        self.put(f"calib/{frame_id}.txt", calibration_text(camera, T))
         # compressed as in the data set, which halves the size
         points = upright_points(frame, T, camera, rgb)
-        savemat(str(self.folder / "depth" / f"{frame_id}.mat"), {"instance": points}, do_compression=True)
+        self.put_mat(files[0], {"instance": points})
         rows, boxes = [], []
         for label in item.labels:
             box = label.box.transformed(T.inv())
@@ -292,25 +290,26 @@ class SunRgbdWriter(DatasetWriter):
             self.counts[label.label] += 1
             rows.append(dump_label_row(self._words[label.label], upright, on_image) + "\n")
             boxes.append((label.label, box, on_image))
-        (self.folder / "label" / f"{frame_id}.txt").write_text("".join(rows), encoding="utf-8")
-        files = (f"depth/{frame_id}.mat", f"image/{frame_id}.jpg")
+        self.put(f"label/{frame_id}.txt", "".join(rows))
         self._table.append(meta_frame(self.origins[-1].name, files, camera, T, boxes))
+
+    def put_mat(self, name: str, content: dict[str, np.ndarray]) -> None:
+        """Writes a MATLAB file."""
+        from scipy.io import savemat
+
+        savemat(stream := io.BytesIO(), content, do_compression=True)
+        self.put(name, stream.getvalue())
 
     def finish(self) -> None:
         """Writes the table, and the frame numbers of each part, one per line; without parts all are in train."""
-        from scipy.io import savemat
-
-        savemat(str(self.folder / META), dump_meta(self._table), do_compression=True)
-        parts: dict[str, list[str]] = {}
-        for origin in self.origins:
-            parts.setdefault(origin.split or "train", []).append(f"{int(origin.id)}\n")
-        for name, numbers in parts.items():
-            (self.folder / INDEX.format(name)).write_text("".join(numbers), encoding="utf-8")
+        self.put_mat(META, dump_meta(self._table))
+        for name, ids in self.parts("train").items():
+            self.put(INDEX.format(name), "".join(f"{int(each)}\n" for each in ids))
         self._words.write(self.folder)
 
 
 def dump_label_row(label: str, box: OrientedBox, on_image: Box2D) -> str:
-    """Returns a label row, which `labels.extracted_truth` reads.
+    """Returns a label row, which `extracted_truth` reads.
 
     Args:
         label: one word.
@@ -397,7 +396,14 @@ def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None, tex
 
 def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, path: Path, line: int) -> Truth:
     """Returns the object of one row of a `label/KEY.txt`; arguments and errors as in `read_extracted_labels`."""
-    return _truth(*_row(path, line, fields), T_camera_label, path, line)
+    if len(fields) != FIELDS:
+        raise FormatError(path, f"a label row has {FIELDS} fields, not {len(fields)}", line)
+    label, *numbers = fields
+    values = np.array([finite_number(number, path, line) for number in numbers])
+    if not (np.abs(values) <= FARTHEST_M).all():
+        raise FormatError(path, f"a number is larger than {FARTHEST_M:g}", line)
+    # the file has half the width, length and height
+    return _truth(label, values[4:7], 2 * values[[8, 7, 9]], values[10:12], T_camera_label, path, line)
 
 
 def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
@@ -412,18 +418,6 @@ def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list
         if each is not None and each.name.strip()
         for polygon in each.polygon
     ]
-
-
-def _row(path: Path, line: int, fields: list[str]) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """Returns class, centre, size (length, width, height) and orientation of one row."""
-    if len(fields) != FIELDS:
-        raise FormatError(path, f"a label row has {FIELDS} fields, not {len(fields)}", line)
-    label, *numbers = fields
-    values = np.array([finite_number(number, path, line) for number in numbers])
-    if not (np.abs(values) <= FARTHEST_M).all():
-        raise FormatError(path, f"a number is larger than {FARTHEST_M:g}", line)
-    half_width, half_length, half_height = values[7:10]
-    return label, values[4:7], 2 * np.array([half_length, half_width, half_height]), values[10:12]
 
 
 def _parts(path: Path, name: str, polygon: ScenePolygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

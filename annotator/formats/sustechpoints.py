@@ -22,26 +22,22 @@ gravity), and a recording whose camera changes becomes several scenes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 from pydantic import ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.attributes import from_joined, joined
+from annotator.formats import reading
 from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames
-from annotator.formats.frame_names import LabelledFrame, Pose, in_world, read_frames
-from annotator.formats.reading import Axes, Bounded, BoundedPositive, read_model
-from annotator.formats.units import Angles, AngleUnit, rotation_problem
+from annotator.formats.frame_names import DatasetNames, LabelledFrame, Pose, add_once, from_joined, in_world, joined
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import encoded_image
 from annotator.text import normal, spelled
 from annotator.types import Frame, Label, OrientedBox, PointCloud, Truth
 from annotator.types.bases import FileRecord
@@ -55,15 +51,15 @@ EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler(
 
 
 class _Scale(FileRecord):
-    x: BoundedPositive
-    y: BoundedPositive
-    z: BoundedPositive
+    x: reading.BoundedPositive
+    y: reading.BoundedPositive
+    z: reading.BoundedPositive
 
 
 class _Psr(FileRecord):
-    position: Axes
+    position: reading.Axes
     scale: _Scale
-    rotation: Axes
+    rotation: reading.Axes
 
 
 class _Object(FileRecord):
@@ -82,19 +78,18 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
-class _EgoPose(Axes):
-    azimuth: Bounded
-    pitch: Bounded
-    roll: Bounded
+class _EgoPose(reading.Axes):
+    azimuth: reading.Bounded
+    pitch: reading.Bounded
+    roll: reading.Bounded
 
 
 class _Calibration(FileRecord):
-    extrinsic: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)]
-    intrinsic: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=9)]
+    extrinsic: Annotated[tuple[reading.Bounded, ...], Field(min_length=16, max_length=16)]
+    intrinsic: Annotated[tuple[reading.Bounded, ...], Field(min_length=9, max_length=9)]
 
 
-@dataclass(frozen=True, eq=False)
-class SceneCamera:
+class SceneCamera(NamedTuple):
     """One calibrated camera of a scene: its 3 x 3 matrix, and the transform from the clouds to it."""
 
     K: Float64[np.ndarray, "3 3"]
@@ -105,7 +100,7 @@ class SceneCamera:
 SAME_CAMERA = 0.01
 
 
-def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+def read_sustechpoints(path: Path, angles: reading.AngleUnit | None = None) -> dict[str, LabelledFrame]:
     """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file. Ids that are no whole
@@ -114,28 +109,23 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
     Args:
         angles: their unit; None: radians, as the format says.
     """
-    files: dict[str, tuple[Path, tuple[_Object, ...], Pose]] = {}
+    files: dict[Path, tuple[_Object, ...]] = {}
+    poses: dict[Path, tuple[str, Pose]] = {}
     for folder in _label_folders(path):
-        scene = folder.parent
-        origins = next((found for up in (path, scene, *scene.parents[:2]) if (found := read_frames(up))), {})
-        cameras = tuple(_camera(file) for file in sorted((scene / CALIBRATIONS).glob("*.json")))
+        names = DatasetNames.of(folder.parent)
+        cameras = tuple(_camera(file) for file in sorted((folder.parent / CALIBRATIONS).glob("*.json")))
         for file in sorted(folder.glob("*.json")):
-            stem = normal(file.stem)
-            name = origins[stem].name if stem in origins else stem
-            if name in files:
-                raise FormatError(file, f"the frame {name} has labels in two scenes; import one scene")
             # the only camera of an export of annotator is that of the frame
-            is_export = stem in origins and len(cameras) == 1
-            pose = (
+            is_export = normal(file.stem) in names.frames and len(cameras) == 1
+            pose: Pose = (
                 partial(_of_export, cameras[0], in_world(_place(file))) if is_export else partial(_by_camera, cameras)
             )
-            files[name] = (file, read_model(file, _Labels).root, pose)
-    tracks = _Tracks(each.obj_id for _, objects, _ in files.values() for each in objects)
-    read = Angles(angles)
-    frames = {
-        name: LabelledFrame([_truth(each, file, tracks, read) for each in objects], pose)
-        for name, (file, objects, pose) in files.items()
-    }
+            files[file], poses[file] = reading.read_model(file, _Labels).root, (names.known(file.stem), pose)
+    tracks, read, frames = _tracks(files), reading.Angles(angles), dict[str, LabelledFrame]()
+    for file, objects in files.items():
+        truths = [_truth(each, file, tracks.get((file.parent, _id(each))), read) for each in objects]
+        name, pose = poses[file]
+        add_once(frames, file, name, LabelledFrame(truths, pose))
     read.require()
     return frames
 
@@ -167,7 +157,7 @@ def _label_folders(path: Path) -> Iterator[Path]:
     yield from found[:-1] if len(found) > 1 and found[-1] == path else found
 
 
-def _truth(entry: _Object, file: Path, tracks: _Tracks, read: Angles) -> Truth:
+def _truth(entry: _Object, file: Path, track_id: int | None, read: reading.Angles) -> Truth:
     psr = entry.psr
     angles = [read.radians(each, file) for each in (psr.rotation.x, psr.rotation.y, psr.rotation.z)]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
@@ -178,39 +168,30 @@ def _truth(entry: _Object, file: Path, tracks: _Tracks, read: Angles) -> Truth:
         )
     except ValueError as error:
         raise FormatError(file, f"{entry.obj_type}: {error}") from error
-    return Truth(entry.obj_type, box, tracks.of(file, entry.obj_id), attributes=from_joined(entry.obj_attr or ""))
+    return Truth(entry.obj_type, box, track_id, attributes=from_joined(entry.obj_attr or ""))
 
 
-class _Tracks:
-    """The track ids of objects, whose ids are any texts: whole numbers stay, others get unused numbers in a scene."""
-
-    def __init__(self, ids: Iterable[str | int | None]) -> None:
-        used = {_number(each) for each in ids}
-        self._unused = (number for number in count(1) if number not in used)
-        self._given: dict[tuple[Path, str], int] = {}
-
-    def of(self, file: Path, obj_id: str | int | None) -> int | None:
-        """Returns the track id of an object in a label file; None for an object without an id."""
-        number, text = _number(obj_id), "" if obj_id is None else str(obj_id).strip()
-        if number is not None or not text:
-            return number
-        key = (file.parent, text)
-        if key not in self._given:
-            self._given[key] = next(self._unused)
-        return self._given[key]
+def _id(entry: _Object) -> str:
+    return "" if entry.obj_id is None else str(entry.obj_id).strip()
 
 
-def _number(obj_id: str | int | None) -> int | None:
-    text = str(obj_id).strip()
-    number = int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None
-    return None if number is None or number > MOST_TRACK else number
+def _tracks(files: Mapping[Path, Sequence[_Object]]) -> dict[tuple[Path, str], int]:
+    """Returns the track ids of objects by their folder and id, which is any text: whole numbers stay, others get
+    unused numbers in a scene.
+    """
+    ids = {(file.parent, text): None for file, objects in files.items() for text in map(_id, objects) if text}
+    numbers = {text: int(text) for _, text in ids if text.isascii() and text.isdigit() and len(text) < 20}
+    kept = {text: number for text, number in numbers.items() if number <= MOST_TRACK}
+    used = set(kept.values())
+    unused = (number for number in count(1) if number not in used)
+    return {place: kept[place[1]] if place[1] in kept else next(unused) for place in ids}
 
 
 def _camera(file: Path) -> SceneCamera:
-    content = read_model(file, _Calibration)
+    content = reading.read_model(file, _Calibration)
     pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
     R = pose[:3, :3]
-    if (problem := rotation_problem(R)) is not None:
+    if (problem := reading.rotation_problem(R)) is not None:
         raise FormatError(file, f"extrinsic {problem}")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
 
@@ -220,7 +201,7 @@ def _place(label_file: Path) -> RigidTransform | None:
     file = spelled(label_file.parent.parent / POSES, label_file.name)
     if not file.is_file():
         return None
-    pose = read_model(file, _EgoPose)
+    pose = reading.read_model(file, _EgoPose)
     turn = Rotation.from_euler("ZXY", [-pose.azimuth, pose.pitch, pose.roll], degrees=True)
     return RigidTransform.from_components([pose.x, pose.y, pose.z], turn) * EGO_CLOUD
 
@@ -238,24 +219,20 @@ class SustechWriter(DatasetWriter):
         if is_new:
             self._begun[key] = (self._scenes.add(item.recording), level_pose(item.frame.up))
         name, T_scene_camera = self._begun[key]
-        scene = self.folder / (item.split or "") / name
+        scene = f"{item.split or '.'}/{name}"
         if is_new:
-            for place in (CLOUDS, LABELS, IMAGES, CALIBRATIONS):
-                (scene / place).mkdir(parents=True)
             calibration = {
                 "extrinsic": T_scene_camera.inv().as_matrix().ravel().tolist(),
                 "intrinsic": camera.matrix.ravel().tolist(),
             }
-            (scene / CALIBRATIONS / CAMERA).write_text(json.dumps(calibration) + "\n", encoding="utf-8")
-        image = scene / IMAGES / f"{frame_id}.{self.info.image_format}"
-        image.write_bytes(encoded_image(rgb, self.info.image_format))
-        (scene / CLOUDS / f"{frame_id}.pcd").write_bytes(_pcd(item.frame.cloud, T_scene_camera))
+            self.put(f"{scene}/{CALIBRATIONS}/{CAMERA}", json.dumps(calibration) + "\n")
+        self.put_image(f"{scene}/{IMAGES}/{frame_id}", rgb)
+        self.put(f"{scene}/{CLOUDS}/{frame_id}.pcd", _pcd(item.frame.cloud, T_scene_camera))
         if item.frame.T_world_camera is not None:
-            (scene / POSES).mkdir(exist_ok=True)
             pose = json.dumps(_ego_pose(item.frame.T_world_camera * T_scene_camera.inv()))
-            (scene / POSES / f"{frame_id}.json").write_text(pose + "\n", encoding="utf-8")
+            self.put(f"{scene}/{POSES}/{frame_id}.json", pose + "\n")
         boxes = [_entry(label, label.box.transformed(T_scene_camera)) for label in item.labels]
-        (scene / LABELS / f"{frame_id}.json").write_text(json.dumps(boxes, indent=1) + "\n", encoding="utf-8")
+        self.put(f"{scene}/{LABELS}/{frame_id}.json", json.dumps(boxes, indent=1) + "\n")
         self.counts.update(label.label for label in item.labels)
 
 
@@ -269,7 +246,7 @@ def _entry(label: Label, box: OrientedBox) -> dict[str, object]:
     psr = {
         "position": _axes(box.center_m),
         "scale": _axes(box.size_m),
-        "rotation": _axes(_angles(box.rotation)),
+        "rotation": _axes(reading.angles_xyz(box.rotation)),
     }
     entry: dict[str, object] = {
         "obj_id": "" if label.track_id is None else str(label.track_id),
@@ -281,17 +258,6 @@ def _entry(label: Label, box: OrientedBox) -> dict[str, object]:
 
 def _axes(values: Float64[np.ndarray, "3"]) -> dict[str, float]:
     return dict(zip("xyz", (values + 0.0).tolist(), strict=True))
-
-
-def _angles(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
-    """The angles x, y, z of R = Rx Ry Rz.
-
-    If the box's z axis lies along the cloud's x axis (gimbal lock), only the sum or difference of x and z is
-    determined. y and z are computed from the rotation that remains after x, so that all three together are exact.
-    """
-    x = np.arctan2(-rotation[1, 2], rotation[2, 2])
-    rest = Rotation.from_rotvec([-x, 0.0, 0.0]).as_matrix() @ rotation
-    return np.array([x, np.arctan2(rest[0, 2], rest[2, 2]), np.arctan2(rest[1, 0], rest[1, 1])])
 
 
 def _pcd(cloud: PointCloud, T_scene_camera: RigidTransform) -> bytes:

@@ -34,13 +34,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float64
 from pydantic import ValidationError
 
-from annotator.files import why_missing
+from annotator.formats.dataset_writing import PictureWriter
 from annotator.formats.frame_names import PictureLabels, YoloBox, has_frames
 from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.outline import shares_of
@@ -61,10 +60,6 @@ POINT_NUMBERS, VISIBILITIES = (2, 3), (0, 1, 2)
 # Distance of a box's size, read as a place, from its centre and points, of which there is one, or several; in sides of
 # the rectangle around these. Triangles may be thin.
 FAR = (6, 1)
-# Rows that show that their boxes are full of points; a single polygon may do so by chance.
-LEAST_FULL = 2
-# Share of each side of such a box that its points cover, and distance of the box's centre from the edges of the points.
-FULL, INNER = 0.5, 0.05
 
 
 def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int, height_px: int) -> str:
@@ -160,7 +155,7 @@ def are_keypoints(boxes: Iterable[YoloBox]) -> bool:
 
     All rows must have the same number of points, and their first four numbers must be a box that holds all points
     behind it. Small polygons may look so, too. But a polygon's second corner is near the others, where the second pair
-    of a box is its size; and a polygon's first corner is seldom in the middle of the others.
+    of a box is its size.
     """
     rows = [box.corners for box in boxes if box.corners]
     if len(set(map(len, rows))) != 1:
@@ -189,40 +184,26 @@ def _are_keypoints(rows: Float64[np.ndarray, "n c"], numbers: int) -> bool:
     first, last = np.minimum(xy.min(axis=1), centers[:, 0]), np.maximum(xy.max(axis=1), centers[:, 0])
     beside = np.maximum(first - sizes[:, 0], sizes[:, 0] - last).max(axis=1)
     is_far = (beside > FAR[xy.shape[1] > 1] * (last - first).max(axis=1)) & ~missing.all(axis=1)
-    sides, inner = xy.max(axis=1) - xy.min(axis=1), centers[:, 0]
-    is_inner = (inner > xy.min(axis=1) + INNER * sides) & (inner < xy.max(axis=1) - INNER * sides)
-    is_full = (is_inner & (sides >= FULL * sizes[:, 0])).all(axis=1)
-    return bool(is_far.mean() > 0.5 or (len(rows) >= LEAST_FULL and is_full.mean() > 0.5))
+    return bool(is_far.mean() > 0.5)
 
 
 PARTS = ("train", "val", "test")
 DATA_YAML = "data.yaml"
-NO_KINDS: Mapping[str, BoxKind] = MappingProxyType({})
 
 
-class YoloWriter:
-    """Fills a folder with a dataset; without parts, all images are used for training and for validation.
-
-    Raises:
-        ConfigError: a part other than train, val and test, or train or val is missing.
-    """
+class YoloWriter(PictureWriter):
+    """Numbers the classes from 0; without parts, all images are used for training and for validation."""
 
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
-        """
-        Args:
-            classes: numbered from 0 in this order.
-            parts: names of all parts, including empty ones; () for a dataset without parts.
-        """
         if parts and (not set(parts) <= set(PARTS) or not {"train", "val"} <= set(parts)):
             raise ConfigError(
                 f"YOLO's parts are called train, val and (optionally) test, not {', '.join(parts)}; "
                 "split the dataset with --split train=0.8,val=0.2"
             )
-        self._folder, self._classes = folder, tuple(classes)
+        super().__init__(folder, classes, tuple(part for part in PARTS if part in parts) or ("train",))
         self._numbers = {name: number for number, name in enumerate(classes)}
-        self._parts = tuple(part for part in PARTS if part in parts) or ("train",)
         self._kinds: dict[str, BoxKind] = {}
-        for part in self._parts:
+        for part in self.parts:
             for kind in ("images", "labels"):
                 (folder / kind / part).mkdir(parents=True)
 
@@ -230,37 +211,29 @@ class YoloWriter:
         assert picture.size_px is not None
         text = dump_boxes(picture.boxes_on(*picture.size_px), self._numbers, *picture.size_px)
         place = f"{part or 'train'}/{picture.file_name}"
-        (self._folder / "images" / place).write_bytes(content)
-        (self._folder / "labels" / place).with_suffix(".txt").write_text(text, encoding="ascii")
+        self.put(f"images/{place}", content)
+        self.put(str(Path("labels", place).with_suffix(".txt")), text)
         if picture.box_kind is not None:
             self._kinds[picture.file_name] = picture.box_kind
 
     def finish(self) -> Mapping[str, Path]:
-        (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts, self._kinds), encoding="utf-8")
-        return {part: self._folder / "images" / part for part in self._parts}
+        """Writes `data.yaml`; without a part `val`, the training images are also used for validation."""
+        import yaml
 
-
-def data_yaml(classes: Sequence[str], parts: Sequence[str], kinds: Mapping[str, BoxKind] = NO_KINDS) -> str:
-    """Returns the text of `data.yaml`; without a part `val`, the training images are also used for validation.
-
-    Args:
-        kinds: what the boxes of each image enclose.
-    """
-    import yaml
-
-    folders = {part: part for part in parts} | {"val": "val" if "val" in parts else "train"}
-    content = {
-        "path": "",
-        **{part: f"images/{folders[part]}" for part in PARTS if part in folders},
-        "names": dict(enumerate(classes)),
-    }
-    if kinds:
-        ((most, _),) = Counter(kinds.values()).most_common(1)
-        content["box_kind"] = most.value
-        if others := [name for name, kind in kinds.items() if kind is not most]:
-            content["other_box_kind"] = others
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    return f"# an empty path is the folder of this file\n{text}"
+        folders = {part: part for part in self.parts} | {"val": "val" if "val" in self.parts else "train"}
+        content: dict[str, object] = {
+            "path": "",
+            **{part: f"images/{folders[part]}" for part in PARTS if part in folders},
+            "names": dict(enumerate(self.classes)),
+        }
+        if self._kinds:
+            ((most, _),) = Counter(self._kinds.values()).most_common(1)
+            content["box_kind"] = most.value
+            if others := [name for name, kind in self._kinds.items() if kind is not most]:
+                content["other_box_kind"] = others
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+        self.put(DATA_YAML, f"# an empty path is the folder of this file\n{text}")
+        return {part: self.folder / "images" / part for part in self.parts}
 
 
 CLASSES = "classes.txt"
@@ -302,24 +275,24 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[PictureLabels
         path: `data.yaml`; its folder; or a folder of label files with `classes.txt` in it or above it.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
-        pictures = list(_with_classes(path, on_fault))
+        pictures = _with_classes(path, on_fault)
         _refuse_keypoints(path, pictures, is_said=False)
         return pictures
     file = _inside(path / DATA_YAML, path) if path.is_dir() else path
     data = _read_yaml(file)
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
     _require_different(file, names)
-    root = file.parent
-    by_label_file: dict[Path, PictureLabels] = {}
+    places = []
     for part in PARTS:
         value = getattr(data, part)
-        for entry in [value] if isinstance(value, str) else value or []:
-            for label_file, picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
-                by_label_file.setdefault(label_file, picture)
-    if not by_label_file:
+        places += [
+            _part_path(file, part, data.path, each) for each in ([value] if isinstance(value, str) else value or [])
+        ]
+    found = _pictures(places, file.parent, names, on_fault)
+    if not found:
         raise FormatError(file, "names no image: train, val and test are empty")
-    _refuse_keypoints(file, by_label_file.values(), is_said=data.kpt_shape is not None)
-    return data.with_kinds(by_label_file.values())
+    _refuse_keypoints(file, found, is_said=data.kpt_shape is not None)
+    return data.with_kinds(found)
 
 
 def _refuse_keypoints(path: Path, pictures: Iterable[PictureLabels], *, is_said: bool) -> None:
@@ -363,23 +336,19 @@ def _require_different(file: Path, names: Mapping[int, str]) -> None:
 
 def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
-    root = file.parent
+    root, problem = file.parent, ""
     name = posix_path(entry)
-    outside: OutsideError | None = None
-    is_inside = False
     # some services export ../train/images where train/images is right
     for candidate in (str(PurePosixPath(posix_path(base or "")) / name), entry, name.removeprefix("../")):
         try:
             place = inside(root, candidate)
         except OutsideError as error:
-            outside = outside or error
+            problem = problem or str(error)
             continue
-        is_inside = True
         if place.exists() or _inside(_labels_of(place, root), root).is_dir():
             return place
-    if is_inside:
-        raise FormatError(file, f"{part}: there is no {entry[:NAME_SHOWN]!r} in the dataset's folder")
-    raise FormatError(file, f"{part}: {outside}")
+        problem = f"there is no {entry[:NAME_SHOWN]!r} in the dataset's folder"
+    raise FormatError(file, f"{part}: {problem}")
 
 
 def _inside(path: Path, root: Path) -> Path:
@@ -397,26 +366,41 @@ def _labels_of(path: Path, root: Path) -> Path:
     return root.resolve().joinpath(*parts)
 
 
-def _label_file(picture: Path, root: Path) -> Path:
-    """Returns the label file of an image, in the Unicode form in which its name exists."""
-    path = _labels_of(picture, root).with_suffix(".txt")
-    return spelled(path.parent, path.name)
+def _pictures(
+    places: Sequence[Path], root: Path, names: Mapping[int, str], on_fault: OnFault, *, all_labelled: bool = False
+) -> list[PictureLabels]:
+    """Returns the images in folders and lists, and the label files in folders that have no image.
+
+    Args:
+        all_labelled: an image without a label file is none of the dataset.
+    """
+    found: dict[Path, PictureLabels] = {}
+    folders = [place for place in places if not place.is_file()]
+    for place in places:
+        pictures = _listed(place, root) if place.is_file() else _images_in(place, root)
+        for picture in pictures:
+            path = _labels_of(picture, root).with_suffix(".txt")
+            # in the Unicode form in which its name exists
+            label_file = _inside(spelled(path.parent, path.name), root)
+            if label_file in found or (all_labelled and not label_file.is_file()):
+                continue
+            if picture.is_file() and picture.suffix.lower() in OTHERS:
+                problem = "only PNG and JPEG images are supported; save it as PNG or JPEG under the same name"
+                on_fault(FormatError(picture, problem))
+            boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
+            found[label_file] = _labels(picture.name, picture.parent, boxes)
+    for place in folders:
+        labels = _inside(_labels_of(place, root), root)
+        for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
+            if label_file not in found and label_file.name != CLASSES:
+                boxes = _boxes(_inside(label_file, root), names, on_fault)
+                found[label_file] = _labels(label_file.name, place, boxes)
+    return list(found.values())
 
 
-def _of_part(
-    place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault
-) -> Iterator[tuple[Path, PictureLabels]]:
-    if place.is_file():
-        yield from (_read(picture, root, names, on_fault) for picture in _listed(place, root))
-        return
-    pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
-    for picture in pictures:
-        yield _read(_inside(picture, root), root, names, on_fault)
-    seen = {_label_file(picture, root) for picture in pictures}
-    labels = _inside(_labels_of(place, root), root)
-    for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
-        if label_file not in seen and label_file.name != CLASSES:
-            yield label_file, _labels(label_file.name, place, _boxes(_inside(label_file, root), names, on_fault))
+def _images_in(folder: Path, root: Path) -> Iterator[Path]:
+    every = sorted(each for each in folder.rglob("*") if each.suffix.lower() in SUFFIXES)
+    return (_inside(each, root) for each in every)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -432,23 +416,8 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
             raise FormatError(file, str(error), line) from error
 
 
-def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[Path, PictureLabels]:
-    if picture.is_file():
-        _require_readable(picture, on_fault)
-    label_file = _inside(_label_file(picture, root), root)
-    boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
-    return label_file, _labels(picture.name, picture.parent, boxes)
-
-
 def _labels(file_name: str, folder: Path, boxes: tuple[YoloBox, ...]) -> PictureLabels:
     return PictureLabels(file_name, boxes, folder=folder, around=sum(box.is_around for box in boxes))
-
-
-def _require_readable(picture: Path, on_fault: OnFault) -> None:
-    if picture.suffix.lower() in OTHERS:
-        on_fault(
-            FormatError(picture, "only PNG and JPEG images are supported; save it as PNG or JPEG under the same name")
-        )
 
 
 def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:
@@ -460,8 +429,8 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
     return parse_boxes(label_file, text, names, on_fault)
 
 
-def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[PictureLabels]:
-    """Yields the images of a folder of label files with `classes.txt`, one class name per line."""
+def _with_classes(folder: Path, on_fault: OnFault) -> list[PictureLabels]:
+    """Returns the images of a folder of label files with `classes.txt`, one class name per line."""
     # the given folder itself may be a link; links inside it are checked
     folder = folder.resolve()
     file = next((each / CLASSES for each in (folder, folder.parent) if (each / CLASSES).is_file()), None)
@@ -471,20 +440,10 @@ def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[PictureLabels]:
     names = {number: name.strip() for number, name in enumerate(read_text(file).rstrip().splitlines())}
     _require_different(file, names)
     labels = folder / "labels" if (folder / "labels").is_dir() else folder
-    root = labels.parent if labels.name == "labels" else labels
     # images are beside the labels, or in `images` beside `labels`
-    image_roots = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
-    label_files = sorted(each for each in _inside(labels, root).rglob("*.txt") if each.name != CLASSES)
-    if not label_files:
+    is_apart = labels.name == "labels"
+    places = [labels, *([labels.with_name("images")] if is_apart else [])]
+    found = _pictures(places, labels.parent if is_apart else labels, names, on_fault, all_labelled=True)
+    if not found:
         raise FormatError(labels, "has no label file (*.txt)")
-    for label_file in label_files:
-        folders = [each / label_file.parent.relative_to(labels) for each in image_roots]
-        candidates = [spelled(each, f"{label_file.stem}{suffix}") for each in folders for suffix in SUFFIXES]
-        picture = next(
-            (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
-        )
-        if picture is not None:
-            _require_readable(picture, on_fault)
-        boxes = _boxes(_inside(label_file, root), names, on_fault)
-        place = folders[-1] if picture is None else picture.parent
-        yield _labels((picture or label_file).name, place, boxes)
+    return found

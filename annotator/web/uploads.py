@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
-from annotator.formats.box_csv import is_box_csv
+from annotator.formats.box_files import is_box_csv
 from annotator.formats.coco import ANNOTATIONS
-from annotator.formats.recognising import format_of, marked
-from annotator.formats.table import AnyFormat, BoxFormat, FlatFormat
+from annotator.formats.table import AnyFormat, BoxFormat, FlatFormat, format_of, marked
 from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.project import Project
 from annotator.text import is_within

@@ -6,26 +6,25 @@ By a benchmark's protocol, or against the truth beside the project's recordings.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from annotator.evaluation.boxes import BoxTable
+from annotator.evaluation.boxes import SUNRGBD_THRESHOLDS, BoxTable, evaluate_oriented
 from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
-from annotator.evaluation.oriented import SUNRGBD_THRESHOLDS, evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.box_csv import BoxRow, read_box_csv
-from annotator.formats.kitti_objects import label_place, read_kitti_folder
+from annotator.formats.box_files import read_upright_boxes
+from annotator.formats.frame_names import LabelledFrame
+from annotator.formats.kitti_folders import label_place, read_kitti_folder
 from annotator.formats.kitti_rows import KittiLabel, kitti_row
-from annotator.formats.rcv import MANIFEST, read_rcv
+from annotator.formats.rcv import MANIFEST, labelled_frames
 from annotator.formats.reading import holds_texts
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.text import normal
-from annotator.types import Label, OrientedBox, ReviewState, Source
+from annotator.types import Label, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource, seen_labels
@@ -159,17 +158,11 @@ def _require(names: Iterable[str], files: Mapping[str, object], path: Path, what
 
 def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
     """Returns rows by frame as columns; frames are numbered from 0."""
-    numbers = [
-        (
-            *(row.truncated, row.occluded, row.alpha, row.left, row.top, row.right, row.bottom),
-            *(row.height, row.width, row.length, row.x, row.y, row.z, row.rotation_y),
-            _score(row.score),
-        )
-        for rows in frames
-        for row in rows
-    ]
-    frame = np.repeat(np.arange(len(frames)), [len(rows) for rows in frames])
-    labels = np.array([row.label for rows in frames for row in rows], np.str_)
+    rows = [row for each in frames for row in each]
+    # the fields from `truncated` to `rotation_y`
+    numbers = [(*astuple(row)[1:15], _score(row.score)) for row in rows]
+    frame = np.repeat(np.arange(len(frames)), list(map(len, frames)))
+    labels = np.array([row.label for row in rows], np.str_)
     return KittiRows.from_table(frame, labels, np.array(numbers, np.float64).reshape(-1, 15))
 
 
@@ -179,84 +172,58 @@ def _sunrgbd(detections: Path, truth: Path, options: Options) -> Report:
             raise FormatError(
                 path, f"is no CSV file of boxes, one for all images (image,class,cx,...); {SCORE_PROJECT}"
             )
-    detected, true = read_box_csv(detections, scored=True), read_box_csv(truth, scored=False)
-    if detected and not {row.image for row in detected} & {row.image for row in true}:
-        raise ConfigError(
-            f"{detections} and {truth} have no image in common (first images: {detected[0].image}, "
-            f"{true[0].image if true else 'none'}); images must have the same names in both"
-        )
-    if options.frames is not None:
-        names = set(options.frames)
-        _require_some(names, {row.image for row in (*detected, *true)}, truth)
-        detected, true = ([row for row in rows if row.image in names] for rows in (detected, true))
-    _require_truth(truth, len(true))
-    numbers: dict[str, int] = {}
-    return sunrgbd_report(evaluate_oriented(box_rows(detected, numbers), box_rows(true, numbers), SUNRGBD_THRESHOLDS))
-
-
-def box_rows(rows: Sequence[BoxRow], numbers: dict[str, int]) -> BoxTable:
-    """Returns rows of a CSV file as columns.
-
-    Args:
-        numbers: number of each image; new images are added with the next numbers.
-    """
-    yaws = np.array([row.yaw_rad for row in rows], np.float64).reshape(-1, 1)
-    return BoxTable(
-        np.array([numbers.setdefault(row.image, len(numbers)) for row in rows], np.int64),
-        np.array([row.label for row in rows], np.str_),
-        np.array([row.center_m for row in rows], np.float64).reshape(-1, 3),
-        Rotation.from_rotvec(yaws * np.array([[0.0, 0.0, 1.0]])).as_matrix().reshape(-1, 3, 3),
-        np.array([row.size_m for row in rows], np.float64).reshape(-1, 3),
-        np.array([_score(row.score) for row in rows], np.float64),
-    )
+    detected, true = read_upright_boxes(detections, scored=True), read_upright_boxes(truth)
+    tables = frame_tables(*_compared((detections, truth), (detected, true), options))
+    return sunrgbd_report(evaluate_oriented(*tables, SUNRGBD_THRESHOLDS))
 
 
 def _oriented(detections: Path, truth: Path, options: Options) -> Report:
-    detected, true = _rcv_boxes(detections), _rcv_boxes(truth)
-    if not set(detected) & set(true):
+    for path in (detections, truth):
+        if path.exists() and not (path / MANIFEST).is_file():
+            raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
+    compared = _compared((detections, truth), (labelled_frames(detections), labelled_frames(truth)), options)
+    return oriented_report(evaluate_oriented(*frame_tables(*compared)))
+
+
+Frames = Mapping[str, LabelledFrame]
+
+
+def _compared(paths: tuple[Path, Path], frames: tuple[Frames, Frames], options: Options) -> tuple[Frames, Frames]:
+    """Returns the frames to evaluate, of detections and truth."""
+    detected, true = ({normal(name): frame for name, frame in each.items()} for each in frames)
+    first = f"first frames: {next(iter(detected), 'none')}, {next(iter(true), 'none')}"
+    if detected and not detected.keys() & true.keys():
         raise ConfigError(
-            f"{detections} and {truth} have no frame in common; the recordings must have the same names in both "
-            f"(first frames: {next(iter(detected), 'none')}, {next(iter(true), 'none')})"
+            f"{paths[0]} and {paths[1]} have no frame in common ({first}); frames must have the same names in both"
         )
+    # images without boxes do not occur in the files
+    if options.frames is not None and not {*options.frames} & {*detected, *true}:
+        wanted = min(options.frames, default="none")
+        raise ConfigError(f"none of the names to evaluate (first: {wanted}) is in {paths[1]} ({first})")
     if options.frames is not None:
-        _require_some(set(options.frames), {*detected, *true}, truth)
-    names = [name for name in dict.fromkeys([*true, *detected]) if options.frames is None or name in options.frames]
-    _require_truth(truth, sum(len(true.get(name, ())) for name in names))
-    found, wanted = (box_table([boxes.get(name, ()) for name in names]) for boxes in (detected, true))
-    return oriented_report(evaluate_oriented(found, wanted))
+        detected, true = ({k: v for k, v in each.items() if k in options.frames} for each in (detected, true))
+    if not any(frame.truths for frame in true.values()):
+        raise ConfigError(f"{paths[1]}: has no true boxes in the frames to evaluate")
+    return detected, true
+
+
+def frame_tables(detected: Frames, true: Frames) -> tuple[BoxTable, BoxTable]:
+    """Returns the boxes of detections and truth as columns, without rejected ones."""
+    nothing = LabelledFrame(())
+    names = list(dict.fromkeys([*detected, *true]))
+    found, wanted = ([_scored_boxes(each.get(name, nothing)) for name in names] for each in (detected, true))
+    return box_table(found), box_table(wanted)
+
+
+def _scored_boxes(frame: LabelledFrame) -> list[ScoredBox]:
+    states = frame.states or [None] * len(frame.truths)
+    known = zip(frame.truths, states, strict=True)
+    return [_scored_box(truth) for truth, state in known if state is not ReviewState.REJECTED]
 
 
 def box_table(frames: Sequence[Sequence[ScoredBox]]) -> BoxTable:
     """Returns boxes by frame as columns; frames are numbered from 0."""
     return BoxTable.of((number, *box) for number, frame in enumerate(frames) for box in frame)
-
-
-def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
-    """Reads the boxes of each frame by `RECORDING/KEY`, without rejected ones."""
-    if path.exists() and not (path / MANIFEST).is_file():
-        raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
-    dataset, boxes = read_rcv(path), {}
-    for index in range(len(dataset)):
-        name, labels, *_ = dataset.named_labels(index)
-        name = normal(name)
-        if name in boxes:
-            raise FormatError(path, f"frame {name} occurs twice; remove one")
-        boxes[name] = [_scored_box(label) for label in labels if label.state is not ReviewState.REJECTED]
-    return boxes
-
-
-def _require_some(names: Collection[str], known: Collection[str], truth: Path) -> None:
-    """Checks that at least one name is known; images without boxes do not occur in the files."""
-    if not set(names) & set(known):
-        raise ConfigError(
-            f"none of the names to evaluate (first: {min(names, default='none')}) is in {truth} "
-            f"(first: {min(known, default='none')})"
-        )
-
-
-def _require_truth(truth: Path, boxes: int) -> None:
-    if boxes == 0:
-        raise ConfigError(f"{truth}: has no true boxes in the frames to evaluate")
 
 
 _OF_FILES: Mapping[Protocol, Callable[[Path, Path, Options], Report]] = {
@@ -276,13 +243,12 @@ def evaluate_project(project: Project, protocol: Protocol, options: Options | No
     options = options or Options()
     if (options.measured, options.against) == (Measured.LABELS, Against.REVIEWED):
         raise ConfigError("labels cannot be measured against reviewed labels, which are the same; measure proposals")
-    source = _Source(project, options)
-    compare = source.kitti if protocol is Protocol.KITTI else source.boxes
-    compared = [compare(stored) for stored in source.frames()]
+    source, is_kitti = _Source(project, options), protocol is Protocol.KITTI
+    compared = [(source.kitti if is_kitti else source.boxes)(stored) for stored in source.frames()]
     if not any(true for _, true in compared):
         raise ConfigError(f"there are no true boxes in the {amount(len(compared), 'frame')} to evaluate")
     detected, true = zip(*compared, strict=True)
-    if protocol is Protocol.KITTI:
+    if is_kitti:
         report = kitti_of(detected, true, options.relaxed)
     elif protocol is Protocol.SUNRGBD:
         report = sunrgbd_report(evaluate_oriented(box_table(detected), box_table(true), SUNRGBD_THRESHOLDS))
@@ -295,18 +261,14 @@ class _Source:
     """The frames of a project to compare, each with the boxes to evaluate and the true boxes."""
 
     def __init__(self, project: Project, options: Options) -> None:
-        self._project = project
-        self._options = options
-        self._names = None if options.frames is None else set(options.frames)
-        self._frames = FrameSource(project)
-        self._labels_seen = 0
-        self._unchanged = 0
+        self._project, self._options, self._frames = project, options, FrameSource(project)
+        self._labels_seen = self._unchanged = 0
         self._recordings = {recording.id: recording.name for recording in project.recordings.all()}
-        known = {self._name(frame) for frame in project.frames.of()} if self._names else set()
-        if missing := sorted((self._names or set()) - known):
+        self._names = None if options.frames is None else set(options.frames)
+        if self._names is not None and (missing := sorted(self._names - set(map(self._name, project.frames.of())))):
             raise ConfigError(
-                f"project {self._project.config.name} has no frame {missing[0]} (unknown: {len(missing)} of "
-                f"{amount(len(self._names or ()), 'name')}); names are RECORDING/KEY"
+                f"project {project.config.name} has no frame {missing[0]} (unknown: {len(missing)} of "
+                f"{amount(len(self._names), 'name')}); names are RECORDING/KEY"
             )
 
     def _name(self, frame: StoredFrame) -> str:
@@ -367,25 +329,26 @@ class _Source:
 
     def _measured(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._options.measured is Measured.LABELS:
-            seen = seen_labels(self._project, self._frames, stored)
-            labels = [label for label in seen if label.state is not ReviewState.REJECTED]
+            labels = self._labels(stored, (*REVIEWED, ReviewState.PROPOSED))
             self._labels_seen += len(labels)
             self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
-            return [_scored_box(label) for label in labels]
+            return list(map(_scored_box, labels))
         latest = self._project.proposals.latest(stored.id)
         proposals = [entry.proposal for entry in latest.objects] if latest is not None else []
         return [(proposal.label, proposal.box.box(), proposal.score) for proposal in proposals]
 
     def _true(self, stored: StoredFrame) -> list[ScoredBox]:
         if self._options.against is Against.REVIEWED:
-            seen = seen_labels(self._project, self._frames, stored)
-            return [_scored_box(label) for label in seen if label.state in REVIEWED]
+            return list(map(_scored_box, self._labels(stored, REVIEWED)))
         recording = self._frames.recording(stored.recording_id)
         truths = load_truth(recording, recording.keys.index(stored.key), self._frames.read(stored))
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
 
+    def _labels(self, stored: StoredFrame, states: Collection[ReviewState]) -> list[Label]:
+        return [label for label in seen_labels(self._project, self._frames, stored) if label.state in states]
 
-def _scored_box(label: Label) -> ScoredBox:
+
+def _scored_box(label: Label | Truth) -> ScoredBox:
     return label.label, label.box, _score(label.score)
 
 

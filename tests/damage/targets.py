@@ -46,17 +46,20 @@ from test_cloud_files import (  # noqa: E402
 )
 from test_kitti_formats import PEDESTRIAN, VAN, document  # noqa: E402
 
-from annotator.formats.boxes_json import write_boxes  # noqa: E402
+from annotator.formats.box_files import write_boxes  # noqa: E402
 from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.frame_names import PictureLabels  # noqa: E402
-from annotator.formats.kitti_objects import read_kitti_file  # noqa: E402
+from annotator.formats.kitti_folders import read_kitti_file  # noqa: E402
 from annotator.formats.kitti_rows import read_rows, row_truth  # noqa: E402
 from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
 from annotator.formats.nuscenes import read_results  # noqa: E402
-from annotator.formats.reading import read_mask, text_files  # noqa: E402
+from annotator.formats.reading import (  # noqa: E402
+    Angles,
+    read_mask,
+    text_files,
+)
 from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels  # noqa: E402
 from annotator.formats.table import FORMATS, BoxFormat, FlatFormat  # noqa: E402
-from annotator.formats.units import Angles  # noqa: E402
 from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402

@@ -41,7 +41,7 @@ import numpy as np  # noqa: E402
 from known_numbers import TARGETS, Numbers, Reading, Target  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
-from annotator.formats.units import MOST_RAD  # noqa: E402
+from annotator.formats.reading import MOST_RAD  # noqa: E402
 from annotator.types.errors import AnnotatorError  # noqa: E402
 
 TILTED_RAD = np.radians(10)

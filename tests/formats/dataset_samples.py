@@ -10,8 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetInfo, DatasetItem, DatasetWriter, write_dataset
-from annotator.formats.losses import Losses
+from annotator.formats.dataset_writing import DatasetInfo, DatasetItem, DatasetWriter, Losses, write_dataset
 from annotator.formats.table import FORMATS
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 

@@ -12,8 +12,7 @@ import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem, FileNames, Format
-from annotator.formats.losses import Losses, Lost
+from annotator.formats.dataset_writing import DatasetItem, FileNames, Format, Losses, Lost
 from annotator.formats.table import FORMATS, WRITERS, ExportFormat
 from annotator.types import Camera, PointCloud, ReviewState, Truth
 from annotator.types.errors import FormatError

@@ -15,13 +15,14 @@ import pytest
 from dataset_samples import make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem, Losses, Lost
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.kitti_objects import (
+from annotator.formats.kitti_folders import (
     calibration_text,
     read_kitti,
     read_kitti_file,
     read_kitti_folder,
+    read_kitti_tracks,
 )
 from annotator.formats.kitti_rows import (
     derived_box,
@@ -31,10 +32,8 @@ from annotator.formats.kitti_rows import (
     read_rows,
     row_truth,
 )
-from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.kitti_tracklets import read_tracklets
-from annotator.formats.losses import Losses, Lost
-from annotator.formats.units import Angles
+from annotator.formats.reading import Angles
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import pixel_rays

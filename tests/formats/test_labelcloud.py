@@ -62,7 +62,7 @@ def test_vertices_are_in_labelclouds_order() -> None:
     """A quarter turn to the left about z: the length is along y."""
     entry = vertices_object("a", make_box((0.0, 0.0, 0.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0)))
     low = [[1, -2, -0.5], [-1, -2, -0.5], [-1, 2, -0.5], [1, 2, -0.5]]
-    np.testing.assert_allclose(np.array(entry.vertices), low + [[x, y, 0.5] for x, y, _ in low], atol=1e-8)
+    np.testing.assert_allclose(np.array(entry["vertices"]), low + [[x, y, 0.5] for x, y, _ in low], atol=1e-8)
 
 
 def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:

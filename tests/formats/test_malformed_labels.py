@@ -13,7 +13,7 @@ import pytest
 from dataset_samples import make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.boxes_json import read_boxes
+from annotator.formats.box_files import read_boxes
 from annotator.formats.rcv import read_rcv
 from annotator.formats.reading import text_files
 from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels

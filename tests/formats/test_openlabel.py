@@ -194,5 +194,11 @@ def test_errors_of_invalid_documents_name_the_place(tmp_path: Path, content: dic
 def test_two_cameras_with_one_file_name_are_an_error(tmp_path: Path) -> None:
     content = foreign(streams={"cam": {"type": "camera"}, "lidar": {"type": "camera"}})
     content["openlabel"]["frames"]["0"]["frame_properties"]["streams"]["lidar"] = {"uri": "left/000017.jpg"}
-    with pytest.raises(FormatError, match="the frame 000017 has labels for two sensors"):
+    with pytest.raises(FormatError, match="the frame 000017 has labels twice"):
         read_openlabel(written(tmp_path, content))
+
+
+def test_a_list_of_classes_of_another_tool_beside_an_export_is_not_read(tmp_path: Path) -> None:
+    write("openlabel", tmp_path / "out", [make_item([make_label()])])
+    (tmp_path / "out/classes.txt").write_text("hand\n")
+    assert list(read_openlabel(tmp_path / "out")) == ["rec/000003"]

@@ -61,7 +61,7 @@ def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bo
         assert (have is None) == (want is None)
         if have is not None and want is not None:
             np.testing.assert_array_equal(have, want)
-    (read,) = dataset.labels(0)
+    (read,) = dataset.named_labels(0)[1]
     assert [getattr(read, name) for name in COMMON] == [getattr(label, name) for name in COMMON]
 
 
@@ -141,4 +141,4 @@ def test_errors_of_a_broken_dataset_name_the_place(
     export(out, [DatasetItem("rec", make_frame(), [auto_label()])])
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
-        read_rcv(out).labels(0)
+        read_rcv(out).named_labels(0)[1]

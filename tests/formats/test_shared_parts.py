@@ -7,7 +7,6 @@ import io
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,11 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.box_csv import BoxRow, read_box_csv
-from annotator.formats.boxes_json import read_boxes, write_boxes
+from annotator.formats.box_files import read_boxes, read_upright_boxes, write_boxes
 from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
-from annotator.formats.reading import read_mask, read_pairs
-from annotator.formats.units import Angles, Lengths
+from annotator.formats.reading import Angles, Lengths, read_mask, read_object
 from annotator.types.errors import FormatError, UnitError, UnitKind
 
 # file names contain no NUL and no lone surrogates
@@ -72,24 +69,6 @@ def test_a_missing_or_unrelated_frames_csv_is_ignored(tmp_path: Path) -> None:
         read_frames(tmp_path)
 
 
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(st.characters(codec="utf-8")),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(st.characters(codec="utf-8")), inner),
-    max_leaves=8,
-)
-
-
-@given(st.dictionaries(st.text(st.characters(codec="utf-8")), VALUES, max_size=4), st.none() | st.integers(0, 2))
-def test_pairs_are_those_of_the_whole_file(
-    tmp_path_factory: pytest.TempPathFactory, content: dict[str, Any], indent: int | None
-) -> None:
-    path = tmp_path_factory.mktemp("json") / "content.json"
-    path.write_text(f"\n {json.dumps(content, indent=indent)}\n", encoding="utf-8-sig" if indent else "utf-8")
-    assert list(read_pairs(path)) == list(content.items())
-    path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=False), encoding="utf-8")
-    assert list(read_pairs(path, "in")) == list(content.items())
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -106,10 +85,10 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path: Path, text: str, problem:
     path = tmp_path / "content.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(FormatError, match=r"content\.json") as raised:
-        list(read_pairs(path))
+        read_object(path)
     assert problem in str(raised.value)
     with pytest.raises(FormatError):
-        list(read_pairs(tmp_path / "missing.json"))
+        read_object(tmp_path / "missing.json")
 
 
 def write(path: Path, mask: np.ndarray) -> Path:
@@ -195,11 +174,16 @@ def file_of(tmp_path: Path, *lines: str) -> Path:
 
 
 def test_rows_are_read(tmp_path: Path) -> None:
-    expected = BoxRow("3", "night_stand", (-0.5, 3.25, -0.75), (1.5, 2.0, 1.0), -0.25, 0.875)
-    assert read_box_csv(file_of(tmp_path, HEAD, ROW, "", ROW + "\r"), scored=True) == [expected, expected]
-    without = read_box_csv(file_of(tmp_path, HEAD.removesuffix(",score"), ROW.removesuffix(",0.875")), scored=False)
-    assert without[0].score is None
-    assert read_box_csv(file_of(tmp_path, HEAD), scored=True) == []
+    (name, frame), *others = read_upright_boxes(file_of(tmp_path, HEAD, ROW, "", ROW + "\r"), scored=True).items()
+    assert (name, others, len(frame.truths)) == ("3", [], 2)
+    for truth in frame.truths:
+        assert (truth.label, truth.score) == ("night_stand", 0.875)
+        assert (truth.box.center_m.tolist(), truth.box.size_m.tolist()) == ([-0.5, 3.25, -0.75], [1.5, 2.0, 1.0])
+        turn = [[math.cos(0.25), math.sin(0.25), 0], [-math.sin(0.25), math.cos(0.25), 0], [0, 0, 1]]
+        np.testing.assert_allclose(truth.box.rotation, turn, atol=1e-12)
+    without = read_upright_boxes(file_of(tmp_path, HEAD.removesuffix(",score"), ROW.removesuffix(",0.875")))
+    assert without["3"].truths[0].score is None
+    assert read_upright_boxes(file_of(tmp_path, HEAD), scored=True) == {}
 
 
 def test_rows_that_are_no_boxes_are_refused(tmp_path: Path) -> None:
@@ -209,7 +193,7 @@ def test_rows_that_are_no_boxes_are_refused(tmp_path: Path) -> None:
         (HEAD, ROW.replace(",2,", ",-2,"), ":2: .*must be positive"),
     ):
         with pytest.raises(FormatError, match=problem):
-            read_box_csv(file_of(tmp_path, head, row), scored=True)
+            read_upright_boxes(file_of(tmp_path, head, row), scored=True)
 
 
 UNIT = {"label": "hand", "center": [0, 0, 1], "size": [0.2, 0.1, 0.05], "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}

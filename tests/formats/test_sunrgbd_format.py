@@ -12,8 +12,7 @@ from scipy.io import loadmat, savemat
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats import sunrgbd as sunrgbd_meta
-from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.losses import Losses, Lost
+from annotator.formats.dataset_writing import DatasetItem, Losses, Lost
 from annotator.formats.sunrgbd import (
     META,
     calibration_text,

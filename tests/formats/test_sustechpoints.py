@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.sustechpoints import _angles, read_sustechpoints
+from annotator.formats.reading import angles_xyz
+from annotator.formats.sustechpoints import read_sustechpoints
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.workflows.importing import BoxFormat, format_of
@@ -72,7 +73,7 @@ def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:
 @given(st.tuples(*[st.sampled_from([-np.pi, -np.pi / 2, 0.0, 0.3, np.pi / 2, 2.0])] * 3))
 def test_angles_are_exact_also_where_they_are_ambiguous(angles: tuple[float, float, float]) -> None:
     rotation = Rotation.from_euler("XYZ", angles).as_matrix()
-    np.testing.assert_allclose(Rotation.from_euler("XYZ", _angles(rotation)).as_matrix(), rotation, atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_euler("XYZ", angles_xyz(rotation)).as_matrix(), rotation, atol=1e-12)
 
 
 def test_written_clouds_have_the_points_with_their_colours(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.boxes_json import read_boxes
+from annotator.formats.box_files import read_boxes
 from annotator.formats.reading import read_mask
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording

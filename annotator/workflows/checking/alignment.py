@@ -10,7 +10,6 @@ scores of many frames are averaged, and both halves of these frames must give th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
@@ -19,8 +18,8 @@ from annotator.geometry.projection import every_nth, project, undistort_px
 from annotator.types import Camera, Frame
 
 # The tested rotations, degrees: about x and y (shifts of the image), and about z (in the image plane).
-TURNS_DEG = np.arange(-3.0, 3.01, 0.5)
-ROLLS_DEG = np.arange(-3.0, 3.01, 1.0)
+_TILTS_DEG, _ROLLS_DEG = np.arange(-3.0, 3.01, 0.5), np.arange(-3.0, 3.01, 1.0)
+TURNS_DEG = np.stack(np.meshgrid(_TILTS_DEG, _TILTS_DEG, _ROLLS_DEG, indexing="ij"), axis=-1).reshape(-1, 3)
 # Maximum number of examined frames, and minimum number for a result.
 FRAMES = 24
 LEAST_FRAMES = 4
@@ -69,7 +68,7 @@ class Alignment:
         """Returns what is wrong with the calibration; None if it fits or the result is unclear."""
         if len(self.scores) < LEAST_FRAMES:
             return None
-        pooled, turns = np.mean(self.scores, axis=0), turns_deg()
+        pooled, turns = np.mean(self.scores, axis=0), TURNS_DEG
         here, best = float(pooled[np.linalg.norm(turns, axis=1).argmin()]), turns[pooled.argmax()]
         halves = [turns[np.mean(self.scores[start::2], axis=0).argmax()] for start in (0, 1)]
         # rolls are tested in steps of 1 degree
@@ -82,15 +81,6 @@ class Alignment:
         if len(self.scores) >= FRAMES_FOR_NO_FIT and here < LEAST_FIT:
             return "edges in depth do not fit the image, even if the camera is turned by up to 3 degrees"
         return None
-
-
-@cache
-def turns_deg() -> Float64[np.ndarray, "k 3"]:
-    """Returns all tested rotations, degrees about the camera's x, y and z."""
-    x, y, z = np.meshgrid(TURNS_DEG, TURNS_DEG, ROLLS_DEG, indexing="ij")
-    turns = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    turns.flags.writeable = False
-    return turns
 
 
 def depth_edges(frame: Frame) -> Float64[np.ndarray, "n 2"]:
@@ -149,7 +139,7 @@ def _fit(
     height, width = strength.shape
     rays = np.column_stack([undistort_px(camera, px), np.ones(len(px))])
     rays = rays[np.isfinite(rays).all(axis=1)]
-    rotations = Rotation.from_rotvec(turns_deg(), degrees=True).as_matrix()
+    rotations = Rotation.from_rotvec(TURNS_DEG, degrees=True).as_matrix()
     average, scores = float(strength.mean()), np.empty(len(rotations))
     for number, R in enumerate(rotations):
         # pixels that cannot be projected are NaN and compare as false

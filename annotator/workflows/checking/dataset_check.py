@@ -16,36 +16,19 @@ from pathlib import Path
 import numpy as np
 
 from annotator.formats.rcv import MANIFEST
-from annotator.formats.units import Angles
+from annotator.formats.reading import Angles
 from annotator.geometry.oriented_box import contains
 from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.bases import Strict
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.messages import amount, folded
 from annotator.workflows.checking import findings as rules
+from annotator.workflows.checking import label_rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_sizes, usual_sizes
 from annotator.workflows.checking.findings import Finding, Findings, Rule, Severity
-from annotator.workflows.checking.frame_rules import (
-    Breach,
-    camera_rules,
-    cloud_rules,
-    is_plausible,
-    rules_among_labels,
-    rules_in_frame,
-    rules_of_labels,
-)
 from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources, stray_names
 from annotator.workflows.importing.report import SizeDoubts
-from annotator.workflows.recorded.reading import (
-    FoundLabel,
-    FrameLabels,
-    found_labels,
-    has_masks,
-    is_labelled,
-    label_file,
-    load_mask,
-)
+from annotator.workflows.recorded import reading
 
 RULE_OF = {
     UnitKind.ANGLE: rules.ANGLE_UNIT,
@@ -101,14 +84,14 @@ class DatasetCheck:
 
     source: Source
     findings: Findings
-    found: list[tuple[str, FoundLabel]] = field(default_factory=list)
+    found: list[tuple[str, reading.FoundLabel]] = field(default_factory=list)
     alignment: Alignment = field(default_factory=Alignment)
     wrong_files: int = 0
     with_row: int = 0
     seen: int = 0
     flat: int = 0
     faults: Counter[Rule] = field(default_factory=Counter)
-    before: tuple[tuple[str, int], Sequence[FoundLabel]] | None = None
+    before: tuple[tuple[str, int], Sequence[reading.FoundLabel]] | None = None
     time_ns: int | None = None
     mirrored: Counter[int] = field(default_factory=Counter)
 
@@ -124,15 +107,18 @@ class DatasetCheck:
         for index, key in enumerate(keys):
             frame = self._read(index, key)
             if frame is not None:
-                self._camera(index, key, frame)
-                self._time(index, key, frame)
+                self._frame(index, key, frame)
                 if index in chosen and source.has_pictures:
                     self.alignment.add(frame)
             if has_labels:
                 self._labels(index, key, frame)
             if progress is not None:
                 progress(index + 1, len(keys))
-        self._whole_files()
+        try:
+            for file, line, name in stray_names(recording):
+                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+        except FormatError as error:  # a list that is not text
+            self.findings.add_error(rules.UNREADABLE_FILE, error, recording.path)
         self._whole_dataset()
         return DatasetFacts(path=str(recording.path), format=recording.format, frames=len(keys), labels=len(self.found))
 
@@ -149,66 +135,64 @@ class DatasetCheck:
             self.findings.add(rules.UNREADABLE_FILE, self.source.recording.path, message, frame=key)
         return None
 
-    def _camera(self, index: int, key: str, frame: Frame) -> None:
-        file = self.source.calibration(index)
-        of_cloud = cloud_rules(frame, of_depth_camera=self.source.recording.format == "sunrgbd_extracted")
-        for rule, message in (*camera_rules(frame.camera), *of_cloud):
+    def _frame(self, index: int, key: str, frame: Frame) -> None:
+        """Checks the camera, the cloud and the time of a frame."""
+        file, recording = self.source.calibration(index), self.source.recording
+        of_cloud = label_rules.cloud_rules(frame, of_depth_camera=recording.format == "sunrgbd_extracted")
+        for rule, message in (*label_rules.camera_rules(frame.camera), *of_cloud):
             self.findings.add(rule, file, message, frame=key)
-        recording = self.source.recording
         try:
-            if has_masks(recording):
-                load_mask(recording, frame)
+            if reading.has_masks(recording):
+                reading.load_mask(recording, frame)
         except AnnotatorError as error:
             self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
-
-    def _time(self, index: int, key: str, frame: Frame) -> None:
-        if not self.source.recording.is_sequence or frame.timestamp_ns is None:
-            return
-        if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
-            message = (
-                f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
-            )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.recording.path, message, frame=key)
-        self.time_ns = frame.timestamp_ns
+        if recording.is_sequence and frame.timestamp_ns is not None:
+            if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
+                earlier_s = (self.time_ns - frame.timestamp_ns) / 1e9
+                message = f"frame {key} is {earlier_s:.3f} s earlier than the previous frame"
+                self.findings.add(rules.TIME_BACKWARDS, recording.path, message, frame=key)
+            self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
         recording = self.source.recording
-        file = label_file(recording, key)
+        file = reading.label_file(recording, key)
         if file is None or not file.exists():
             missing = recording.path if file is None else file
             self.findings.add(rules.MISSING_LABELS, missing, f"frame {key} has no label file", frame=key)
             self.wrong_files += 1
             return
-        labels = found_labels(recording, index, frame) if is_labelled(recording, key) else FrameLabels()
-        for error in labels.of_file:
-            self.findings.add_error(rule_of(error), error, recording.path)
-        for error in labels.faults:
-            self.findings.add_error(rule_of(error), error, recording.path, frame=key)
+        labels = (
+            reading.found_labels(recording, index, frame)
+            if reading.is_labelled(recording, key)
+            else reading.FrameLabels()
+        )
+        for error, of in (*((each, None) for each in labels.of_file), *((each, key) for each in labels.faults)):
+            self.findings.add_error(rule_of(error), error, recording.path, frame=of)
         # in two steps: the geometry of the second cannot handle implausible boxes
-        self._add_all(key, labels.objects, rules_of_labels(labels.objects))
-        objects = [each for each in labels.objects if is_plausible(each)]
+        self._add_all(key, labels.objects, label_rules.rules_of_labels(labels.objects))
+        objects = [each for each in labels.objects if label_rules.is_plausible(each)]
         valid = [each for each in objects if each.state is not ReviewState.REJECTED]
-        self._add_all(key, valid, rules_among_labels(valid))
+        self._add_all(key, valid, label_rules.rules_among_labels(valid))
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
-            in_frame = list(rules_in_frame(frame, objects))
+            in_frame = list(label_rules.rules_in_frame(frame, objects))
             empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
             for axis, box in product(MIRRORED, empty):
                 held = np.count_nonzero(contains(mirrored(box, axis), frame.cloud.xyz_m))
-                self.mirrored[axis] += int(held >= LEAST_POINTS)
+                self.mirrored[axis] += int(held >= label_rules.LEAST_POINTS)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
         self.flat += sum(row.is_flat for row in labels.rows)
         self.found += [(key, each) for each in labels.objects]
         self.wrong_files += bool(labels.faults)
 
-    def _add_all(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
+    def _add_all(self, key: str, labels: Sequence[reading.FoundLabel], breaches: Iterable[label_rules.Breach]) -> None:
         for rule, number, message in breaches:
             self.faults[rule] += 1
             self.findings.add(rule, labels[number].file, message, line=labels[number].line, frame=key)
 
-    def _since_before(self, index: int, labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    def _since_before(self, index: int, labels: Sequence[reading.FoundLabel]) -> Iterator[label_rules.Breach]:
         place = None
         with suppress(AnnotatorError):  # a broken file was reported when the frame was read
             place = self.source.place(index)
@@ -217,7 +201,9 @@ class DatasetCheck:
             return
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
         if self.source.recording.is_sequence or self.source.recording.format == "rcv":
-            for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.recording.is_sequence):
+            for number, message in label_rules.heading_jumps(
+                truths, earlier, tracked_only=not self.source.recording.is_sequence
+            ):
                 yield rules.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
@@ -226,17 +212,10 @@ class DatasetCheck:
                 message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
                 yield rules.TRACK_CLASS, number, message
 
-    def _whole_files(self) -> None:
-        try:
-            for file, line, name in stray_names(self.source.recording):
-                self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
-        except FormatError as error:  # a list that is not text
-            self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.recording.path)
-
     def _whole_dataset(self) -> None:
-        usual = usual_sizes((each.truth.label, each.truth.box.size_m) for _, each in self.found)
+        usual = label_rules.usual_sizes((each.truth.label, each.truth.box.size_m) for _, each in self.found)
         for key, each in self.found:
-            self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in odd_sizes([each.truth], usual)))
+            self._add_all(key, [each], ((rules.ODD_SIZE, *odd) for odd in label_rules.odd_sizes([each.truth], usual)))
         path = self.source.recording.path
         self._units(path)
         axis, number = max(self.mirrored.items(), key=lambda each: each[1], default=(0, 0))
@@ -347,6 +326,6 @@ def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> l
     findings.add(
         rules.UNCHECKED_DATASET,
         dataset.path,
-        f"{dataset.format}: read, but their boxes are not compared with clouds and images",
+        f"{dataset.layout.title}: read, but their boxes are not compared with clouds and images",
     )
-    return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]
+    return [DatasetFacts(path=str(dataset.path), format=dataset.layout.title, frames=frames, labels=labels)]

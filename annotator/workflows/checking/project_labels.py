@@ -1,7 +1,7 @@
 """Checks the labels of a project: warnings for the operator, never errors.
 
 - size: a side of the box differs from the median of its class (or of its track) by more than the usual factor
-  (`checking.box_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
+  (`checking.label_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
 - heading: a box has turned by more than 60 degrees since the previous frame of a sequence (matched by track, else the
   nearest box of its class within its own length);
@@ -16,15 +16,15 @@
 from __future__ import annotations
 
 import hashlib
-import threading
+import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from enum import StrEnum
-from itertools import product
 
 import numpy as np
-from pydantic import RootModel, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.geometry.oriented_box import contains
@@ -35,35 +35,16 @@ from annotator.types.bases import Strict
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.label import AttributeValue
 from annotator.types.messages import alternatives
-from annotator.workflows.checking.box_rules import (
-    LEAST_POINTS,
-    OVERLAP_IOU,
-    TRACK_SIZE_FACTOR,
-    UsualSize,
-    few_points_message,
-    heading_jumps,
-    odd_frame_values,
-    odd_size_message,
-    odd_sizes,
-    odd_values,
-    overlaps,
-    usual_sizes,
-)
+from annotator.workflows.checking import label_rules
 from annotator.workflows.frame_source import FrameSource, why_gone
 
-# Folder within the project for data that can be recomputed.
-CACHE_FOLDER = "cache"
-CACHE_FILE = "points_inside.json"
-
-_LOCK = threading.Lock()
-
-
-class _CachedCounts(RootModel[dict[str, int]]):
-    """The number of points by frame and box."""
+# Within the project: data that can be recomputed.
+CACHE = "cache/points_inside.json"
+_COUNTS = TypeAdapter(dict[str, int])
 
 
 class PointCounts:
-    """Counts points, with a cache on disk.
+    """Counts points, with a cache on disk, since reading the frames of a project takes minutes.
 
     Attributes:
         unreadable: frames that could not be read, as `key: reason`.
@@ -75,12 +56,10 @@ class PointCounts:
         Args:
             budget_s: time for reading frames, seconds; None = no limit.
         """
-        self._source = FrameSource(project)
-        self._budget_s = budget_s
-        self._spent_s = 0.0
-        self._path = project.path / CACHE_FOLDER / CACHE_FILE
+        self._source, self._path = FrameSource(project), project.path / CACHE
+        self._left_s = math.inf if budget_s is None else budget_s
         self._cached = self._load()
-        self._new: dict[str, int] = {}
+        self._is_new = False
         self.unreadable: list[str] = []
         self.unknown = 0
 
@@ -88,43 +67,32 @@ class PointCounts:
         """Returns the number of points of a frame in each box; None if it cannot be read or the time is used up."""
         keys = [_key(frame, box) for box in boxes]
         if any(key not in self._cached for key in keys):
-            if self._budget_s is not None and self._spent_s >= self._budget_s:
+            if self._left_s <= 0:
                 self.unknown += 1
                 return None
-            if not self._count(frame, dict(zip(keys, boxes, strict=True))):
+            begin = time.perf_counter()
+            try:
+                xyz_m = self._source.read(frame).cloud.xyz_m
+            except (FrameError, RecordingError) as error:
+                self.unreadable.append(f"{frame.key}: {error}")
                 return None
+            finally:
+                self._left_s -= time.perf_counter() - begin
+            counts = [int(np.count_nonzero(contains(box, xyz_m))) for box in boxes]
+            self._cached |= dict(zip(keys, counts, strict=True))
+            self._is_new = True
         return [self._cached[key] for key in keys]
 
     def save(self) -> None:
         """Saves the new counts. A cache that cannot be written is ignored: points are then counted again."""
-        if not self._new:
-            return
-        with _LOCK:
-            merged = self._load() | self._new
-            try:
+        if self._is_new:
+            with suppress(OSError):
                 self._path.parent.mkdir(exist_ok=True)
-                write_atomic(self._path, _CachedCounts(merged).model_dump_json().encode())
-            except OSError:
-                return
-        self._new = {}
-
-    def _count(self, frame: StoredFrame, boxes: dict[str, OrientedBox]) -> bool:
-        begin = time.perf_counter()
-        try:
-            xyz_m = self._source.read(frame).cloud.xyz_m
-        except (FrameError, RecordingError) as error:
-            self.unreadable.append(f"{frame.key}: {error}")
-            return False
-        finally:
-            self._spent_s += time.perf_counter() - begin
-        counts = {key: int(np.count_nonzero(contains(box, xyz_m))) for key, box in boxes.items()}
-        self._cached |= counts
-        self._new |= counts
-        return True
+                write_atomic(self._path, _COUNTS.dump_json(self._load() | self._cached))
 
     def _load(self) -> dict[str, int]:
         try:
-            return _CachedCounts.model_validate_json(read_file(self._path, TABLE_BYTES)).root
+            return _COUNTS.validate_json(read_file(self._path, TABLE_BYTES))
         except (OSError, ValidationError):
             # missing or damaged: counted again
             return {}
@@ -213,7 +181,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     stored = project.labels.select(states=CHECKED_STATES)
     for entry in stored:
         by_frame[entry.frame_id].append(entry.label)
-    usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
+    usual = label_rules.usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     tracks = _Tracks(stored, frames)
     config = project.config
     classes, attributes, of_frames = set(config.classes), config.attributes, project.frames.attributes()
@@ -232,13 +200,15 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
                 for each in labels
                 if each.label not in classes
             ),
-            *_lines(Kind.ATTRIBUTE, labels, odd_values(labels, attributes)),
-            *((Kind.ATTRIBUTE, None, message) for message in odd_frame_values(values, attributes, is_complete)),
-            *tracks.contradicting(labels, frame, attributes),
+            *_lines(Kind.ATTRIBUTE, labels, label_rules.odd_values(labels, attributes)),
+            *(
+                (Kind.ATTRIBUTE, None, message)
+                for message in label_rules.odd_frame_values(values, attributes, is_complete)
+            ),
+            *tracks.odd(labels, frame, attributes),
             *_sizes(labels, usual, tracks, frame),
-            *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
+            *_lines(Kind.HEADING, labels, label_rules.heading_jumps(labels, earlier)),
             *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
-            *tracks.odd(labels, frame),
             *_empty(labels, count_points(frame, [label.box for label in labels]) if labels else None),
         ]
         place = {"frame": frame.id, "key": frame.key, "recording": recordings[frame.recording_id].name}
@@ -255,59 +225,51 @@ def _lines(kind: Kind, labels: Sequence[Label], places: Iterable[tuple[int, str]
 
 
 class _Tracks:
-    """The usual size and the classes of each track."""
+    """The usual size, the classes and the values of each track."""
 
     def __init__(self, stored: Sequence[StoredLabel], frames: Mapping[int, StoredFrame]) -> None:
         tracked = [(e.label, self.key(e.label, frames[e.frame_id])) for e in stored if e.label.track_id is not None]
         reviewed = ((key, label.box.size_m) for label, key in tracked if label.state in REVIEWED)
-        self.usual = usual_sizes(reviewed, TRACK_SIZE_FACTOR)
-        self._classes: dict[str, Counter[str]] = defaultdict(Counter)
-        self._values: dict[tuple[str, str], Counter[AttributeValue]] = defaultdict(Counter)
+        self.usual = label_rules.usual_sizes(reviewed, label_rules.TRACK_SIZE_FACTOR)
+        # by track, then by attribute; None: the class
+        self._values = defaultdict[str, dict[str | None, Counter[AttributeValue]]](lambda: defaultdict(Counter))
         for label, key in tracked:
-            self._classes[key][label.label] += 1
-            for name, value in label.attributes.items():
-                self._values[key, name][value] += 1
+            for name, value in ((None, label.label), *label.attributes.items()):
+                self._values[key][name][value] += 1
 
     def key(self, label: Label, frame: StoredFrame) -> str:
         """Returns a track's name within the project."""
         return f"{frame.recording_id}/{label.track_id}"
 
-    def contradicting(
-        self, labels: Sequence[Label], frame: StoredFrame, attributes: Sequence[Attribute]
-    ) -> Iterator[Line]:
-        """Yields values of tracks that differ from those in other frames."""
+    def odd(self, labels: Sequence[Label], frame: StoredFrame, attributes: Sequence[Attribute]) -> Iterator[Line]:
+        """Yields labels of a frame whose values or class differ from those of their track in other frames."""
         names = [each.name for each in attributes if each.of is AttributeOf.TRACK]
-        for label, name in product(labels, names):
-            value = label.attributes.get(name)
-            if label.track_id is None or value is None:
-                continue
-            most = self._values[self.key(label, frame), name].most_common(1)[0][0]
-            if value != most:
-                here = f"{value_text(most)}, but {value_text(value)} here"
-                yield Kind.ATTRIBUTE, label.uid, f"{name} of track {label.track_id} is mostly {here}"
-
-    def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:
-        """Yields labels of a frame that contradict their tracks."""
         for label in labels:
             if label.track_id is None:
                 continue
-            most = self._classes[self.key(label, frame)].most_common(1)[0][0]
-            if most != label.label:
-                yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most}, but {label.label} here"
+            of_track = self._values[self.key(label, frame)]
+            most = {name: counts.most_common(1)[0][0] for name, counts in of_track.items()}
+            for name in names:
+                value = label.attributes.get(name)
+                if value is not None and value != most[name]:
+                    here = f"{value_text(most[name])}, but {value_text(value)} here"
+                    yield Kind.ATTRIBUTE, label.uid, f"{name} of track {label.track_id} is mostly {here}"
+            if label.label != most[None]:
+                yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most[None]}, but {label.label} here"
 
 
 def _sizes(
-    labels: Sequence[Label], usual: Mapping[str, UsualSize], tracks: _Tracks, frame: StoredFrame
+    labels: Sequence[Label], usual: Mapping[str, label_rules.UsualSize], tracks: _Tracks, frame: StoredFrame
 ) -> Iterator[Line]:
     """Yields sizes that are odd for their class, else for their track."""
-    of_class = dict(odd_sizes(labels, usual))
+    of_class = dict(label_rules.odd_sizes(labels, usual))
     for number, label in enumerate(labels):
         of_track = tracks.usual.get(tracks.key(label, frame))
         if number in of_class:
             yield Kind.SIZE, label.uid, of_class[number]
         elif of_track is not None and of_track.odd(label.box.size_m):
             name = f"track {label.track_id}: {label.label}"
-            yield Kind.SIZE, label.uid, odd_size_message(name, label.box.size_m, of_track)
+            yield Kind.SIZE, label.uid, label_rules.odd_size_message(name, label.box.size_m, of_track)
 
 
 def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
@@ -321,12 +283,12 @@ def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict
 
 
 def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:
-    for first, second, iou in overlaps(labels, OVERLAP_IOU):
+    for first, second, iou in label_rules.overlaps(labels, label_rules.OVERLAP_IOU):
         if labels[first].label == labels[second].label:
             yield second, f"two boxes of {labels[first].label} overlap by {iou:.0%} (IoU)"
 
 
 def _empty(labels: Sequence[Label], points: Sequence[int] | None) -> Iterator[Line]:
     for label, count in zip(labels, points or (), strict=False):
-        if count < LEAST_POINTS:
-            yield Kind.EMPTY, label.uid, few_points_message(label.label, count)
+        if count < label_rules.LEAST_POINTS:
+            yield Kind.EMPTY, label.uid, label_rules.few_points_message(label.label, count)

@@ -6,31 +6,30 @@ not to the dataset. Labels, files and lists that refer to frames which a dataset
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.files import read_file
 from annotator.formats import sustechpoints
 from annotator.formats.frame_names import has_frames
+from annotator.formats.kitti_folders import IMAGE_SETS
 from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS
 from annotator.formats.openlabel import is_document
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
-from annotator.formats.reading import OnFault, read_json, text_rows
-from annotator.formats.recognising import format_of
-from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat
-from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES
+from annotator.formats.reading import OnFault, text_rows
+from annotator.formats.table import FORMATS, AnyFormat, BoxFormat, FlatFormat, format_of
+from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.kitti import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems
 from annotator.recordings.open import FILE_SUFFIXES
-from annotator.recordings.sunrgbd import SunRgbdExtracted, SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.importing.pictures import read_pictures
@@ -44,50 +43,66 @@ Box = tuple[str, Float64[np.ndarray, "3"] | None]
 """The class and the size of a box; None for 2D boxes."""
 
 
-@dataclass(frozen=True)
-class OtherSoftwareDataset:
-    """A dataset whose boxes are not compared with clouds and images.
+class Layout(NamedTuple):
+    """How a folder with a dataset of other software is told.
 
     Attributes:
-        format: the format's name to display.
+        title: the format's name to display.
+        files: patterns of which the folder has all.
         is_recording: the folder has clouds or images beside the labels, so it may also be a recording.
         opened_as: format of the recordings whose own labels these are; their boxes are checked there.
-        read: yields the boxes of each frame; called with what takes each fault.
     """
 
-    path: Path
-    format: str
-    is_recording: bool
-    read: Callable[[Path, OnFault], Iterable[Sequence[Box]]]
+    format: AnyFormat
+    title: str
+    files: tuple[str, ...] = ()
+    is_recording: bool = True
     opened_as: str | None = None
 
+
+# labelCloud's labels, without `_classes.json`
+JSON_OF_CLOUDS = f"{LABELS}/[!_]*.json"
+# with clouds or classes beside them; YOLO's label files in a folder of their own, or beside `classes.txt`
+LABELCLOUD, YOLO = (CLOUDS, f"{LABELS}/{CLASSES_FILE}"), ("labels/*.txt", "[!c]*.txt")
+LAYOUTS = (
+    Layout(BoxFormat.NUSCENES, "nuScenes tables", ("v1.0-*/sample_annotation.json",), is_recording=False),
+    *(
+        Layout(BoxFormat.LABELCLOUD, "labelCloud labels", (beside, JSON_OF_CLOUDS), opened_as="cloud_folder")
+        for beside in LABELCLOUD
+    ),
+    Layout(BoxFormat.SUSTECHPOINTS, "SUSTechPOINTS labels", (sustechpoints.CLOUDS, f"{sustechpoints.LABELS}/*.json")),
+    Layout(FlatFormat.COCO, "COCO boxes", FORMATS[FlatFormat.COCO].marks),
+    Layout(FlatFormat.YOLO, "YOLO boxes", (DATA_YAML,)),
+    *(Layout(FlatFormat.YOLO, "YOLO boxes", (CLASSES, files)) for files in YOLO),
+)
+DOCUMENTS = Layout(BoxFormat.OPENLABEL, "OpenLABEL documents", is_recording=False, opened_as="openlabel")
+
+
+@dataclass(frozen=True)
+class OtherSoftwareDataset:
+    """A dataset whose boxes are not compared with clouds and images."""
+
+    path: Path
+    layout: Layout
+
     def frames(self, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-        """Yields the boxes of each frame."""
-        try:
-            yield from self.read(self.path, on_fault)
-        except FormatError as fault:
-            on_fault(fault)
+        """Yields the boxes of each frame, read as imports do; the caller judges their sizes."""
+        # other JSON files may lie beside documents
+        is_folder = self.layout is DOCUMENTS
+        for path in filter(is_document, sorted(self.path.glob("*.json"))) if is_folder else (self.path,):
+            try:
+                yield from _boxes(self.layout.format, path, on_fault)
+            except FormatError as fault:
+                on_fault(fault)
 
 
 def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
     """Returns the dataset in a folder, without looking into subfolders; None for unknown formats."""
     if not path.is_dir() or (path / MANIFEST).is_file():
         return None
-    if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
-        return OtherSoftwareDataset(path, "nuScenes tables", False, partial(_boxes, BoxFormat.NUSCENES))
-    if any(is_document(file) for file in path.glob("*.json")):
-        return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
-    if _is_labelcloud(path):
-        return OtherSoftwareDataset(
-            path, "labelCloud labels", True, partial(_boxes, BoxFormat.LABELCLOUD), "cloud_folder"
-        )
-    if (path / sustechpoints.CLOUDS).is_dir() and any((path / sustechpoints.LABELS).glob("*.json")):
-        return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_boxes, BoxFormat.SUSTECHPOINTS))
-    if FORMATS[FlatFormat.COCO].is_marked(path):
-        return OtherSoftwareDataset(path, "COCO boxes", True, partial(_boxes, FlatFormat.COCO))
-    if _is_yolo(path):
-        return OtherSoftwareDataset(path, "YOLO boxes", True, partial(_boxes, FlatFormat.YOLO))
-    return None
+    found = (each for each in LAYOUTS if all(next(path.glob(file), None) is not None for file in each.files))
+    layout = DOCUMENTS if any(map(is_document, path.glob("*.json"))) else next(found, None)
+    return None if layout is None else OtherSoftwareDataset(path, layout)
 
 
 def labels_alone(path: Path) -> OtherSoftwareDataset | None:
@@ -99,50 +114,16 @@ def labels_alone(path: Path) -> OtherSoftwareDataset | None:
     if format in OF_RECORDINGS:
         return None
     what = "boxes" if isinstance(format, FlatFormat) else "labels"
-    return OtherSoftwareDataset(path, f"{format} {what}", False, partial(_boxes, format))
+    return OtherSoftwareDataset(path, Layout(format, f"{format} {what}"))
 
 
 def _boxes(format: AnyFormat, path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    """Reads labels as imports do; the caller judges their sizes."""
     if isinstance(format, FlatFormat):
         for picture in read_pictures(format, path, on_fault=on_fault).pictures:
             yield [(label, None) for label in picture.labels]
     else:
         for frame in placed_boxes(format, path, on_fault=on_fault).labelled.values():
             yield [(truth.label, truth.box.size_m) for truth in frame.truths]
-
-
-def _is_labelcloud(path: Path) -> bool:
-    """True for a project folder (or a part of one): JSON beside clouds, or with labelCloud's `_classes.json`."""
-    labels = path / LABELS
-    if not ((path / CLOUDS).is_dir() or (labels / CLASSES_FILE).is_file()):
-        return False
-    return any(file.name != CLASSES_FILE for file in labels.glob("*.json"))
-
-
-def _is_yolo(path: Path) -> bool:
-    """True for Ultralytics' `data.yaml`, or `classes.txt` with labels in `labels` or beside images of the same name."""
-    if (path / DATA_YAML).is_file():
-        with suppress(OSError):
-            return b"names:" in read_file(path / DATA_YAML)
-    if not (path / CLASSES).is_file():
-        return False
-    if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):
-        return True
-    pictures = {normal(file.stem) for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
-    return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
-
-
-def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
-    """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
-    for file in sorted(path.glob("*.json")):
-        try:
-            if is_document(file):
-                yield from _boxes(BoxFormat.OPENLABEL, file, on_fault)
-            else:
-                read_json(file)
-        except FormatError as fault:
-            on_fault(fault)
 
 
 MOST_LEVELS = 4
@@ -210,12 +191,9 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
 def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     dataset = other_software_dataset(path)
     if dataset is not None:
-        source = _with_own_labels(path, dataset)
-        if source is not None:
-            yield source
-            return
-        yield dataset
-        if not dataset.is_recording:
+        source = _with_own_labels(path, dataset.layout.opened_as)
+        yield source or dataset
+        if source is not None or not dataset.layout.is_recording:
             return
     try:
         yield _open(path)
@@ -232,18 +210,13 @@ def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
             yield from _below(child, levels - 1)
 
 
-def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None:
-    """Returns the recording whose own labels the sound dataset holds, so that its boxes can be checked."""
-    faults: list[FormatError] = []
-    try:
-        source = _open(path) if dataset.opened_as is not None else None
-    except AnnotatorError:
-        return None
-    if source is None or source.recording.format != dataset.opened_as or not source.has_labels:
-        return None
-    for _ in dataset.frames(faults.append):
-        pass
-    return None if faults else source
+def _with_own_labels(path: Path, opened_as: str | None) -> Source | None:
+    """Returns the recording of a format whose own labels a dataset has, so that its boxes can be checked."""
+    with suppress(AnnotatorError):
+        source = _open(path) if opened_as is not None else None
+        if source is not None and source.recording.format == opened_as and source.has_labels:
+            return source
+    return None
 
 
 def _open(path: Path) -> Source:
@@ -255,12 +228,13 @@ Stray = tuple[Path, int | None, str]
 """A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
 
 
-def _without_frame(files: Iterable[Path], keys: Iterable[str]) -> Iterator[Stray]:
-    known = set(map(normal, keys))
-    return ((file, None, file.stem) for file in sorted(files) if normal(file.stem) not in known)
-
-
-LISTS, INDICES = "ImageSets", "*_data_idx.txt"
+# Files that have the names of frames, and lists of frames.
+NAMED = {
+    "kitti_object": ("label_2/*.txt", "calib/*.txt"),
+    "sunrgbd_extracted": ("label/*.txt", "calib/*.txt"),
+    "rcv": tuple(f"{folder}/*" for folder in FOLDERS),
+}
+LISTS = {"sunrgbd_extracted": "*_data_idx.txt", "rcv": f"{SPLITS}/*.txt"}
 # KITTI's test frames, whose labels are not public: their folder, and their list.
 TESTING, TEST_LIST = "testing", "test.txt"
 
@@ -274,39 +248,33 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
     Raises:
         FormatError: a list is not text.
     """
+    root, format, keys = recording.root, recording.format, set(map(normal, recording.keys))
+    for pattern in NAMED.get(format, ()):
+        yield from ((file, None, file.stem) for file in sorted(root.glob(pattern)) if normal(file.stem) not in keys)
     labels = label_file(recording, recording.keys[0]) if recording.keys else None
-    if labels is not None and recording.format in ("kitti_object", "sunrgbd_extracted"):
-        yield from _without_frame(labels.parent.glob("*.txt"), recording.keys)
-    elif labels is not None and recording.format in ("kitti_tracking", "rgbd_folder"):
-        is_number = recording.format == "kitti_tracking"
-        known = {str(int(key)) if is_number and key.isdecimal() else normal(key) for key in recording.keys}
+    if labels is not None and format in ("kitti_tracking", "rgbd_folder"):
+        is_number = format == "kitti_tracking"
+        known = {str(int(key)) if is_number and key.isdecimal() else key for key in keys}
         with suppress(FormatError):  # reported where the labels are read
             for name, found in labels_by_frame(recording, labels).items():
                 # unlabelled areas alone are no labels
                 if name not in known and name != NO_FRAME and (found.objects or not is_number):
                     yield labels, found.objects[0].line if found.objects else None, name
     if isinstance(recording, KittiObject):
-        yield from _without_frame((recording.root / "calib").glob("*.txt"), recording.keys)
-        yield from _image_sets(recording)
-    elif isinstance(recording, SunRgbdExtracted):
-        yield from _without_frame((recording.path / "calib").glob("*.txt"), recording.keys)
-        for file in sorted(recording.path.glob(INDICES)):
-            yield from _not_listed(file, {int(key) for key in recording.keys if key.isdecimal()}, int)
-    elif recording.format == "rcv":
-        for folder in FOLDERS:
-            yield from _without_frame((recording.path / folder).glob("*"), recording.keys)
-        for file in sorted((recording.path / SPLITS).glob("*.txt")):
-            yield from _not_listed(file, map(normal, recording.keys))
+        yield from _image_sets(recording, keys)
+    if format in LISTS:
+        zeros = "0" if format == "sunrgbd_extracted" else ""
+        for file in sorted(root.glob(LISTS[format])):
+            yield from _not_listed(file, keys, zeros)
 
 
-def _image_sets(recording: KittiObject) -> Iterator[Stray]:
+def _image_sets(recording: KittiObject, keys: set[str]) -> Iterator[Stray]:
     # the recording may have been opened at training/ or at the folder above
     folders = [recording.root, *([recording.root.parent] if recording.root.name == "training" else [])]
-    keys = set(map(normal, recording.keys))
     for folder in folders:
         pictures = folder / TESTING / recording.images
         testing = set(map(normal, stems(pictures, IMAGE_SUFFIXES))) if pictures.is_dir() else set()
-        for file in sorted((folder / LISTS).glob("*.txt")):
+        for file in sorted((folder / IMAGE_SETS).glob("*.txt")):
             # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
             if file.name != TEST_LIST:
                 yield from _not_listed(file, keys)
@@ -314,11 +282,9 @@ def _image_sets(recording: KittiObject) -> Iterator[Stray]:
                 yield from _not_listed(file, keys | testing)
 
 
-def _not_listed(file: Path, known: Iterable[object], named: Callable[[str], object] = normal) -> Iterator[Stray]:
-    """Yields the frames in a list that are not known. Raises FormatError: the list is not text."""
-    every = set(known)
+def _not_listed(file: Path, keys: set[str], zeros: str = "") -> Iterator[Stray]:
+    """Yields the frames in a list that are none of `keys`, of which all may lack leading `zeros`."""
+    known = {key.lstrip(zeros) for key in keys}
     for line, (name, *_) in text_rows(file):
-        with suppress(ValueError):  # no number
-            if named(name) in every:
-                continue
-        yield file, line, name
+        if normal(name).lstrip(zeros) not in known:
+            yield file, line, name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from annotator.formats.losses import Losses, Lost
+from annotator.formats.dataset_writing import Losses, Lost
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError
@@ -76,35 +76,25 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
     Args:
         places: each frame's recording and key, all different.
     """
-    groups: dict[tuple[str, ...], int] = defaultdict(int)
-    for recording, key in places:
-        groups[(recording,) if split.by is SplitBy.RECORDINGS else (recording, key)] += 1
-    if len(groups) < len(split.shares):
+    groups = [(recording,) if split.by is SplitBy.RECORDINGS else (recording, key) for recording, key in places]
+    sizes = Counter[tuple[str, ...]](groups)
+    if len(sizes) < len(split.shares):
         raise ConfigError(
-            f"{amount(len(groups), split.by.removesuffix('s'))} cannot be divided into "
+            f"{amount(len(sizes), split.by.removesuffix('s'))} cannot be divided into "
             f"{amount(len(split.shares), 'part')} ({', '.join(split.shares)}); give fewer parts, or divide by frames"
         )
-    part_of = _randomly_assigned(split, dict(groups))
-    return [part_of[(r,) if split.by is SplitBy.RECORDINGS else (r, k)] for r, k in places]
-
-
-def _randomly_assigned(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[str, ...], str]:
-    """Assigns the groups in random order, each to the part that lacks the most frames; every part gets at least one."""
-    names = sorted(groups)
-    order = np.random.default_rng(split.seed).permutation(len(names))
-    total = sum(groups.values())
-    missing = {part: share * total for part, share in split.shares.items()}
-    empty, left = set(missing), len(names)
-    part_of: dict[tuple[str, ...], str] = {}
-    for place in order:
-        # a list in the order of the shares: of equal values, max() takes the first, and a set has no fixed order
+    missing = {part: share * len(places) for part, share in split.shares.items()}
+    names, empty, part_of = sorted(sizes), set(missing), dict[tuple[str, ...], str]()
+    for left, place in zip(
+        range(len(names), 0, -1), np.random.default_rng(split.seed).permutation(len(names)), strict=True
+    ):
+        # each to the part that lacks the most frames; every part gets at least one. In the order of the shares: of
+        # equal values, max() takes the first, and a set has no fixed order
         candidates = [name for name in missing if name in empty or left > len(empty)]
-        part = max(candidates, key=lambda name: missing[name])
-        part_of[names[place]] = part
-        missing[part] -= groups[names[place]]
+        part = part_of[names[place]] = max(candidates, key=missing.__getitem__)
+        missing[part] -= sizes[names[place]]
         empty.discard(part)
-        left -= 1
-    return part_of
+    return [part_of[group] for group in groups]
 
 
 NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
@@ -155,10 +145,23 @@ def choose_frames(
     """
     labels = labels_by_frame(project, choose, states)
     if not labels and not choose.empty_frames:
-        raise ConfigError(_no_labels(project, choose, states))
+        waiting = 0 if ReviewState.PROPOSED in states else len(_selected(project, choose, [ReviewState.PROPOSED]))
+        advice = (
+            f"{waiting} are proposed and not reviewed: review them (`annotator serve`), or also choose the state "
+            "proposed to export them as they are"
+            if waiting
+            else "run `annotator annotate` first, or choose other states"
+        )
+        raise ConfigError(
+            f"project {project.config.name} has no labels in state {', '.join(states)} to export; {advice}"
+        )
     every = project.frames.of(choose.recordings)
     frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
     return divided(project, frames, labels, split)
+
+
+def _selected(project: Project, choose: ExportFilter, states: Sequence[ReviewState]) -> Sequence[StoredLabel]:
+    return project.labels.select(states=states, recordings=choose.recordings, classes=choose.classes)
 
 
 def waiting_note(
@@ -168,9 +171,7 @@ def waiting_note(
     if ReviewState.PROPOSED in states:
         return None
     exported = {each.stored.id for each in chosen}
-    proposed = project.labels.select(
-        states=[ReviewState.PROPOSED], recordings=choose.recordings, classes=choose.classes
-    )
+    proposed = _selected(project, choose, [ReviewState.PROPOSED])
     frames = [entry.frame_id for entry in proposed if entry.frame_id in exported]
     if not frames:
         return None
@@ -188,7 +189,7 @@ def labels_by_frame(
     if unknown := sorted(set(choose.classes or ()) - set(classes)):
         raise ConfigError(f"project {name} has no class {unknown[0]!r}; {alternatives(unknown[0], classes)}")
     labels: dict[int, list[StoredLabel]] = defaultdict(list)
-    for entry in project.labels.select(states=states, recordings=choose.recordings, classes=choose.classes):
+    for entry in _selected(project, choose, states):
         labels[entry.frame_id].append(entry)
     return {frame: tuple(entries) for frame, entries in labels.items()}
 
@@ -209,19 +210,6 @@ def divided(
     ]
 
 
-def _no_labels(project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]) -> str:
-    """Returns the error message for a filter that no label matches."""
-    others = [state for state in (ReviewState.PROPOSED,) if state not in states]
-    waiting = len(project.labels.select(states=others, recordings=choose.recordings, classes=choose.classes))
-    advice = (
-        f"{waiting} are proposed and not reviewed: review them (`annotator serve`), or also choose the state proposed "
-        "to export them as they are"
-        if others and waiting
-        else "run `annotator annotate` first, or choose other states"
-    )
-    return f"project {project.config.name} has no labels in state {', '.join(states)} to export; {advice}"
-
-
 Pictures = Literal["images", "views", "both"]
 
 
@@ -237,7 +225,7 @@ class ChosenPictures(Chosen):
 
     image: bool
     drawn: ImageBoxes | None
-    views: tuple[ViewBoxes, ...]
+    views: Sequence[ViewBoxes]
 
 
 def choose_pictures(
@@ -257,7 +245,10 @@ def choose_pictures(
     """
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
-    views = _views_by_frame(project, choose) if pictures != "images" else {}
+    views = defaultdict[int, list[ViewBoxes]](list)
+    for view in project.boxes.on_views() if pictures != "images" else ():
+        if view.frame_id is not None and _is_drawn(view.boxes, choose):
+            views[view.frame_id].append(view)
     with_image = _exported(project, choose, states, labels, images, losses) if pictures != "views" else set()
     shown = with_image | views.keys()
     frames = [frame for frame in project.frames.of(choose.recordings) if frame.id in shown]
@@ -268,13 +259,7 @@ def choose_pictures(
         )
     return [
         ChosenPictures(
-            c.stored,
-            c.recording,
-            c.labels,
-            c.split,
-            c.stored.id in with_image,
-            images.get(c.stored.id),
-            tuple(views.get(c.stored.id, ())),
+            **vars(c), image=c.stored.id in with_image, drawn=images.get(c.stored.id), views=views[c.stored.id]
         )
         for c in divided(project, frames, labels, split)
     ]
@@ -297,14 +282,6 @@ def _is_drawn(boxes: Sequence[Box2D], choose: ExportFilter) -> bool:
     return not boxes or choose.empty_frames or bool(of_classes(boxes, choose.classes))
 
 
-def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[ViewBoxes]]:
-    views: dict[int, list[ViewBoxes]] = defaultdict(list)
-    for view in project.boxes.on_views():
-        if view.frame_id is not None and _is_drawn(view.boxes, choose):
-            views[view.frame_id].append(view)
-    return views
-
-
 def _exported(
     project: Project,
     choose: ExportFilter,
@@ -315,7 +292,7 @@ def _exported(
 ) -> set[int]:
     """Returns the frames whose camera images are exported; counts those that only unreviewed proposals prevent."""
     # all states except rejected: an object is not background, even if its state was not chosen
-    existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+    existing = _selected(project, choose, NOT_REJECTED)
     with_object = {entry.frame_id for entry in existing}
     waiting = {entry.frame_id for entry in existing if entry.label.state is ReviewState.PROPOSED}
     chosen = set()

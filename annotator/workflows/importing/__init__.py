@@ -7,8 +7,7 @@ boxes_3d.py, boxes_2d.py, values.py  what is stored
 report.py     what an import tells: of a file before it is imported, and the report after it
 """
 
-from annotator.formats.recognising import format_of
-from annotator.formats.table import BoxFormat, FlatFormat
+from annotator.formats.table import BoxFormat, FlatFormat, format_of
 from annotator.workflows.importing.boxes_2d import import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import import_labels, import_proposals
 from annotator.workflows.importing.label_set import LabelSet

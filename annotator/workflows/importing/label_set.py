@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.attributes import Values
-from annotator.formats.frame_names import LabelledFrame
+from annotator.formats.frame_names import LabelledFrame, Values
 from annotator.project import REVIEWED, Project
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, FrameError

@@ -11,20 +11,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
-from annotator.formats.box_csv import read_upright_boxes
-from annotator.formats.boxes_json import boxes_file, read_boxes
+from annotator.formats.box_files import boxes_file, read_boxes, read_upright_boxes
 from annotator.formats.frame_names import LabelledFrame
-from annotator.formats.kitti_objects import read_kitti
-from annotator.formats.kitti_tracking import read_kitti_tracks
+from annotator.formats.kitti_folders import read_kitti, read_kitti_tracks
 from annotator.formats.labelcloud import read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results
 from annotator.formats.openlabel import read_openlabel
 from annotator.formats.rcv import labelled_frames
-from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.reading import AngleUnit, Lengths, OnFault, raise_fault
 from annotator.formats.sunrgbd import read_extracted_folder, read_meta
 from annotator.formats.sustechpoints import read_sustechpoints
 from annotator.formats.table import FORMATS, BoxFormat
-from annotator.formats.units import AngleUnit, Lengths
 from annotator.project import Project
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.look_around import LookAround

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.formats.reading import Lengths
 from annotator.formats.table import BoxFormat, FlatFormat
-from annotator.formats.units import Lengths
 from annotator.project import Project
 from annotator.rcv.config import TypicalSize, typical_size
 from annotator.types import Source

@@ -12,9 +12,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from annotator.formats.attributes import Values as Given
-from annotator.formats.attributes import typed_value
-from annotator.formats.frame_names import PictureLabels
+from annotator.formats.frame_names import PictureLabels, typed_value
+from annotator.formats.frame_names import Values as Given
 from annotator.formats.table import FlatFormat
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
 from annotator.project.changes import FrameAttributesSet, LabelAttributesSet, Payload

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -66,14 +66,6 @@ def _hash(seed: int, *names: str) -> str:
 AUTHOR = "import of 3D boxes"
 
 
-@dataclass(frozen=True)
-class _Stored:
-    """The views of a frame whose boxes are stored, and the number of views that keep boxes of another author."""
-
-    views: tuple[ViewBoxesSet, ...]
-    others: int
-
-
 @dataclass
 class Report2d(ImportReport):
     """The report of 2D boxes made from 3D boxes; `frames`, `boxes` and `views` are those whose boxes are stored now.
@@ -99,14 +91,13 @@ class Report2d(ImportReport):
             f"{amount(self.in_all, 'frame')} in total with 2D boxes made from 3D boxes"
         )
 
-    def count(self, known: KnownFrame, stored: _Stored) -> None:
+    def count(self, known: KnownFrame, views: Sequence[ViewBoxesSet]) -> None:
         """Counts a frame whose boxes are stored."""
         self.frames += 1
         self.boxes.update(box.label for box in known.on_image)
         self.objects.update(item.image_box.label for item in known.objects)
-        self.views += len(stored.views)
-        self.view_boxes += sum(len(view.boxes) for view in stored.views)
-        self.add(Note.OTHERS_VIEWS, stored.others)
+        self.views += len(views)
+        self.view_boxes += sum(len(view.boxes) for view in views)
         self.add_all(Note.WITHOUT_VIEWS, known.without_views)
         self.add_all(Note.OUTSIDE, known.outside)
         self.add_all(Note.HIDDEN, known.hidden)
@@ -156,7 +147,9 @@ def boxes_from_3d(
         if result is None:
             report.add(Note.DRAWN)
         else:
-            report.count(drawn, result)
+            views, others = result
+            report.count(drawn, views)
+            report.add(Note.OTHERS_VIEWS, others)
             report.add(Note.NOT_REVIEWED, reader.dataset.left_out_of(name).not_reviewed)
 
     reader.read_all(convert, progress)
@@ -171,30 +164,14 @@ def _is_drawn(page: FramePage) -> bool:
     return page.frame.finalised or (page.image_boxes is not None and page.image_boxes.author != AUTHOR)
 
 
-def _store(project: Project, frame_id: int, known: KnownFrame) -> _Stored | None:
-    """Stores a frame's boxes; None if it has drawn boxes by now."""
-    on_image = ImageBoxesSet(boxes=known.on_image, box_kind=BoxKind.BOX)
+def _store(project: Project, frame_id: int, known: KnownFrame) -> tuple[Sequence[ViewBoxesSet], int] | None:
+    """Stores a frame's boxes; returns the views that have them now, and the number of views that keep boxes of another
+    author; None if the frame has drawn boxes by now.
+    """
     # two objects with the same image box share their first views, and so the boxes on them
-    entries = {entry.view: entry for entry in _view_boxes(project, known)}
-    while True:
-        page = read_page(project, frame_id)
-        if _is_drawn(page):
-            return None
-        others = {view.view_id for view in page.view_boxes if view.author != AUTHOR} & entries.keys()
-        new = {view_id: entry for view_id, entry in entries.items() if view_id not in others}
-        payloads, result = _changes(page, on_image, new), _Stored(tuple(new.values()), len(others))
-        if not payloads:
-            return result
-        # stale if the frame has changed since it was read, e.g. by an automatic pass: try again
-        with suppress(StaleRevisionError):
-            project.log.append(frame_id, payloads, WriteContext(page.frame.revision, AUTHOR, Source.IMPORTED))
-            return result
-
-
-def _view_boxes(project: Project, known: KnownFrame) -> list[ViewBoxesSet]:
-    return [
-        ViewBoxesSet(
-            view=project.views.store(known_view.view.rgb),
+    entries = {
+        view: ViewBoxesSet(
+            view=view,
             boxes=known_view.boxes,
             box_kind=BoxKind.BOX,
             step=known_view.step,
@@ -202,21 +179,30 @@ def _view_boxes(project: Project, known: KnownFrame) -> list[ViewBoxesSet]:
         )
         for item in known.objects
         for known_view in item.views
-    ]
-
-
-def _changes(page: FramePage, on_image: ImageBoxesSet, entries: Mapping[str, ViewBoxesSet]) -> list[Payload]:
-    """Returns the events that set these boxes on a frame, and remove those of an earlier import."""
-    payloads: list[Payload] = []
-    if page.image_boxes is None or page.image_boxes.boxes != on_image.boxes:
-        payloads.append(on_image)
-    present = {view.view_id: view for view in page.view_boxes}
-    for view_id, entry in entries.items():
-        view = present.get(view_id)
-        if view is None or (view.boxes, view.step, view.geometry) != (entry.boxes, entry.step, entry.geometry):
-            payloads.append(entry)
-    stale = [view.view_id for view in page.view_boxes if view.author == AUTHOR and view.view_id not in entries]
-    return payloads + [ViewBoxesRemoved(view=view_id) for view_id in stale]
+        for view in (project.views.store(known_view.view.rgb),)
+    }
+    while True:
+        page = read_page(project, frame_id)
+        if _is_drawn(page):
+            return None
+        present = {view.view_id: view for view in page.view_boxes}
+        own = {view_id for view_id, view in present.items() if view.author == AUTHOR}
+        new = {view_id: entry for view_id, entry in entries.items() if view_id in own or view_id not in present}
+        payloads: list[Payload] = []
+        if page.image_boxes is None or page.image_boxes.boxes != known.on_image:
+            payloads.append(ImageBoxesSet(boxes=known.on_image, box_kind=BoxKind.BOX))
+        for view_id, entry in new.items():
+            view = present.get(view_id)
+            if view is None or (view.boxes, view.step, view.geometry) != (entry.boxes, entry.step, entry.geometry):
+                payloads.append(entry)
+        # those of an earlier import
+        payloads += [ViewBoxesRemoved(view=view_id) for view_id in present if view_id in own - new.keys()]
+        if not payloads:
+            return tuple(new.values()), len(entries) - len(new)
+        # stale if the frame has changed since it was read, e.g. by an automatic pass: try again
+        with suppress(StaleRevisionError):
+            project.log.append(frame_id, payloads, WriteContext(page.frame.revision, AUTHOR, Source.IMPORTED))
+            return tuple(new.values()), len(entries) - len(new)
 
 
 def _require_boxes(project: Project, report: Report2d) -> None:

@@ -11,6 +11,7 @@ import re
 import shlex
 import time
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,22 +51,21 @@ def require_not_moved(project: Project, recording: Recording, options: ReaderOpt
         is_alike = known.format == recording.format and options.may_be(stored)
         if not is_alike or why_missing(known.path) is None:
             continue
-        try:
+        is_same = ""
+        with suppress(ConfigError):  # it has a camera, and the other one had none
             as_known = recording if stored.origin is None else open_recording(recording.path, stored)
-        except ConfigError:  # it has a camera, and the other one had none
-            continue
-        if not (is_same := _is_same(project, known, as_known)):
-            continue
-        name = project.path.name
-        # the page lists only those that are in the project
-        locate = ", or Locate on the start page" if known.removed_by is None else ""
-        words = shlex.join(["annotator", "project", "move", name, known.name, str(recording.path)])
-        raise MovedError(
-            f"{recording.path}: {is_same} {known.name}, which was at {known.path}; "
-            f"to keep its labels, set its new path with `{words}`{locate}; --as-new adds it as another recording",
-            known.id,
-            known.name,
-        )
+            is_same = _is_same(project, known, as_known)
+        if is_same:
+            name = project.path.name
+            # the page lists only those that are in the project
+            locate = ", or Locate on the start page" if known.removed_by is None else ""
+            words = shlex.join(["annotator", "project", "move", name, known.name, str(recording.path)])
+            raise MovedError(
+                f"{recording.path}: {is_same} {known.name}, which was at {known.path}; "
+                f"to keep its labels, set its new path with `{words}`{locate}; --as-new adds it as another recording",
+                known.id,
+                known.name,
+            )
 
 
 def _is_same(project: Project, known: StoredRecording, recording: Recording) -> str:
@@ -76,13 +76,10 @@ def _is_same(project: Project, known: StoredRecording, recording: Recording) -> 
     if known.fingerprint is None:
         return "has the frames of the recording"
     key = known.fingerprint.partition(":")[2]
-    if key not in recording.keys:
-        return ""
-    try:
-        frame = recording.frame(recording.keys.index(key))
-    except FrameError:
-        return ""
-    return "is the recording" if fingerprint_of(frame) == known.fingerprint else ""
+    with suppress(ValueError, FrameError):
+        if fingerprint_of(recording.frame(recording.keys.index(key))) == known.fingerprint:
+            return "is the recording"
+    return ""
 
 
 # Frames are read for this long; of those that are left then, only the files are looked at.
@@ -134,50 +131,44 @@ def broken_frames(recording: Recording, suspects: Collection[str] = (), seconds:
         suspects: keys of frames that are read in any case, as are those whose files are missing, empty or no images.
         seconds: how long the other frames are read, in random order.
     """
-    errors: dict[int, str] = {}
-    others = []
-    for i, key in enumerate(recording.keys):
-        if key in suspects or _is_suspicious(recording, i):
-            errors |= _error(recording, i)
-        else:
-            others.append(i)
+    keys = recording.keys
+    is_suspicious = [key in suspects or _is_suspicious(recording, i) for i, key in enumerate(keys)]
+    errors = {i: _error(recording, i) for i in np.flatnonzero(is_suspicious).tolist()}
+    others = np.flatnonzero(~np.array(is_suspicious, bool)).tolist()
     random.Random(0).shuffle(others)
-    end, unread = time.monotonic() + seconds, len(others)
-    for i in others:
-        if time.monotonic() > end:
-            break
-        errors |= _error(recording, i)
-        unread -= 1
-    return BrokenFrames(len(recording), {recording.keys[i]: errors[i] for i in sorted(errors)}, unread)
+    end = time.monotonic() + seconds
+    while others and time.monotonic() <= end:
+        i = others.pop()
+        errors[i] = _error(recording, i)
+    broken = {keys[i]: error for i, error in sorted(errors.items()) if error is not None}
+    return BrokenFrames(len(recording), broken, len(others))
 
 
 def still_broken(recording: Recording, keys: Collection[str]) -> frozenset[str]:
     """Returns those of some frames that cannot be read."""
-    return frozenset(key for i, key in enumerate(recording.keys) if key in keys and _error(recording, i))
+    broken = (key for i, key in enumerate(recording.keys) if key in keys and _error(recording, i) is not None)
+    return frozenset(broken)
 
 
-def _error(recording: Recording, i: int) -> dict[int, str]:
-    """Reads a frame, and returns its error by its number; {} if it can be read."""
+def _error(recording: Recording, i: int) -> str | None:
+    """Reads a frame, and returns why it cannot be read; None if it can."""
     try:
         recording.frame(i)
     except FrameError as error:
         # the exception itself would keep the images that have been read
-        return {i: str(error)}
-    return {}
+        return str(error)
+    return None
 
 
 def _is_suspicious(recording: Recording, i: int) -> bool:
     """True if a file of a frame is missing or empty, or begins like no image although it should."""
     try:
-        files = recording.files(i)
-    except FrameError:
-        return True
-    for file in files:
-        try:
+        for file in recording.files(i):
             with open_file(file) as opened:
                 head = opened.read(len(PNG_SIGNATURE))
-        except OSError:
-            return True
-        if not head or (file.suffix.lower() in IMAGE_SUFFIXES and not head.startswith((PNG_SIGNATURE, JPEG_START))):
-            return True
+            is_image = head.startswith((PNG_SIGNATURE, JPEG_START))
+            if not head or (file.suffix.lower() in IMAGE_SUFFIXES and not is_image):
+                return True
+    except (FrameError, OSError):
+        return True
     return False

@@ -22,7 +22,7 @@ from annotator.workflows.recorded.reading import has_truth, is_labelled, label_f
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"
 # Frames are read one by one, but only all boxes together show that their numbers are in another unit than their format
-# has (`annotator.formats.units`). The readers of other formats read all frames at once.
+# has (`annotator.formats.reading`). The readers of other formats read all frames at once.
 FORMATS = {
     "kitti_object": BoxFormat.KITTI,
     "kitti_tracking": BoxFormat.KITTI,
@@ -63,37 +63,29 @@ class RecordedLabels(LabelSet):
         self.flat = sum(map(_require_units, self._opened.values()))
         if all(map(one_file_a_frame, self._opened.values())):
             self.faults_of_frames = (FrameError, FormatError)
-        self._indices = {
-            number: {key: index for index, key in enumerate(recording.keys)}
-            for number, recording in self._opened.items()
-        }
-        self._stored = {
-            f"{selected[stored.recording_id]}/{stored.key}": stored
-            for stored in project.frames.of(sorted(self._opened))
-            if self._is_labelled(stored, with_files)
-        }
+        # each labelled frame with its place in its recording
+        self._stored: dict[str, tuple[StoredFrame, int]] = {}
+        places = {number: {key: i for i, key in enumerate(each.keys)} for number, each in self._opened.items()}
+        for stored in project.frames.of(sorted(self._opened)):
+            recording, index = self._opened[stored.recording_id], places[stored.recording_id].get(stored.key)
+            if stored.index is None or index is None or not is_labelled(recording, stored.key):
+                continue
+            file = label_file(recording, stored.key) if with_files else None
+            if not with_files or (file is not None and file.is_file()):
+                self._stored[f"{selected[stored.recording_id]}/{stored.key}"] = (stored, index)
 
     @property
     def frames(self) -> Sequence[str]:
         return tuple(self._stored)
 
     def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
-        return MatchedFrames(tuple(self._stored.items()), (), None)
+        return MatchedFrames(tuple((name, stored) for name, (stored, _) in self._stored.items()), (), None)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         """As `LabelSet.truths`, without scores: the labels of a recording are true."""
-        stored = self._stored[name]
-        index = self._indices[stored.recording_id][stored.key]
+        stored, index = self._stored[name]
         truths = load_truth(self._opened[stored.recording_id], index, frame)
         return [each if each.score is None else replace(each, score=None) for each in truths]
-
-    def _is_labelled(self, stored: StoredFrame, with_files: bool) -> bool:
-        recording = self._opened[stored.recording_id]
-        known = stored.index is not None and stored.key in self._indices[stored.recording_id]
-        if not known or not is_labelled(recording, stored.key):
-            return False
-        file = label_file(recording, stored.key) if with_files else None
-        return not with_files or (file is not None and file.is_file())
 
 
 def _require_units(recording: Recording) -> int:

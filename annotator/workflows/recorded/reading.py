@@ -16,18 +16,17 @@ from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import argoverse
-from annotator.formats.boxes_json import PLACES, each_entries, entry_truth
-from annotator.formats.frame_names import read_frames
-from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.box_files import PLACES, each_entries, entry_truth
+from annotator.formats.frame_names import DatasetNames
+from annotator.formats.kitti_folders import read_kitti_file
 from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_rows, row_truth
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
 from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv, truth_of
-from annotator.formats.reading import read_mask, text_rows
+from annotator.formats.reading import Angles, read_mask, text_rows
 from annotator.formats.sunrgbd import extracted_truth, read_scene_labels
 from annotator.formats.table import BoxFormat
-from annotator.formats.units import Angles
 from annotator.geometry.outline import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.project import REVIEWED
@@ -115,12 +114,13 @@ def found_labels(recording: Recording, index: int, frame: Frame | None) -> Frame
     key = recording.keys[index]
     file = label_file(recording, key)
     if file is None:
-        raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
-    if frame is None and recording.format not in _WITHOUT_FRAME:
+        places = " or ".join(_own(recording).places) or f"labels of the format {recording.format}"
+        raise RecordingError(f"{recording.path}: has no true boxes; looked for {places}")
+    if frame is None and not _own(recording).without_frame:
         return FrameLabels()
     base = recording.base if isinstance(recording, LookAround) else recording
     try:
-        found = _READERS[base.format](base, key, file, None if frame is None else _as_recorded(frame))
+        found = _LABELS[base.format].read(base, key, file, None if frame is None else _as_recorded(frame))
         if frame is None:
             return found
         found = _moved(found, frame.T_camera_recorded)
@@ -134,6 +134,10 @@ def found_labels(recording: Recording, index: int, frame: Frame | None) -> Frame
         # a box is out of range after the transform to the camera frame
         fault = FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration")
         return FrameLabels(faults=(fault,), error=fault)
+
+
+def _own(recording: Recording) -> OwnLabels:
+    return _LABELS.get(recording.format, NO_LABELS)
 
 
 def _is_export(recording: Recording) -> bool:
@@ -168,14 +172,13 @@ def is_labelled(recording: Recording, key: str) -> bool:
 
 def one_file_a_frame(recording: Recording) -> bool:
     """Returns True if each frame has its own label file, so that a broken file affects only its frame."""
-    if isinstance(recording, SunRgbdScenes):
-        return True
-    return any((recording.root / name).is_dir() for name in _PLACES.get(recording.format, ()))
+    places = _own(recording).places
+    return isinstance(recording, SunRgbdScenes) or any((recording.root / name).is_dir() for name in places)
 
 
 def has_masks(recording: Recording) -> bool:
     """Returns True if there are masks beside the recording, and its points are linked to pixels."""
-    return recording.format in _MASKED and mask_folder(recording) is not None
+    return recording.format == _MASKED and mask_folder(recording) is not None
 
 
 def mask_folder(recording: Recording) -> Path | None:
@@ -203,12 +206,12 @@ def label_file(recording: Recording, key: str) -> Path | None:
     if isinstance(recording, CloudFolder) and not (recording.root / LABELS / CLASSES_FILE).is_file():
         return None
     folder = recording.tables if isinstance(recording, NuScenes) else recording.root
-    for name in _PLACES.get(recording.format, ()):
+    for name in _own(recording).places:
         place = folder / name
         if place.is_file() and not (isinstance(recording, NuScenes) and place.stat().st_size <= EMPTY_LIST_BYTES):
             return place
         if place.is_dir():
-            return spelled(place, f"{key}{_SUFFIXES.get(recording.format, '.txt')}")
+            return spelled(place, f"{key}{_own(recording).suffix}")
     return None
 
 
@@ -389,7 +392,7 @@ def _of_argoverse(_recording: Recording, key: str, path: Path, frame: Frame) -> 
 
 def _of_rcv(_recording: Recording, key: str, path: Path, _frame: Frame | None) -> FrameLabels:
     dataset = _whole(_rcv, path.parent.parent / MANIFEST)
-    labels = dataset.labels(dataset.manifest.frames.index(key))
+    _, labels, *_ = dataset.named_labels(dataset.manifest.frames.index(key))
     return FrameLabels([FoundLabel(truth_of(each), path, state=each.state) for each in labels])
 
 
@@ -399,55 +402,54 @@ def _rcv(path: Path) -> RcvDataset:
 
 def _of_openlabel(_recording: Recording, key: str, path: Path, frame: Frame) -> FrameLabels:
     labels, names = _whole(_openlabel, path)
-    return _plain(labels.truths(names.get(normal(key), key), frame), path)
+    return _plain(labels.truths(names.known(key), frame), path)
 
 
-def _openlabel(path: Path) -> tuple[LabelSet, dict[str, str]]:
-    """A document, and the frames' names in it, by key."""
-    origins = read_frames(path.parent) or read_frames(path.parent.parent)
-    return placed_boxes(BoxFormat.OPENLABEL, path), {key: origin.name for key, origin in origins.items()}
+def _openlabel(path: Path) -> tuple[LabelSet, DatasetNames]:
+    return placed_boxes(BoxFormat.OPENLABEL, path), DatasetNames.of(path.parent)
 
 
-def _looked_for(recording: Recording) -> str:
-    return " or ".join(_PLACES.get(recording.format, ())) or f"labels of the format {recording.format}"
+def _of_scene(_recording: Recording, _key: str, path: Path, frame: Frame) -> FrameLabels:
+    return _plain(read_scene_labels(path, frame.T_camera_label), path)
 
 
-_PLACES = {
-    "rgbd_folder": PLACES,
-    "kitti_object": ("label_2",),
-    "kitti_tracking": ("label_02.txt",),
-    "kitti_raw": ("tracklet_labels.xml",),
-    "nuscenes": (ANNOTATIONS,),
-    "argoverse2": (argoverse.ANNOTATIONS,),
-    "sunrgbd_extracted": ("label",),
-    "sunrgbd_scenes": (SCENE_LABELS,),
-    "rcv": (LABELS,),
-    "cloud_folder": (LABELS,),
+def _of_labelcloud(_recording: Recording, _key: str, path: Path, frame: Frame) -> FrameLabels:
+    return _plain(read_labelcloud_file(path), path, frame.T_camera_label)
+
+
+class OwnLabels(NamedTuple):
+    """The labels of a format of recordings.
+
+    Attributes:
+        read: takes the recording, a frame's key, the label file and the frame, in recorded coordinates.
+        places: files, or folders with a file for each frame.
+        suffix: of the label files of single frames.
+        without_frame: the labels are read also if the frame cannot be.
+    """
+
+    read: Callable[..., FrameLabels]
+    places: tuple[str, ...] = ()
+    suffix: str = ".txt"
+    without_frame: bool = False
+
+
+_MASKED = "rgbd_folder"
+# The only format whose labels have the difficulty fields of KITTI's evaluation; and the other with DontCare areas.
+OBJECT, TRACKING = "kitti_object", "kitti_tracking"
+_LABELS = {
+    _MASKED: OwnLabels(_of_boxes, PLACES, without_frame=True),
+    OBJECT: OwnLabels(_of_kitti, ("label_2",), without_frame=True),
+    TRACKING: OwnLabels(_of_tracking, ("label_02.txt",), without_frame=True),
+    "kitti_raw": OwnLabels(_of_raw, ("tracklet_labels.xml",)),
+    "nuscenes": OwnLabels(_of_nuscenes, (ANNOTATIONS,)),
+    "argoverse2": OwnLabels(_of_argoverse, (argoverse.ANNOTATIONS,)),
+    "sunrgbd_extracted": OwnLabels(_of_votenet, ("label",), without_frame=True),
+    "sunrgbd_scenes": OwnLabels(_of_scene, (SCENE_LABELS,)),
+    "rcv": OwnLabels(_of_rcv, (LABELS,), ".json", without_frame=True),
+    "openlabel": OwnLabels(_of_openlabel),
+    "cloud_folder": OwnLabels(_of_labelcloud, (LABELS,), ".json"),
 }
-# Suffix of the label files of single frames; others have .txt.
-_SUFFIXES = {"rcv": ".json", "cloud_folder": ".json"}
-_MASKED = frozenset({"rgbd_folder"})
-_READERS: dict[str, Callable[..., FrameLabels]] = {
-    "rgbd_folder": _of_boxes,
-    "kitti_object": _of_kitti,
-    "kitti_tracking": _of_tracking,
-    "kitti_raw": _of_raw,
-    "nuscenes": _of_nuscenes,
-    "argoverse2": _of_argoverse,
-    "sunrgbd_extracted": _of_votenet,
-    "sunrgbd_scenes": lambda _r, _k, path, frame: _plain(read_scene_labels(path, frame.T_camera_label), path),
-    "rcv": _of_rcv,
-    "openlabel": _of_openlabel,
-    "cloud_folder": lambda _r, _k, path, frame: _plain(read_labelcloud_file(path), path, frame.T_camera_label),
-}
-# Their labels are read without the frame, too.
-_WITHOUT_FRAME = frozenset({"rgbd_folder", "kitti_object", "kitti_tracking", "sunrgbd_extracted", "rcv"})
-
-
-# The only format whose labels have the difficulty fields of KITTI's evaluation.
-OBJECT = "kitti_object"
-# The labels of this format have DontCare areas, too.
-TRACKING = "kitti_tracking"
+NO_LABELS = OwnLabels(lambda *_: FrameLabels())
 
 
 def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[KittiLabel]:

@@ -134,7 +134,7 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     with zipfile.ZipFile(tmp_path / "dataset.zip") as opened:
         opened.extractall(tmp_path / "dataset")
     dataset = read_rcv(next((tmp_path / "dataset").rglob("dataset.json")).parent)
-    labels = [(label, scenes[dataset.place(n)[1]]) for n in range(len(dataset)) for label in dataset.labels(n)]
+    labels = [(label, scenes[dataset.place(n)[1]]) for n in range(len(dataset)) for label in dataset.named_labels(n)[1]]
     assert {label.author for label, _ in labels} == {"Ada"}
     ious = [max(iou_3d(label.box, item.box) for item in scene.objects) for label, scene in labels]
     assert len(ious) == drawn + accepted and accepted > 0

@@ -103,7 +103,7 @@ def test_sunrgbd_files_are_evaluated_and_mismatches_are_errors(tmp_path: Path) -
         evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["7"]))
     found, truth = csv_files(tmp_path)
     truth.write_text(truth.read_text().replace("\n1,", "\n000001,"))
-    with pytest.raises(ConfigError, match="no image in common"):
+    with pytest.raises(ConfigError, match="no frame in common"):
         evaluate_files(found, truth, Protocol.SUNRGBD)
 
 

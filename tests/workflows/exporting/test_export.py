@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.formats.losses import Lost
+from annotator.formats.dataset_writing import Lost
 from annotator.formats.rcv import RcvManifest, read_rcv
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Origin, Project, RunShare, WriteContext

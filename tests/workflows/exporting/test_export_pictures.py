@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from annotator.formats.coco import read_coco
-from annotator.formats.losses import Lost
+from annotator.formats.dataset_writing import Lost
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, RunShare, WriteContext
 from annotator.project.boxes import Boxes

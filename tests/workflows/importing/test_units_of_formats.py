@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
-from annotator.formats.units import AngleUnit
+from annotator.formats.reading import AngleUnit
 from annotator.project import Project
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError, UnitError, UnitKind

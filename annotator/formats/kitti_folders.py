@@ -1,4 +1,4 @@
-"""KITTI object labels of many frames: `label_2` folders and the datasets around them, tracking files, and results.
+"""KITTI labels of many frames: `label_2` folders and the datasets around them, tracking files, and results.
 
     training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt
     ImageSets/{train,val,test,trainval}.txt   frames.csv
@@ -12,13 +12,22 @@ point in the frame of camera 0 plus t is the same point in the colour camera's f
 exports, `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All
 images are in `training/`, including those of the part `test`, because their labels are known. As in the devkit, results
 need a file for every frame; it is empty for a frame without detections.
+
+Tracking folders have sequences with one label file each, whose rows begin with `frame track_id` (KITTI tracking devkit,
+readme.txt):
+
+    training/image_02/SEQ/FRAME.png  velodyne/SEQ/FRAME.bin  calib/SEQ.txt  label_02/SEQ.txt   frames.csv
+
+SEQ has four digits and FRAME six. Boxes, scans and calibrations are as above, but a truncation is one of three levels.
+Track ids are unique within a sequence.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,18 +35,24 @@ from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats import kitti_rows
-from annotator.formats.attributes import TRUNCATION, held_by_kitti
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter
-from annotator.formats.frame_names import ClassWords, DatasetNames, LabelledFrame, six_digit_ids
-from annotator.formats.losses import Lost
-from annotator.formats.reading import MOST, text_files, text_rows
-from annotator.formats.units import Angles, AngleUnit
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, Lost
+from annotator.formats.frame_names import (
+    TRUNCATION,
+    ClassWords,
+    DatasetNames,
+    LabelledFrame,
+    held_by_kitti,
+    six_digit_ids,
+)
+from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line
+from annotator.formats.reading import MOST, Angles, AngleUnit, text_files, text_rows
 from annotator.geometry.outline import Sight
 from annotator.geometry.projection import straightened
 from annotator.image_bytes import encoded_image
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
 NO_NAMES = DatasetNames()
@@ -60,7 +75,7 @@ def read_kitti(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledF
             raise FormatError(place, "has no label row")
     else:
         names, frames = DatasetNames.of(place), dict[str, LabelledFrame]()
-        for stem, file, text in text_files(place, within=LABELS):
+        for stem, file, text in text_files(place, LABELS):
             calibration = calibration_beside(file) if place.is_dir() else None
             shift = None if calibration is None else read_shift(calibration)
             frames[names.frame(stem)] = frame_of(kitti_rows.read_rows(file, text), file, angles, names, shift)
@@ -115,7 +130,7 @@ def label_place(path: Path) -> Path:
     return next((path / name for name in PLACES if (path / name).exists()), path)
 
 
-LABELS, CALIBRATIONS = "label_2", "calib"
+LABELS, CALIBRATIONS, SCANS = "label_2", "calib", "velodyne"
 # Plausibility limit, metres: two cameras of one vehicle.
 MOST_SHIFT_M = 100.0
 
@@ -204,7 +219,6 @@ def read_kitti_file(file: Path, text: str | None = None, *, scored: bool = False
     return rows
 
 
-PARTS = ("image_2", "velodyne", "calib", "label_2")
 TRAINING, IMAGE_SETS = "training", "ImageSets"
 # KITTI's names of the parts; trainval.txt lists train and val.
 SPLITS = ("train", "val", "test")
@@ -219,8 +233,6 @@ class KittiWriter(DatasetWriter):
     def begin(self) -> None:
         self.words = ClassWords(self.info.classes, reserved=(kitti_rows.DONT_CARE,))
         self.ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places])
-        for name in PARTS:
-            (self.folder / TRAINING / name).mkdir(parents=True)
 
     def frame_id(self, item: DatasetItem) -> str:
         return self.ids[item.recording, item.frame.key]
@@ -234,30 +246,24 @@ class KittiWriter(DatasetWriter):
             )
         rows = [kitti_rows.dump_label_line(row) for _, row in self.rows(item)]
         rows += [kitti_rows.dump_label_line(kitti_rows.dont_care(edges)) for edges in item.unlabelled]
-        training = self.folder / TRAINING
-        (training / "label_2" / f"{frame_id}.txt").write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
-        calibration = self.files(item.frame, training / "image_2" / frame_id, training / "velodyne" / frame_id)
-        (training / "calib" / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        self.put(f"{TRAINING}/{LABELS}/{frame_id}.txt", "".join(f"{row}\n" for row in rows))
+        calibration = self.files(item.frame, f"image_2/{frame_id}", f"{SCANS}/{frame_id}")
+        self.put(f"{TRAINING}/{CALIBRATIONS}/{frame_id}.txt", calibration)
 
-    def files(self, frame: Frame, image: Path, scan: Path) -> str:
+    def files(self, frame: Frame, image: str, scan: str) -> str:
         """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
         camera, rgb = straightened(frame.camera, frame.rgb)
         T = kitti_rows.label_frame(frame)
-        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb))
-        scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
+        self.put(f"{TRAINING}/{image}.png", encoded_image(rgb))
+        self.put(f"{TRAINING}/{scan}.bin", lidar_points(frame.cloud, T).tobytes())
         return calibration_text(camera, T)
 
     def finish(self) -> None:
         """Writes the frame ids of each part, one per line; without parts all are in train and trainval."""
-        parts: dict[str, list[str]] = {}
-        for origin in self.origins:
-            parts.setdefault(origin.split or "train", []).append(origin.id)
+        parts = self.parts("train")
         parts["trainval"] = [origin.id for origin in self.origins if origin.split != TEST]
-        (self.folder / IMAGE_SETS).mkdir()
         for name, ids in parts.items():
-            (self.folder / IMAGE_SETS / f"{name}.txt").write_text(
-                "".join(f"{each}\n" for each in ids), encoding="utf-8"
-            )
+            self.put(f"{IMAGE_SETS}/{name}.txt", "".join(f"{each}\n" for each in ids))
         self.words.write(self.folder)
 
     def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, kitti_rows.KittiLabel]]:
@@ -334,3 +340,124 @@ def matrices_text(P0: np.ndarray, P2: np.ndarray, Tr_velo_to_cam: np.ndarray) ->
     # + 0.0: no negative zeros
     rows = {name: map(repr, (matrix + 0.0).ravel().tolist()) for name, matrix in matrices.items()}
     return "".join(f"{name}: {' '.join(numbers)}\n" for name, numbers in rows.items())
+
+
+TRACK_LABELS = "label_02"
+IMAGES = "image_02"
+# Track id of DontCare areas.
+NO_TRACK = -1
+
+
+@dataclass
+class TrackingSequence:
+    """One sequence while it is written.
+
+    Attributes:
+        name: four digits.
+        rows: rows of its label file so far.
+        calibration: calibration of its first frame.
+        fresh: the next unused track id.
+        owners: the class of each track id.
+        untracked: number of boxes that had no track id of their own and got a new one.
+    """
+
+    name: str
+    fresh: int
+    rows: list[str] = field(default_factory=list)
+    calibration: str | None = None
+    owners: dict[int, str] = field(default_factory=dict)
+    untracked: int = 0
+
+    def track_of(self, label: Label, in_frame: set[int]) -> int:
+        """Returns the track id for a label: its own, or a new one if it has none or its own is taken.
+
+        An id is taken if another class of the sequence, or another box of the frame, has it.
+        """
+        track = label.track_id
+        if track is None or track < 0 or track in in_frame or self.owners.setdefault(track, label.label) != label.label:
+            track, self.fresh = self.fresh, self.fresh + 1
+            self.untracked += 1
+        in_frame.add(track)
+        return track
+
+
+class KittiTrackingWriter(KittiWriter):
+    """Writes a tracking folder, one sequence per recording. Boxes without a track id get a new one."""
+
+    def begin(self) -> None:
+        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.places = sequence_ids(self.info.places)
+        self.sequences: dict[str, TrackingSequence] = {}
+
+    def frame_id(self, item: DatasetItem) -> str:
+        name, number = self.places[item.recording, item.frame.key]
+        return f"{name}/{number:06d}"
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        name, number = self.places[item.recording, item.frame.key]
+        if name not in self.sequences:
+            self.sequences[name] = TrackingSequence(name, self.info.free_tracks[item.recording])
+        sequence, in_frame = self.sequences[name], set[int]()
+        for label, row in self.rows(item, levels=True):
+            sequence.rows.append(dump_tracking_line(number, sequence.track_of(label, in_frame), row))
+        sequence.rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
+        calibration = self.files(item.frame, f"{IMAGES}/{frame_id}", f"{SCANS}/{frame_id}")
+        if sequence.calibration not in (None, calibration):
+            raise FormatError(
+                self.out,
+                f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has "
+                "only one; export as kitti",
+            )
+        sequence.calibration = calibration
+
+    def finish(self) -> None:
+        for sequence in self.sequences.values():
+            self.put(f"{TRAINING}/{TRACK_LABELS}/{sequence.name}.txt", "".join(f"{row}\n" for row in sequence.rows))
+            self.put(f"{TRAINING}/{CALIBRATIONS}/{sequence.name}.txt", sequence.calibration or "")
+        self.words.write(self.folder)
+        if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
+            note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"
+            self.notes = (note,)
+
+
+def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str], tuple[str, int]]:
+    """Returns sequence and frame number of each (recording, key): one sequence per recording.
+
+    Args:
+        places: recording, key and place in the recording of all frames. The frame number is the key if all keys of
+            the recording have six digits, else the place.
+    """
+    names = list(dict.fromkeys(recording for recording, _, _ in places))
+    ids: dict[tuple[str, str], tuple[str, int]] = {}
+    for number, name in enumerate(names):
+        frames = [(key, place) for recording, key, place in places if recording == name]
+        by_key = all(len(key) == 6 and key.isascii() and key.isdigit() for key, _ in frames)
+        ids |= {(name, key): (f"{number:04d}", int(key) if by_key else place) for key, place in frames}
+    return ids
+
+
+def read_kitti_tracks(path: Path, unit: AngleUnit | None = None) -> dict[str, LabelledFrame]:
+    """Returns the objects of all labelled frames, without DontCare.
+
+    Args:
+        path: a tracking folder, its `label_02` with one file per sequence, or a zip archive of that.
+        unit: of the angles; None: radians, as the format says.
+
+    Returns:
+        by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
+        frames.csv lists it.
+    """
+    place = next((path / name for name in (f"{TRAINING}/{TRACK_LABELS}", TRACK_LABELS) if (path / name).is_dir()), path)
+    names, angles = DatasetNames.of(place), Angles(unit)
+    frames = {origin.name: LabelledFrame(()) for origin in names.frames.values()}
+    for sequence, file, text in text_files(place, TRACK_LABELS):
+        calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
+        shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
+        name = partial(_name, names, sequence)
+        frames |= tracked_frames(file, text, angles, name, names, shift)
+    angles.require()
+    return frames
+
+
+def _name(names: DatasetNames, sequence: str, number: int) -> str:
+    return names.frame(f"{sequence}/{number:06d}")
