@@ -13,12 +13,10 @@ from annotator.cli.options import (
     BackendOption,
     BoxKindOption,
     Limit,
-    ProjectName,
-    Projects,
     RecordingName,
     RecordingNames,
     Rotation,
-    open_named,
+    ids_of,
 )
 from annotator.cli.output import counted, print_line
 from annotator.detection.config import Backend
@@ -43,7 +41,7 @@ SHOWN_FAILURES = 10
 
 
 def run_annotate(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     recordings: RecordingNames = (),
@@ -63,7 +61,6 @@ def run_annotate(
     address: str | None = None,
     elsewhere: tuple[str, ...] = (),
     cache_mb: int = CACHE_MB,
-    projects: Projects = None,
 ) -> int:
     """Propose oriented 3D boxes for every frame not yet processed with the current detectors and settings.
 
@@ -88,41 +85,40 @@ def run_annotate(
             path or a storage URL.
         cache_mb: disk cache of each worker for recordings in object storage, megabytes.
     """
-    with open_named(project, projects) as opened:
-        options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
-        settings = rcv_config(opened, config, options | ({"coarse_box": True} if coarse else {}))
-        if show_config:
-            print_line(editable(settings))
-            return 0
-        require_limit(limit)
-        source = trained_detectors(opened, backend)
-        named = stand_in(opened)
-        chosen = [opened.recordings.find(name).id for name in recordings] or None
-        present = opened.frames.count_present(chosen)
-        with (
-            closing(
-                make_engine(
-                    engine,
-                    source,
-                    frames=present if limit is None else min(present, limit),
-                    workers=workers,
-                    threads=threads,
-                    address=address,
-                    storage=Storage(parse_elsewhere(elsewhere), cache_mb),
-                )
-            ) as running,
-            counted("annotate") as progress,
-        ):
-            done = annotate_with(
-                opened,
-                running,
-                settings,
-                recordings=chosen,
-                rotation=rotation,
-                limit=limit,
-                from_reviewed=from_reviewed,
-                progress=progress,
+    options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
+    settings = rcv_config(project, config, options | ({"coarse_box": True} if coarse else {}))
+    if show_config:
+        print_line(editable(settings))
+        return 0
+    require_limit(limit)
+    source = trained_detectors(project, backend)
+    named = stand_in(project)
+    chosen = ids_of(project, recordings)
+    present = project.frames.count_present(chosen)
+    with (
+        closing(
+            make_engine(
+                engine,
+                source,
+                frames=present if limit is None else min(present, limit),
+                workers=workers,
+                threads=threads,
+                address=address,
+                storage=Storage(parse_elsewhere(elsewhere), cache_mb),
             )
+        ) as running,
+        counted("annotate") as progress,
+    ):
+        done = annotate_with(
+            project,
+            running,
+            settings,
+            recordings=chosen,
+            rotation=rotation,
+            limit=limit,
+            from_reviewed=from_reviewed,
+            progress=progress,
+        )
     if named is not None:
         print_line(f"view detector: {named}")
     for line in summary_lines(done):
@@ -151,7 +147,7 @@ WEIGHTS_SIZE_PX = 640
 
 
 def run_lift(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     boxes: Path | None = None,
@@ -162,7 +158,6 @@ def run_lift(
     detector_size: int = WEIGHTS_SIZE_PX,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     backend: BackendOption[Backend] = "auto",
-    projects: Projects = None,
 ) -> int:
     """Propose oriented 3D boxes for 2D boxes on the camera images; nothing has to be trained.
 
@@ -184,26 +179,25 @@ def run_lift(
     if boxes is not None and detector is not None:
         raise ConfigError("--boxes and --detector exclude each other; give one")
     names = _names(rename)
-    with open_named(project, projects) as opened:
-        view, config = require_view(opened), rcv_config(opened)
-        if detector is not None:
-            loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
-            kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
-            lifting.require_known(view, loaded.labels)
-            chosen = None if recording is None else [opened.recordings.find(recording).id]
-            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
-            with counted("lift") as progress:
-                done = annotate(opened, pair, config, recordings=chosen, progress=progress)
+    view, config = require_view(project), rcv_config(project)
+    if detector is not None:
+        loaded, origin = _image_detector(project, detector, names, detector_size, backend)
+        kind = active_model(project, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
+        lifting.require_known(view, loaded.labels)
+        chosen = ids_of(project, () if recording is None else (recording,))
+        pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
+        with counted("lift") as progress:
+            done = annotate(project, pair, config, recordings=chosen, progress=progress)
+    else:
+        if boxes is None:
+            given = lifting.drawn_boxes(project)
         else:
-            if boxes is None:
-                given = lifting.drawn_boxes(opened)
-            else:
-                given = lifting.boxes_of_file(opened, boxes, format, recording, names, box_kind)
-            with counted("lift") as progress:
-                done = lifting.lift(opened, given, view, config, progress)
-            origin = given.origin
-            for line in _left_out(given).sentences():
-                print_line(line)
+            given = lifting.boxes_of_file(project, boxes, format, recording, names, box_kind)
+        with counted("lift") as progress:
+            done = lifting.lift(project, given, view, config, progress)
+        origin = given.origin
+        for line in _left_out(given).sentences():
+            print_line(line)
     print_line(f"3D boxes from {origin}, measured by: {view.title}")
     for line in summary_lines(done):
         print_line(line)
@@ -244,13 +238,12 @@ def _image_detector(
 
 
 def run_simulate(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     /,
     *,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     every: int = 1,
-    projects: Projects = None,
 ) -> None:
     """Draw 2D boxes from a recording's ground truth, five per object, as an operator would.
 
@@ -259,16 +252,16 @@ def run_simulate(
     Args:
         every: label every Nth frame, starting with the first.
     """
-    with open_named(project, projects) as opened, counted("drawing") as progress:
-        stored = opened.recordings.find(recording)
-        drawn = simulate_recording(opened, stored.id, box_kind, rcv_config(opened), every, progress)
+    with counted("drawing") as progress:
+        stored = project.recordings.find(recording)
+        drawn = simulate_recording(project, stored.id, box_kind, rcv_config(project), every, progress)
     print_line(
         f"{amount(drawn.frames, 'frame')}, {amount(drawn.objects, 'object')}, {amount(drawn.boxes, '2D box')} drawn"
     )
-    print_line(f"next: annotator train {project}")
+    print_line(f"next: annotator train {project.path.name}")
 
 
-def run_views(project: ProjectName, out: Path, /, *, step: int = 1, projects: Projects = None) -> None:
+def run_views(project: Project, out: Path, /, *, step: int = 1) -> None:
     """Write pseudo-views as PNG files, to be labelled in any 2D tool that reads and writes COCO.
 
     Step 1 needs boxes on camera images, step 2 needs boxes on both views of step 1.
@@ -277,9 +270,8 @@ def run_views(project: ProjectName, out: Path, /, *, step: int = 1, projects: Pr
         out: new folder for the images, `coco.json` (the images without boxes) and `views.json` (their poses).
         step: step of the recursion, 1 or 2.
     """
-    with open_named(project, projects) as opened:
-        written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
+    written = write_views(project, out, step, to_draw_on(project, rcv_config(project)))
     print_line(f"{amount(written.pictures, 'pseudo-view')} in {out}")
     for line in written.unreadable:
         print_line(f"skipped: frame {line}")
-    print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")
+    print_line(f"next: draw boxes, then annotator import {project.path.name} {out / COCO} --pictures {out}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from annotator.cli.options import AsJson, Projects, RecordingNames, open_named
+from annotator.cli.options import AsJson, Projects, RecordingNames, ids_of, open_named
 from annotator.cli.output import print_json, print_line
 from annotator.evaluation.report import Report
 from annotator.types.errors import ConfigError
@@ -62,7 +62,7 @@ def run(
         if detections is not None:
             raise ConfigError("give either files or --project, not both")
         with open_named(project, projects) as opened:
-            ids = tuple(opened.recordings.find(name).id for name in recordings) or None
+            ids = ids_of(opened, recordings)
             report = evaluate.evaluate_project(
                 opened, protocol, replace(options, measured=measured, against=against, recordings=ids)
             )

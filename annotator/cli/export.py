@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in, open_named
+from annotator.cli.options import AsJson, RecordingNames, Seed, ids_of, names_in
 from annotator.cli.output import counted, print_json, print_line
 from annotator.formats.table import with_option
+from annotator.project import Project
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows import exporting
@@ -15,7 +16,7 @@ from annotator.workflows.exporting.choose import Pictures
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     out: Path,
     /,
     *,
@@ -33,7 +34,6 @@ def run(
     vertices: bool = False,
     overwrite: bool = False,
     as_json: AsJson = False,
-    projects: Projects = None,
 ) -> None:
     """Write the labels with their images and point clouds as a dataset. If the export fails, its files are removed.
 
@@ -55,19 +55,12 @@ def run(
     parts = None if split is None else exporting.Split(exporting.parse_shares(split), split_by, seed)
     if parts is None and split_by is not exporting.SplitBy.FRAMES:
         raise ConfigError("--split-by needs --split")
-    with open_named(project, projects) as opened, counted(f"export {format}") as progress:
-        ids = tuple(opened.recordings.find(name).id for name in recordings) or None
+    wanted, ids = names_in(classes, project.config.classes) or None, ids_of(project, recordings)
+    choose = exporting.ExportFilter(states or None, wanted, ids, empty_frames, skip_unreadable)
+    options = exporting.ExportOptions(images, boxes_on, vertices)
+    with counted(f"export {format}") as progress:
         report = exporting.export_project(
-            opened,
-            out,
-            format,
-            choose=exporting.ExportFilter(
-                states or None, names_in(classes, opened.config.classes) or None, ids, empty_frames, skip_unreadable
-            ),
-            split=parts,
-            options=exporting.ExportOptions(images, boxes_on, vertices),
-            overwrite=overwrite,
-            progress=progress,
+            project, out, format, choose=choose, split=parts, options=options, overwrite=overwrite, progress=progress
         )
     if as_json:
         print_json(report)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from annotator.cli.options import AS_FILES_SAY, AsJson, Reading
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.output import print_facts, show
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError
 from annotator.types.messages import amount
@@ -32,10 +32,7 @@ def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = Fal
         if not as_json:
             print_facts(_topic_rows(bag_topics(path)))
         raise
-    if as_json:
-        print_json(report)
-    else:
-        print_facts(_rows(report))
+    show(report, _rows(report), as_json)
     if report.frame is None:
         raise RecordingError(f"{path}: none of its first frames can be read ({len(report.broken)} tried); see above")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
@@ -74,6 +74,11 @@ NoToken = Annotated[
 ]
 
 
+def ids_of(project: Project, names: tuple[str, ...]) -> tuple[int, ...] | None:
+    """The ids of recordings by their names; None without any, which stands for all."""
+    return tuple(project.recordings.find(name).id for name in names) or None
+
+
 def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, ...]:
     """The names that an option has: each word is one, or several with commas between them.
 
@@ -81,14 +86,9 @@ def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, 
         given: the words of the command line.
         known: names that stay whole even if they contain a comma.
     """
-
-    def split() -> Iterator[str]:
-        for word in given:
-            names = [] if word in known else [name.strip() for name in word.split(",") if name.strip()]
-            # an empty word is refused where it is used, as any other name
-            yield from names or [word]
-
-    return tuple(split())
+    split = [[word] if word in known else [each.strip() for each in word.split(",") if each.strip()] for word in given]
+    # an empty word is refused where it is used, as any other name
+    return tuple(name for word, names in zip(given, split, strict=True) for name in names or [word])
 
 
 ENVIRONMENT = "ANNOTATOR_PROJECTS"

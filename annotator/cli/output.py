@@ -41,6 +41,14 @@ def print_facts(rows: Iterable[tuple[str, object]]) -> None:
         print_line(f"{name:{width}}  {value}")
 
 
+def show(report: BaseModel, rows: Iterable[tuple[str, object]], as_json: bool) -> None:
+    """Prints a report as one JSON object, or as rows for people."""
+    if as_json:
+        print_json(report)
+    else:
+        print_facts(rows)
+
+
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """A bar with counts, elapsed and remaining time, on standard error.

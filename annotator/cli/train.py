@@ -10,10 +10,11 @@ from typing import Annotated
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, Seed, open_named
+from annotator.cli.options import Seed
 from annotator.cli.output import print_line, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.training import TrainingProgress
+from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
@@ -23,7 +24,7 @@ from annotator.workflows.training.samples import SampleConfig
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     only: DetectorKind | None = None,
@@ -38,7 +39,6 @@ def run(
     weights: str = "auto",
     views: int = SampleConfig().views,
     seed: Seed = 0,
-    projects: Projects = None,
 ) -> None:
     """Train the two detectors, one for camera images and one for pseudo-views, from the project's boxes.
 
@@ -74,7 +74,7 @@ def run(
         minutes=minutes,
     )
     roles = (DetectorKind.IMAGE, DetectorKind.VIEW) if only is None else (only,)
-    with open_named(project, projects) as opened, progress_bar() as bar:
+    with progress_bar() as bar:
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def progress(role: DetectorKind, step: TrainingProgress) -> None:
@@ -82,12 +82,12 @@ def run(
             done, total = (round(100 * step.share_done), 100) if step.is_timed else (step.epochs_done, step.epochs)
             bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
-        trained = training.train(opened, plan, roles=roles, progress=progress)
+        trained = training.train(project, plan, roles=roles, progress=progress)
     for line in trained[0].learned:
         print_line(line)
     for result in trained:
         print_line(_summary(result))
-    print_line(f"next: annotator annotate {project}")
+    print_line(f"next: annotator annotate {project.path.name}")
 
 
 def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
