@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from annotator import project as store
 from annotator.api.frames import choice, up_of
@@ -15,7 +15,7 @@ from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
+from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import (
@@ -63,6 +63,14 @@ def create_project(path: str | Path, classes: Sequence[str], rotation: Rotation 
     """
     place, settings = Path(path).absolute(), ProjectSettings(rotation=choice("rotation", rotation, BoxRotation))
     return Project(store.create_project(place.parent, place.name, classes, settings=settings))
+
+
+class Given(TypedDict, total=False):
+    """The options of `Project.detect`, for the types of its results."""
+
+    image_boxes: Sequence[Any] | None
+    image_detector: ImageDetector | None
+    image_kind: BoxKind | str | None
 
 
 class Project:
@@ -149,24 +157,10 @@ class Project:
         return self.stored.labels.of_frame(frame.id)
 
     @overload
-    def detect(
-        self,
-        frames: Frame,
-        *,
-        image_boxes: Sequence[Box2D] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> FrameProposals: ...
+    def detect(self, frames: Frame, **options: Unpack[Given]) -> FrameProposals: ...
 
     @overload
-    def detect(
-        self,
-        frames: Sequence[Frame],
-        *,
-        image_boxes: Sequence[Sequence[Box2D]] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> list[FrameProposals]: ...
+    def detect(self, frames: Sequence[Frame], **options: Unpack[Given]) -> list[FrameProposals]: ...
 
     def detect(
         self,
