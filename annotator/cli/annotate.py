@@ -27,6 +27,7 @@ from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
 from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
+from annotator.workflows.importing.placing import class_names
 from annotator.workflows.proposing import lift as lifting
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit
 from annotator.workflows.proposing.engines import EngineName, make_engine
@@ -49,7 +50,6 @@ def run_annotate(
     rotation: Annotated[
         Rotation[BoxRotation | None], arg(help_behavior_hint="(default: the project's setting)")
     ] = None,
-    coarse: bool = False,
     config: Path | None = None,
     show_config: bool = False,
     limit: Limit = None,
@@ -71,7 +71,6 @@ def run_annotate(
 
     Args:
         axes: method that finds the projection axes; default: the project's setting.
-        coarse: if the recursion loses an object after the first step, propose the object's last box.
         config: JSON file with some or all settings of the recursion.
         show_config: print all settings that would be used and exit; the output can be edited and passed to --config.
         from_reviewed: start from the reviewed boxes of the previous frame, if any; frames processed without this option
@@ -86,7 +85,7 @@ def run_annotate(
         cache_mb: disk cache of each worker for recordings in object storage, megabytes.
     """
     options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
-    settings = rcv_config(project, config, options | ({"coarse_box": True} if coarse else {}))
+    settings = rcv_config(project, config, options)
     if show_config:
         print_line(editable(settings))
         return 0
@@ -154,7 +153,7 @@ def run_lift(
     format: FlatFormat = FlatFormat.COCO,
     recording: str | None = None,
     detector: str | None = None,
-    rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
+    classes: str | None = None,
     detector_size: int = WEIGHTS_SIZE_PX,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     backend: BackendOption[Backend] = "auto",
@@ -172,13 +171,13 @@ def run_lift(
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
         detector: weights of a 2D detector (a published ultralytics model, or the file of a training), or "project" for
             the project's own image detector.
-        rename: the project's class for a class of the file or detector, such as car=Car; other classes keep their
+        classes: the project's classes of the file's or detector's classes, such as car=Car,van=Car; others keep their
             names.
         detector_size: input size of --detector, longer side, pixels.
     """
     if boxes is not None and detector is not None:
         raise ConfigError("--boxes and --detector exclude each other; give one")
-    names = _names(rename)
+    names = {} if classes is None else class_names(classes, project)
     view, config = require_view(project), rcv_config(project)
     if detector is not None:
         loaded, origin = _image_detector(project, detector, names, detector_size, backend)
@@ -213,16 +212,6 @@ def _left_out(given: lifting.GivenBoxes) -> ImportReport:
     report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
     report.add_all(Note.UNREADABLE, given.unreadable)
     return report
-
-
-def _names(pairs: tuple[str, ...]) -> dict[str, str]:
-    names = {}
-    for pair in pairs:
-        theirs, equals, ours = pair.partition("=")
-        if not (theirs and equals and ours):
-            raise ConfigError(f"--rename: {pair!r} is not NAME=CLASS, such as car=Car")
-        names[theirs] = ours
-    return names
 
 
 def _image_detector(

@@ -49,13 +49,9 @@ def show(report: BaseModel, rows: Iterable[tuple[str, object]], as_json: bool) -
         print_facts(rows)
 
 
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar with counts, elapsed and remaining time, on standard error.
-
-    If an error ends the work, the bar is removed, so that only the message remains.
-    """
-    bar = Progress(
+def progress_bar() -> Progress:
+    """A bar with counts, elapsed and remaining time, on standard error."""
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -66,18 +62,6 @@ def progress_bar() -> Iterator[Progress]:
         TextColumn("{task.fields[note]}"),
         console=Console(stderr=True),
     )
-    bar.start()
-    try:
-        yield bar
-    except Exception:
-        bar.live.transient = True
-        bar.live.stop()  # bar.stop() would leave an empty line where there is no terminal
-        raise
-    except BaseException:  # an interrupt: the bar stays and shows the progress
-        bar.stop()
-        raise
-    else:
-        bar.stop()
 
 
 @contextmanager

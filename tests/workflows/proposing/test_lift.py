@@ -182,6 +182,6 @@ def test_the_command_lifts_drawn_boxes(
     assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frame done" in output
     assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-    assert main(["lift", *where, "--rename", "car"]) == 2
-    assert "'car' is not NAME=CLASS, such as car=Car" in capsys.readouterr().err
+    assert main(["lift", *where, "--classes", "car"]) == 2
+    assert "--classes car: write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT" in capsys.readouterr().err
     assert loaded_detectors.ready_view(people) is None
