@@ -69,18 +69,22 @@ def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
 
 def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "first frame", frame.key
-    yield "image", f"{frame.width_px} x {frame.height_px} px" + (", with depth image" if frame.has_depth_image else "")
-    yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
+    yield (
+        "image",
+        f"{frame.camera.width_px} x {frame.camera.height_px} px"
+        + (", with depth image" if frame.has_depth_image else ""),
+    )
+    camera = frame.camera
+    yield "camera", f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g} px"
     if frame.place is not None:
         yield "camera at", f"{_metres(frame.place)} m in map coordinates"
-    yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
+    yield "distortion", " ".join(f"{k:g}" for k in camera.distortion) if any(camera.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"
     if frame.scanned is not None:
         yield "seen", f"the image shows {frame.seen:,} of {frame.scanned:,} points"
     yield "depth", f"{frame.nearest_m:.2f} to {frame.farthest_m:.2f} m"
-    known = frame.up is not None
-    yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up and known else "not known"
+    yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up else "not known"
     if frame.timestamp_ns is not None:
         yield "time", f"{frame.timestamp_ns / 1e9:.3f} s"
     if frame.objects_problem is not None:
