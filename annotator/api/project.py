@@ -21,11 +21,9 @@ from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import (
     Detectors,
     Names,
-    active_model,
-    image_model,
     load_detector,
+    required_model,
     trained_detectors,
-    view_model,
 )
 from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
@@ -310,7 +308,7 @@ class Project:
         """With the project's view detector unless one is given; without `image`, only that one may be called."""
         kinds: tuple[BoxKind, bool, BoxKind, bool]
         if view is None:
-            model, view = view_model(self.stored), self._detector(DetectorKind.VIEW)
+            model, view = required_model(self.stored, DetectorKind.VIEW), self._detector(DetectorKind.VIEW)
             kinds = model.box_kind, model.class_agnostic, image_kind, model.trained
         else:
             kinds = kind_of(view, box_kind), False, image_kind, False
@@ -318,11 +316,11 @@ class Project:
 
     def _own_image(self) -> tuple[Detector, BoxKind]:
         """The project's image detector, and what its boxes enclose."""
-        return self._detector(DetectorKind.IMAGE), active_model(self.stored, DetectorKind.IMAGE).box_kind
+        return self._detector(DetectorKind.IMAGE), required_model(self.stored, DetectorKind.IMAGE).box_kind
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
-        model = view_model(self.stored) if kind is DetectorKind.VIEW else image_model(self.stored)
+        model = required_model(self.stored, kind)
         known = (model.fingerprint, model.names)
         if kind not in self._loaded or self._loaded[kind][0] != known:
             self._loaded[kind] = (known, load_detector(model.path, names=model.names))

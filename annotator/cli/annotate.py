@@ -25,7 +25,7 @@ from annotator.rcv.config import Strategy
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
-from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
+from annotator.workflows.detectors import Detectors, load_detector, required_model, stand_in, trained_detectors
 from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
 from annotator.workflows.importing.placing import class_names
 from annotator.workflows.proposing import lift as lifting
@@ -181,7 +181,7 @@ def run_lift(
     view, config = require_view(project), rcv_config(project)
     if detector is not None:
         loaded, origin = _image_detector(project, detector, names, detector_size, backend)
-        kind = active_model(project, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
+        kind = required_model(project, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
         lifting.require_known(view, loaded.labels)
         chosen = ids_of(project, () if recording is None else (recording,))
         pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
@@ -219,7 +219,7 @@ def _image_detector(
 ) -> tuple[lifting.RenamedDetector, str]:
     """The 2D detector under the project's class names, and its description."""
     if detector == OWN:
-        loaded = load_detector(active_model(project, DetectorKind.IMAGE).path, backend)
+        loaded = load_detector(required_model(project, DetectorKind.IMAGE).path, backend)
         origin = "the project's image detector"
     else:
         loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
