@@ -138,7 +138,7 @@ class _Run:
 
     def figures(self, seconds: float, frames: int | None) -> Figures:
         """Runs for a number of seconds, or for a number of frames of the source."""
-        pipeline = Pipeline(self._source, self._detection, self._show, max_frames=frames)
+        pipeline = Pipeline(self._source, self._detection.detect, self._show, max_frames=frames)
         pipeline.meter.window_s = math.inf
         self._page = LivePage(self._source.name, {})
         self._page.follow(pipeline)

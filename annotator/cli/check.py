@@ -82,11 +82,9 @@ def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bo
     lines = [(w.kind.value, f"{w.recording} {w.key}: {w.kind}: {w.message}") for w in report.warnings]
     lines += [(UNREADABLE, f"{UNREADABLE}: {line}") for line in report.unreadable]
     _print_grouped(lines, Counter(kind for kind, _ in lines), list_all)
-    unread = ""
-    if report.unreadable:
-        unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
-        unread = f"; {unread} could not be read"
-    print_line(f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked{unread}")
+    unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
+    summary = f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked"
+    print_line(summary + (f"; {unread} could not be read" if report.unreadable else ""))
     return FAULTY if report.unreadable else 0
 
 

@@ -276,7 +276,7 @@ def run_live(
         def show(recorder: Recorder | None) -> Figures:
             with closing(LivePage(source.name, facts)) as page:
                 pipeline = Pipeline(
-                    source, detection, page.show, record=recorder, max_frames=options.frames, report=_few(report)
+                    source, detection.detect, page.show, record=recorder, max_frames=options.frames, report=_few(report)
                 )
                 serve_live(settings, page, pipeline, ignore_sigterm)
                 return pipeline.figures()
@@ -335,7 +335,7 @@ def serve_live(
     server = Running(settings, live_app(settings, page))
 
     page.follow(pipeline)
-    pipeline.at_end(server.stop)
+    pipeline.on_end = server.stop
     sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
     try:

@@ -241,26 +241,18 @@ class Source(Protocol):
         """Releases the camera."""
 
 
-@runtime_checkable
-class Detection(Protocol):
-    """Detects the boxes of successive frames."""
-
-    def detect(self, taken: Taken) -> Detected:
-        """Detects the boxes of a frame."""
-
-
 class Pipeline:
     """Runs from `start` until its source ends, a stage fails, or it is stopped.
 
     Attributes:
         source: of the frames; closed at the end.
-        ended: set once all threads have ended.
+        ended: set once all stages have ended; then `on_end`, which may be set before the start, is called.
     """
 
     def __init__(
         self,
         source: Source,
-        detection: Detection,
+        detect: Callable[[Taken], Detected],
         show: Show,
         *,
         record: Recorder | None = None,
@@ -278,7 +270,8 @@ class Pipeline:
         self.source = source
         self.meter = Meter()
         self.ended = threading.Event()
-        self._detection, self._show, self._record = detection, show, record
+        self.on_end: Callable[[], None] = lambda: None
+        self._detect_in, self._show, self._record = detect, show, record
         self._max_frames, self._report = max_frames, report
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
@@ -291,7 +284,6 @@ class Pipeline:
         self._ready = threading.Event()
         self._error: BaseException | None = None
         self._lock = threading.Lock()
-        self._at_end: list[Callable[[], None]] = []
         self._threads = [
             threading.Thread(target=self._run_stage, args=(stage,), name=name, daemon=True)
             for name, stage in (("capture", self._capture), ("detect", self._detect), ("display", self._display))
@@ -329,14 +321,6 @@ class Pipeline:
         if not self.wait(END_TIMEOUT_S):
             alive = ", ".join(thread.name for thread in self._threads if thread.is_alive())
             raise DeviceError(f"{self.source.name}: {alive} does not end; unplug the device, or end the process")
-
-    def at_end(self, call: Callable[[], None]) -> None:
-        """Calls `call` from a thread of the pipeline when all stages have ended; at once if they have already."""
-        with self._lock:
-            if not self.ended.is_set():
-                self._at_end.append(call)
-                return
-        call()
 
     @property
     def is_paused(self) -> bool:
@@ -395,7 +379,7 @@ class Pipeline:
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
-                detected = self._detection.detect(taken)
+                detected = self._detect_in(taken)
                 if self._ready.is_set():
                     self._durations_s.append(time.perf_counter() - self._taken.taken_s)
                 self.meter.detected += 1
@@ -425,7 +409,5 @@ class Pipeline:
             self._running_stages -= 1
             if self._running_stages:
                 return
-            self.ended.set()
-            calls = tuple(self._at_end)
-        for call in calls:
-            call()
+        self.ended.set()
+        self.on_end()

@@ -310,4 +310,3 @@ def test_if_the_path_is_taken_at_the_end_the_error_names_the_recorded_frames(
     with pytest.raises(RecordingError, match=r"1 frame kept in .*recording-"):
         recorder.finish()
     recorder.close()
-    assert recording_of.LOCK not in {path.name for path in tmp_path.rglob("*")}
