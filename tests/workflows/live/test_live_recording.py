@@ -37,7 +37,6 @@ from annotator.types import (
 )
 from annotator.types.errors import ConfigError, RecordingError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.live import recorder as recording_of
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.recorder import Recorder, require_recordable, store
