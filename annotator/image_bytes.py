@@ -1,7 +1,8 @@
 """PNG and JPEG files: strict decoding, and the EXIF orientation.
 
 OpenCV decodes a truncated file without an error and fills the missing part with grey. So the bytes are checked for
-completeness first: truncated, damaged and too large images are errors. JPEG: ITU-T T.81, annex B (markers).
+completeness first: truncated, damaged and too large images are errors. PNG: W3C "PNG Specification", section 5 (chunks,
+CRC). JPEG: ITU-T T.81, annex B (markers, frame header).
 
 EXIF orientation: how an image file asks to be turned or mirrored when it is shown. Viewers, browsers and most labelling
 tools turn the image; a camera's calibration and a depth image usually belong to the pixels as they are stored. One rule
@@ -11,16 +12,18 @@ for images, their 2D boxes and their masks:
 - A depth image of the same camera decides for the pixels as stored, since it has no such tag.
 - Otherwise nothing is guessed: it is refused.
 
-Source: CIPA DC-008 (Exif 2.32), 4.6.4, tag Orientation.
+Source: CIPA DC-008 (Exif 2.32), 4.6.4, tag Orientation; PNG third edition, 11.3.3.7, eXIf.
 """
 
 from __future__ import annotations
 
+import re
 import struct
+import zlib
+from collections.abc import Iterator
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -28,8 +31,15 @@ from annotator.frame_limits import read_frame_file, require_pixels
 from annotator.types import Box2D
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-PNG_END = b"IEND\xaeB`\x82"
-JPEG_START, JPEG_SCAN, JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+JPEG_START = b"\xff\xd8"
+JPEG_END = 0xD9
+JPEG_SCAN = 0xDA
+# A marker inside entropy-coded data: 0xFF followed by neither a stuffed 0x00, a fill 0xFF nor a restart marker.
+JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
+# The markers of frame headers: 0xC0 to 0xCF except those for tables and extensions.
+JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# Markers without a length, and bytes that are not markers; they are invalid before a frame header.
+JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
 
 
 JPEG_QUALITY = 95
@@ -101,38 +111,75 @@ def image_problem(data: bytes) -> str:
     if not data:
         return "the file is empty"
     if data.startswith(PNG_SIGNATURE):
-        if data.rfind(PNG_END) < 0:
-            return "the PNG image is truncated"
-        try:
-            _opened(data).verify()
-        except (OSError, SyntaxError, ValueError) as error:
-            return f"the PNG image is damaged ({error})"
-    # a thumbnail, which has its own end, is before the pixels; in these, no byte 0xFF is followed by a marker's
-    if data.startswith(JPEG_START) and data.rfind(JPEG_END) <= data.rfind(JPEG_SCAN):
-        return "the JPEG image is truncated"
+        return _png_problem(data)
+    if data.startswith(JPEG_START):
+        return _jpeg_problem(data)
     return ""
 
 
-def _opened(data: bytes) -> Any:
-    """The image of Pillow, which has read the header.
+def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yields kind, start and end of the content of each part of a PNG file; the last one may be cut."""
+    at = len(PNG_SIGNATURE)
+    while at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4])
+        yield data[at + 4 : at + 8], at + 8, end
+        at = end + 4
 
-    Raises:
-        OSError: another format, or a damaged header.
-    """
-    from PIL import Image
 
-    # our limit is `frame_limits`
-    Image.MAX_IMAGE_PIXELS = None
-    return Image.open(BytesIO(data), formats=("PNG", "JPEG"))
+def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yields marker, start and end of the content of the segments of a JPEG file, up to the first damage."""
+    at = len(JPEG_START)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        if data[at + 1] == 0xFF:  # fill byte
+            at += 1
+            continue
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4])
+        yield data[at + 1], at + 4, end
+        at = end
+
+
+def _png_problem(data: bytes) -> str:
+    for kind, start, end in _chunks(data):
+        if end + 4 > len(data):
+            break
+        if zlib.crc32(data[start - 4 : end]) != int.from_bytes(data[end : end + 4]):
+            return f"the PNG image is damaged (checksum of its {kind.decode('latin-1')} part)"
+        if kind == b"IEND":
+            return ""
+    return "the PNG image is truncated"
+
+
+def _jpeg_problem(data: bytes) -> str:
+    at = len(JPEG_START)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        if data[at + 1] == 0xFF:  # fill byte
+            at += 1
+            continue
+        if data[at + 1] == JPEG_END:
+            return ""
+        is_scan = data[at + 1] == JPEG_SCAN
+        at += 2 + int.from_bytes(data[at + 2 : at + 4])
+        if is_scan:
+            marker = JPEG_MARKER.search(data, at)
+            if marker is None:
+                break
+            if marker.group()[1] == JPEG_END:
+                return ""
+            at = marker.start()
+    return "the JPEG image is truncated"
 
 
 def declared_size(data: bytes) -> tuple[int, int]:
     """Width and height from the header of a PNG or JPEG file; (0, 0) for other formats or without a header."""
-    try:
-        width, height = _opened(data).size
-    except OSError:
-        return 0, 0
-    return width, height
+    if data.startswith(PNG_SIGNATURE) and data[12:16] == b"IHDR":
+        return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
+    for marker, start, _ in _segments(data) if data.startswith(JPEG_START) else ():
+        if marker in JPEG_FRAMES:
+            return int.from_bytes(data[start + 3 : start + 5]), int.from_bytes(data[start + 1 : start + 3])
+        if marker in JPEG_WITHOUT_LENGTH:
+            # a decoder would continue after this byte and might find another header
+            break
+    return 0, 0
 
 
 Size = tuple[int, int]
@@ -149,21 +196,23 @@ HOW = {
 }
 # The others are their own inverses.
 INVERSE = {6: 8, 8: 6}
-ORIENTATION_TAG = 0x0112
+APP1, EXIF_MARK, ORIENTATION_TAG, SHORT = 0xE1, b"Exif\0\0", 0x0112, 3
+ENTRY_BYTES = 12
 
 
 def orientation_of(data: bytes) -> int:
     """Returns the EXIF orientation of a PNG or JPEG file, 1 to 8; 1 without a valid one."""
-    from PIL.Image import Exif
-
-    try:
-        exif = Exif()
-        exif.load(_opened(data).info.get("exif", b""))
-        found = exif.get(ORIENTATION_TAG)
-    # what Pillow raises for damaged tags
-    except (OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, struct.error):
+    tiff = _exif(data)
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
+    if order is None or len(tiff) < 8:
         return UPRIGHT
-    return found if isinstance(found, int) and found in HOW else UPRIGHT
+    at = int(struct.unpack_from(order + "I", tiff, 4)[0])
+    count = int(struct.unpack_from(order + "H", tiff, at)[0]) if at + 2 <= len(tiff) else 0
+    for entry in range(at + 2, min(at + 2 + count * ENTRY_BYTES, len(tiff) - ENTRY_BYTES + 1), ENTRY_BYTES):
+        tag, kind, _, value = struct.unpack_from(order + "HHIH", tiff, entry)
+        if tag == ORIENTATION_TAG and kind == SHORT:
+            return value if value in HOW else UPRIGHT
+    return UPRIGHT
 
 
 def is_turned(orientation: int, stored: Size, said: Size | None) -> bool | None:
@@ -222,3 +271,15 @@ def box_as_stored(box: Box2D, orientation: int, stored: Size) -> Box2D:
 def described(orientation: int) -> str:
     """Returns the words for an orientation other than 1."""
     return f"EXIF orientation {orientation} ({HOW[orientation]} when it is shown)"
+
+
+def _exif(data: bytes) -> bytes:
+    """Returns the TIFF part of a PNG or JPEG file; empty without one."""
+    if data.startswith(PNG_SIGNATURE):
+        return next((data[start:end] for kind, start, end in _chunks(data) if kind == b"eXIf"), b"")
+    for marker, start, end in _segments(data) if data.startswith(JPEG_START) else ():
+        if marker == JPEG_SCAN:
+            break
+        if marker == APP1 and data.startswith(EXIF_MARK, start):
+            return data[start + len(EXIF_MARK) : end]
+    return b""

@@ -76,7 +76,6 @@ def test_boxes_are_turned_as_pictures(orientation: int):
     assert (box.xyxy, box.score) == (BOX, 0.25)
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
 @given(st.binary(max_size=60), st.integers(0, 90))
 def test_damaged_tags_are_none(noise: bytes, at: int):
     for suffix in (".jpg", ".png"):
