@@ -9,11 +9,10 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, Projects, named_folder, no_project, open_named, projects_root
+from annotator.cli.options import AsJson, Projects, place_of
 from annotator.cli.output import counted, print_json, print_line
 from annotator.cli.project import report_problems
-from annotator.project.config import CONFIG_FILE
-from annotator.types.errors import ConfigError
+from annotator.project import open_project
 from annotator.types.messages import amount
 
 FAULTY = 1
@@ -23,10 +22,9 @@ MOST_OF_A_KIND = 5
 
 
 def run(
-    what: str | None = None,
+    what: str,
     /,
     *,
-    project: str | None = None,
     list_all: Annotated[bool, arg(name="all", help="list every finding, not only the first few of each kind.")] = False,
     as_json: AsJson = False,
     projects: Projects = None,
@@ -39,43 +37,22 @@ def run(
     missing or wrong values of attributes (1 if recordings or frames cannot be read).
 
     Args:
-        what: path of a dataset, path of a folder of datasets, or name of a project.
-        project: name of a project; needed only if a folder has the same name.
+        what: name or folder of a project, path of a dataset, or path of a folder of datasets.
     """
-    name = what if project is None else project
-    if name is None or (what is not None and project is not None):
-        raise ConfigError("name one thing to check: annotator check PATH, or annotator check --project NAME")
-    if project is None and _is_dataset(name, projects):
-        return _check_dataset(Path(name), list_all, as_json)
-    return _check_project(name, projects, list_all, as_json)
+    place, is_project = place_of(what, projects)
+    return (_check_project if is_project else _check_dataset)(place, list_all, as_json)
 
 
-def _is_dataset(what: str, projects: Path | None) -> bool:
-    """Whether `what` is the path of a dataset, not the name of a project."""
-    path = Path(what)
-    is_name = len(path.parts) == 1 and not what.startswith(".")
-    is_project = is_name and (projects_root(projects) / what).is_dir()
-    if path.exists() and is_project:
-        raise ConfigError(f"{what} is both a project and a path; write ./{what} or --project {what}")
-    if (path / CONFIG_FILE).is_file():
-        name, folder = path.resolve().name, path.resolve().parent
-        raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --projects {folder}")
-    if is_name and not path.exists() and not is_project:
-        raise ConfigError(f"{what}: no such file or folder, and {no_project(what, projects_root(projects))}")
-    return path.exists() or not is_name
-
-
-def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bool) -> int:
+def _check_project(folder: Path, list_all: bool, as_json: bool) -> int:
     from annotator.project.backup.verify import verify
     from annotator.workflows.checking.project_labels import check_project
 
-    folder = named_folder(name, projects)
     verification = verify(folder, deep=True)
     if verification.problems:
         report_problems(verification, folder, as_json)
         return FAULTY
-    with open_named(name, projects) as opened:
-        report = check_project(opened)
+    with open_project(folder) as project:
+        report = check_project(project)
     if as_json:
         print_json(report)
         return FAULTY if report.unreadable else 0

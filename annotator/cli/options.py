@@ -127,6 +127,21 @@ def named_folder(name: str, projects: Path | None) -> Path:
     return folder / name
 
 
+def place_of(what: str, projects: Path | None) -> tuple[Path, bool]:
+    """The project of this name, or the path, and whether it is a project. `./NAME` is a path, and a project has one."""
+    from annotator.project.config import CONFIG_FILE
+
+    path, root = Path(what), projects_root(projects)
+    named = root / what if len(path.parts) == 1 and not what.startswith(".") else path
+    if named is not path and named.is_dir():
+        if path.exists() and not path.samefile(named):
+            raise ConfigError(f"{what} is both a path and a project; write ./{what} or {named}")
+        return named, True
+    if named is not path and not path.exists():
+        raise ConfigError(f"{what}: no such file or folder, and {no_project(what, root)}")
+    return path, (path / CONFIG_FILE).is_file()
+
+
 def no_project(name: str, folder: Path) -> str:
     """Says that a folder of projects has none of this name, and which is probably meant."""
     from annotator.project import list_projects

@@ -14,8 +14,8 @@ from annotator.project.backup.make import automatic_backups, back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import Verification, verify
-from annotator.project.config import CONFIG_FILE, rename_project, set_aside
-from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.project.config import rename_project, set_aside
+from annotator.types.errors import AnnotatorError
 from annotator.types.messages import amount, first_few
 from annotator.workflows.add_recordings import move_recording
 
@@ -227,8 +227,8 @@ def run_copy(
         name: name of the new project.
         without_labels: copy the recordings and the detectors only, no labels and boxes.
     """
-    root = options.projects_root(projects)
-    folder, is_sent = _folder(source, root)
+    root, (folder, _) = options.projects_root(projects), options.place_of(source, projects)
+    is_sent = folder.parent.resolve() != root.resolve()
     with counted("copying files") as progress:
         path = copy_project(folder, root, name, models, progress, labels=not without_labels, sent=is_sent)
     with open_project(path) as project:
@@ -236,16 +236,3 @@ def run_copy(
         for recording in project.recordings.all():
             state = "" if recording.path.exists() else " (not on this computer: annotator project move)"
             print_line(f"it reads the recording {recording.name} from {recording.path}{state}")
-
-
-def _folder(source: str, root: Path) -> tuple[Path, bool]:
-    """The folder of a project that is given by its name or its path, and whether it is not one of those in `root`."""
-    path = Path(source)
-    # as for `annotator check`: ./NAME is a path
-    named = root / source if len(path.parts) == 1 and not source.startswith(".") else None
-    places = [place for place in (path, named) if place is not None and (place / CONFIG_FILE).is_file()]
-    if len(places) == 2 and not places[0].samefile(places[1]):
-        raise ConfigError(f"{source} is both a folder and a project; write ./{source} or {named}")
-    if not places and not path.exists() and (named is None or not named.exists()):
-        raise ConfigError(f"{source}: no such folder, and {options.no_project(source, root)}")
-    return (places[0], named not in places) if places else (path, True)
