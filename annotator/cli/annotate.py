@@ -22,10 +22,10 @@ from annotator.cli.output import counted, print_line
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation, Project
 from annotator.rcv.config import Strategy
-from annotator.types import BoxKind, DetectorKind
+from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
-from annotator.workflows.detectors import Detectors, load_detector, required_model, stand_in, trained_detectors
+from annotator.workflows.detectors import Detectors, load_detector, stand_in, trained_detectors
 from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
 from annotator.workflows.importing.placing import class_names
 from annotator.workflows.proposing import lift as lifting
@@ -141,7 +141,6 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
     return lines
 
 
-OWN = "project"
 WEIGHTS_SIZE_PX = 640
 
 
@@ -152,7 +151,7 @@ def run_lift(
     boxes: Path | None = None,
     format: FlatFormat = FlatFormat.COCO,
     recording: str | None = None,
-    detector: str | None = None,
+    detector: Path | None = None,
     classes: str | None = None,
     detector_size: int = WEIGHTS_SIZE_PX,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
@@ -163,14 +162,13 @@ def run_lift(
     The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
     pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
     this installation has it. With --detector, --recording selects the frames on which the detector runs. Boxes that
-    were drawn in the project, and its own detector, know their --box-kind.
+    were drawn in the project know their --box-kind.
 
     Args:
         boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.
         format: format of --boxes.
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
-        detector: weights of a 2D detector (a published ultralytics model, or the file of a training), or "project" for
-            the project's own image detector.
+        detector: weights of a 2D detector (a published ultralytics model, or the file of a training).
         classes: the project's classes of the file's or detector's classes, such as car=Car,van=Car; others keep their
             names.
         detector_size: input size of --detector, longer side, pixels.
@@ -180,11 +178,14 @@ def run_lift(
     names = {} if classes is None else class_names(classes, project)
     view, config = require_view(project), rcv_config(project)
     if detector is not None:
-        loaded, origin = _image_detector(project, detector, names, detector_size, backend)
-        kind = required_model(project, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
+        weights = load_detector(detector, backend, detector_size)
+        loaded, origin = (
+            lifting.RenamedDetector(weights, project.config.classes, names),
+            f"the detector {detector.name}",
+        )
         lifting.require_known(view, loaded.labels)
         chosen = ids_of(project, () if recording is None else (recording,))
-        pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
+        pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, box_kind, view.trained)
         with counted("lift") as progress:
             done = annotate(project, pair, config, recordings=chosen, progress=progress)
     else:
@@ -212,18 +213,6 @@ def _left_out(given: lifting.GivenBoxes) -> ImportReport:
     report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
     report.add_all(Note.UNREADABLE, given.unreadable)
     return report
-
-
-def _image_detector(
-    project: Project, detector: str, names: dict[str, str], size_px: int, backend: Backend
-) -> tuple[lifting.RenamedDetector, str]:
-    """The 2D detector under the project's class names, and its description."""
-    if detector == OWN:
-        loaded = load_detector(required_model(project, DetectorKind.IMAGE).path, backend)
-        origin = "the project's image detector"
-    else:
-        loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
-    return lifting.RenamedDetector(loaded, project.config.classes, names), origin
 
 
 def run_simulate(

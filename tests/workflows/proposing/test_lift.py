@@ -180,7 +180,7 @@ def test_the_command_lifts_drawn_boxes(
     assert main(["lift", *where]) == 0
     output = capsys.readouterr().out
     assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frame done" in output
-    assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
+    assert main(["lift", *where, "--boxes", "x.json", "--detector", "x.pt"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     assert main(["lift", *where, "--classes", "car"]) == 2
     assert "--classes car: write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT" in capsys.readouterr().err
