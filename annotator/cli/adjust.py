@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from annotator.cli.options import AsJson, Clear, RecordingName
-from annotator.cli.output import show
+from annotator.cli.output import facts, print_result
 from annotator.project import Basis, Project
 from annotator.types import NO_CORRECTION
 from annotator.types.bases import Strict
@@ -63,7 +63,7 @@ def run_up(
     if direction or clear:
         project.adjustments.set_up(stored.id, direction or None, UP_AUTHOR)
     report = _report(project, stored.id, found)
-    show(report, _up_rows(report), as_json)
+    print_result(report, facts(_up_rows(report)), as_json)
 
 
 def _report(project: Project, recording_id: int, found: RecordingUp | None) -> UpReport:
@@ -150,7 +150,7 @@ def run_calibrate(
         time_offset_s=new.time_offset_s,
         moved_labels=moved,
     )
-    show(report, _correction_rows(report), as_json)
+    print_result(report, facts(_correction_rows(report)), as_json)
 
 
 def _correction_rows(report: CalibrationReport) -> Iterator[tuple[str, object]]:

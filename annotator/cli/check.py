@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
 from annotator.cli.options import AsJson, Projects, place_of
-from annotator.cli.output import counted, print_json, print_line
+from annotator.cli.output import counted, print_result
 from annotator.cli.project import report_problems
 from annotator.project import open_project
 from annotator.types.messages import amount
@@ -53,20 +53,18 @@ def _check_project(folder: Path, list_all: bool, as_json: bool) -> int:
         return FAULTY
     with open_project(folder) as project:
         report = check_project(project)
-    if as_json:
-        print_json(report)
-        return FAULTY if report.unreadable else 0
     lines = [(w.kind.value, f"{w.recording} {w.key}: {w.kind}: {w.message}") for w in report.warnings]
     lines += [(UNREADABLE, f"{UNREADABLE}: {line}") for line in report.unreadable]
-    _print_grouped(lines, Counter(kind for kind, _ in lines), list_all)
     unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
     summary = f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked"
-    print_line(summary + (f"; {unread} could not be read" if report.unreadable else ""))
+    summary += f"; {unread} could not be read" if report.unreadable else ""
+    shown = _grouped(lines, Counter(kind for kind, _ in lines), list_all)
+    print_result(report, (*shown, summary), as_json)
     return FAULTY if report.unreadable else 0
 
 
-def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> None:
-    """Prints the first lines of each kind, in their order, and how many more there are.
+def _grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> Iterator[str]:
+    """Yields the first lines of each kind, in their order, and how many more there are.
 
     Args:
         lines: the kind and the text of each.
@@ -75,11 +73,11 @@ def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], 
     printed: Counter[str] = Counter()
     for kind, line in lines:
         if list_all or printed[kind] < MOST_OF_A_KIND:
-            print_line(line)
+            yield line
             printed[kind] += 1
     for kind, total in totals.items():
         if not list_all and total > printed[kind]:
-            print_line(f"{kind}: {total - printed[kind]} more like these; --all lists them")
+            yield f"{kind}: {total - printed[kind]} more like these; --all lists them"
 
 
 def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
@@ -88,14 +86,12 @@ def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
 
     with counted("checking") as progress:
         report = check_datasets(path, progress)
-    if as_json:
-        print_json(report)
-    else:
-        found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
-        _print_grouped(found, report.by_rule, list_all)
-        for facts in report.datasets:
-            only = "" if facts.labels else ", so only its files were checked"
-            counts = f"{amount(facts.frames, 'frame')}, {amount(facts.labels, 'label')}"
-            print_line(f"{facts.path}: {facts.format}, {counts}{only}")
-        print_line(", ".join(amount(report.counts[each], each) for each in Severity))
+    found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
+    lines = [*_grouped(found, report.by_rule, list_all)]
+    for each in report.datasets:
+        only = "" if each.labels else ", so only its files were checked"
+        counts = f"{amount(each.frames, 'frame')}, {amount(each.labels, 'label')}"
+        lines.append(f"{each.path}: {each.format}, {counts}{only}")
+    lines.append(", ".join(amount(report.counts[each], each) for each in Severity))
+    print_result(report, lines, as_json)
     return FAULTY if report.counts[Severity.ERROR] else 0

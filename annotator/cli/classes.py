@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from tyro.conf import arg
 
 from annotator.cli.options import AsJson, names_in, projects_root
-from annotator.cli.output import print_facts, print_json, print_line
+from annotator.cli.output import facts, print_line, print_result
 from annotator.project import Project, ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
@@ -36,13 +36,12 @@ Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.
 def show(project: Project, /, *, as_json: AsJson = False) -> None:
     """List a project's classes, with the number of their boxes, and its attributes."""
     listed = list_classes(project)
-    if as_json:
-        print_json(listed)
-        return
-    print_facts([(row.name, _described(row)) for row in listed.classes])
-    print_facts([(f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown])
-    for attribute in listed.attributes:
-        print_line(_attribute_line(attribute))
+    lines = [
+        *facts((row.name, _described(row)) for row in listed.classes),
+        *facts((f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown),
+        *map(_attribute_line, listed.attributes),
+    ]
+    print_result(listed, lines, as_json)
 
 
 def add(project: Project, name: ClassName, /, *, colour: Colour = None, key: Key = None) -> None:

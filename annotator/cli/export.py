@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from annotator.cli.options import AsJson, RecordingNames, Seed, ids_of, names_in
-from annotator.cli.output import counted, print_json, print_line
+from annotator.cli.output import counted, print_result
 from annotator.formats.table import with_option
 from annotator.project import Project
 from annotator.types import ReviewState
@@ -62,24 +63,18 @@ def run(
         report = exporting.export_project(
             project, out, format, choose=choose, split=parts, options=options, overwrite=overwrite, progress=progress
         )
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report)
+    print_result(report, _lines(report), as_json)
 
 
-def _print_report(report: exporting.ExportReport) -> None:
+def _lines(report: exporting.ExportReport) -> Iterator[str]:
     counts = ", ".join(f"{number} {name}" for name, number in report.objects_by_class.items())
     what = "images" if exporting.WRITERS[exporting.ExportFormat(report.format)].flat else "frames"
-    print_line(f"{report.out}: {report.frames} {what}, {counts}")
+    yield f"{report.out}: {report.frames} {what}, {counts}"
     if report.splits:
-        print_line("split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
-    for loss in report.losses:
-        print_line(f"lost in {report.format}: {loss.message}")
-    for line in report.unreadable:
-        print_line(f"unreadable: {line}")
-    for note in report.notes:
-        print_line(note)
+        yield "split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items())
+    yield from (f"lost in {report.format}: {loss.message}" for loss in report.losses)
+    yield from (f"unreadable: {line}" for line in report.unreadable)
+    yield from report.notes
 
 
 _SUMMARIES = "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in exporting.WRITERS.items())

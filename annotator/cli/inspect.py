@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from annotator.cli.options import AS_FILES_SAY, AsJson, Reading
-from annotator.cli.output import print_facts, show
+from annotator.cli.output import facts, print_lines, print_result
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError
 from annotator.types.messages import amount
@@ -25,14 +25,14 @@ def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = Fal
         report = inspect_recording(path, options)
     except UnknownFormatError as error:
         if not as_json:
-            print_facts(line.partition(": ")[::2] for line in error.looked_for)
+            print_lines(facts(line.partition(": ")[::2] for line in error.looked_for))
         raise
     except InputError:
         # the topics of a bag among which the error asks to choose
         if not as_json:
-            print_facts(_topic_rows(bag_topics(path)))
+            print_lines(facts(_topic_rows(bag_topics(path))))
         raise
-    show(report, _rows(report), as_json)
+    print_result(report, facts(_rows(report)), as_json)
     if report.frame is None:
         raise RecordingError(f"{path}: none of its first frames can be read ({len(report.broken)} tried); see above")
 

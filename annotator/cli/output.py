@@ -29,24 +29,22 @@ def require_yes(question: str, yes: bool) -> None:
         raise ConfigError("nothing was changed")
 
 
-def print_json(model: BaseModel) -> None:
-    print_line(model.model_dump_json())
-
-
-def print_facts(rows: Iterable[tuple[str, object]]) -> None:
-    """Prints two columns: names and values."""
+def facts(rows: Iterable[tuple[str, object]]) -> Iterator[str]:
+    """Yields the lines of two columns: names and values."""
     listed = list(rows)
     width = max((len(name) for name, _ in listed), default=0)
     for name, value in listed:
-        print_line(f"{name:{width}}  {value}")
+        yield f"{name:{width}}  {value}"
 
 
-def show(report: BaseModel, rows: Iterable[tuple[str, object]], as_json: bool) -> None:
-    """Prints a report as one JSON object, or as rows for people."""
-    if as_json:
-        print_json(report)
-    else:
-        print_facts(rows)
+def print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        print_line(line)
+
+
+def print_result(result: BaseModel, lines: Iterable[str], as_json: bool) -> None:
+    """Prints a result as one JSON object, or as lines for people."""
+    print_lines([result.model_dump_json()] if as_json else lines)
 
 
 def progress_bar() -> Progress:

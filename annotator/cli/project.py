@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from annotator.cli import options
-from annotator.cli.output import counted, print_json, print_line, require_yes
+from annotator.cli.output import counted, print_line, print_result, require_yes
 from annotator.project import BoxRotation, Project, ProjectSettings, create_project, open_project
 from annotator.project.backup.archive import ModelChoice
 from annotator.project.backup.make import automatic_backups, back_up
@@ -180,15 +180,14 @@ def run_verify(project: Path, /, *, deep: bool = False, as_json: options.AsJson 
 
 def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
     """Prints the result of a verification of the project in `folder`."""
-    if as_json:
-        print_json(result)
-        return
-    for problem in result.problems:
-        print_line(problem)
-    print_line(f"{result.project}: {amount(len(result.problems), 'problem')}")
     newest = automatic_backups(folder)[-1:]
     where = f" such as {newest[0]}, the newest automatic one" if newest else ""
-    print_line(f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can")
+    lines = [
+        *result.problems,
+        f"{result.project}: {amount(len(result.problems), 'problem')}",
+        f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can",
+    ]
+    print_result(result, lines, as_json)
 
 
 def run_repair(project: Path, new_name: str | None = None, /) -> None:

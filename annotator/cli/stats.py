@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from annotator.cli.options import AsJson
-from annotator.cli.output import show
+from annotator.cli.output import facts, print_result
 from annotator.project import Project
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
@@ -26,7 +26,7 @@ def run(project: Project, /, *, as_json: AsJson = False) -> None:
         rows.append(("  newest one", decision.outcome))
         if decision.mean_iou is not None:
             rows.append((f"  mean IoU on {decision.objects} held-out objects", measured_ious(decision)))
-    show(statistics, rows, as_json)
+    print_result(statistics, facts(rows), as_json)
 
 
 def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
