@@ -6,18 +6,17 @@ import os
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from tyro import conf
 from tyro.conf import arg
 
+from annotator.project import Project, list_projects, open_project
+from annotator.project.config import CONFIG_FILE, check_name
 from annotator.recordings.recording import ReaderOptions, parse_options
 from annotator.types.errors import ConfigError
+from annotator.types.messages import alternatives
 from annotator.workflows.add_recordings import ALL
-
-if TYPE_CHECKING:
-    from annotator.project import Project
-
 
 Value = TypeVar("Value")
 
@@ -103,16 +102,11 @@ def projects_root(projects: Path | None) -> Path:
 
 
 def open_named(name: str, projects: Path | None) -> Project:
-    # imported here, so that `annotator doctor` runs without the database's package
-    from annotator.project import open_project
-
     return open_project(named_folder(name, projects))
 
 
 def named_folder(name: str, projects: Path | None) -> Path:
     """The folder of the project of this name, which may be damaged."""
-    from annotator.project.config import check_name
-
     folder = projects_root(projects)
     try:
         check_name(name)
@@ -129,8 +123,6 @@ def named_folder(name: str, projects: Path | None) -> Path:
 
 def place_of(what: str, projects: Path | None) -> tuple[Path, bool]:
     """The project of this name, or the path, and whether it is a project. `./NAME` is a path, and a project has one."""
-    from annotator.project.config import CONFIG_FILE
-
     path, root = Path(what), projects_root(projects)
     named = root / what if len(path.parts) == 1 and not what.startswith(".") else path
     if named is not path and named.is_dir():
@@ -144,9 +136,6 @@ def place_of(what: str, projects: Path | None) -> tuple[Path, bool]:
 
 def no_project(name: str, folder: Path) -> str:
     """Says that a folder of projects has none of this name, and which is probably meant."""
-    from annotator.project import list_projects
-    from annotator.types.messages import alternatives
-
     others = alternatives(name, [each.path.name for each in list_projects(folder)])
     return f"{folder} has no project {name!r} ({others})"
 
