@@ -120,7 +120,7 @@ def _measure(recording: Recording, detection: LiveDetection, args: Arguments) ->
         "latency_p95_ms": figures.latency_p95_ms,
         "stages_ms": dict(figures.stages_ms),
         "shown": figures.shown,
-        "drops": vars(figures.drops),
+        "drops": dict(figures.drops),
         "source_fps": rate,
         "objects_per_frame": measured.objects / measured.frames,
         "warm_share": measured.warm / max(measured.objects, 1),

@@ -195,7 +195,7 @@ class LivePage(ViserPage):
 def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
     """The figures as Markdown."""
     stages = " · ".join(f"{name} {ms:.0f}" for name, ms in figures.stages_ms.items())
-    drops = " · ".join(f"{name} {count}" for name, count in vars(figures.drops).items() if count)
+    drops = " · ".join(f"{name} {count}" for name, count in figures.drops.items() if count)
     objects = f"{len(detected.found.proposals)}" + (f", {lost} lost" if (lost := len(detected.found.lost)) else "")
     rows = {
         "frame": f"{detected.frame.key} ({figures.shown} shown)",

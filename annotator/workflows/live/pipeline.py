@@ -31,23 +31,6 @@ WINDOW_S = 5.0
 
 
 @dataclass(frozen=True)
-class Drops:
-    """Numbers of dropped frames.
-
-    Attributes:
-        source: left out by the source to keep its frame rate.
-        detect: replaced by a newer frame while the detectors were busy.
-        show: replaced by a newer frame while the display was busy.
-        record: not recorded because the disk was too slow.
-    """
-
-    source: int = 0
-    detect: int = 0
-    show: int = 0
-    record: int = 0
-
-
-@dataclass(frozen=True)
 class Figures:
     """Measurements of a pipeline; rates, medians and percentiles are those of the window.
 
@@ -57,6 +40,8 @@ class Figures:
         stages_ms: median duration of each stage: read, image and view detector, the geometry between them, show.
         read, detected, shown: numbers of frames since the start.
         broken: number of frames that could not be read.
+        drops: numbers of dropped frames: `source` left out by the source to keep its rate, `detect` and `show` replaced
+            by a newer one while detectors or display were busy, `record` not recorded because the disk was too slow.
     """
 
     fps: float | None
@@ -67,7 +52,7 @@ class Figures:
     detected: int
     shown: int
     broken: int
-    drops: Drops
+    drops: Mapping[str, int]
 
 
 @dataclass(eq=False)
@@ -103,7 +88,7 @@ class Meter:
             self._recent.append((now, now - taken_s, stages_s))
             self._forget(now)
 
-    def figures(self, drops: Drops) -> Figures:
+    def figures(self, drops: Mapping[str, int]) -> Figures:
         """Returns the present measurements."""
         with self._lock:
             self._forget(time.perf_counter())
@@ -134,7 +119,7 @@ class Meter:
 
 def summary_line(figures: Figures) -> str:
     """Returns the measurements in one line."""
-    counts = [f"{count} {name}" for name, count in vars(figures.drops).items() if count]
+    counts = [f"{count} {name}" for name, count in figures.drops.items() if count]
     parts = ["too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"]
     if figures.latency_ms is not None:
         parts[0] += f", {figures.latency_ms:.0f} ms latency (95 %: {figures.latency_p95_ms:.0f})"
@@ -336,9 +321,8 @@ class Pipeline:
 
     def figures(self) -> Figures:
         """Returns the present measurements."""
-        dropped = 0 if self._record is None else self._record.dropped
-        drops = Drops(self.source.skipped, self._taken.dropped, self._detected.dropped, dropped)
-        return self.meter.figures(drops)
+        drops = {"source": self.source.skipped, "detect": self._taken.dropped, "show": self._detected.dropped}
+        return self.meter.figures(drops | {"record": 0 if self._record is None else self._record.dropped})
 
     # --- the stages, each by its own thread --------------------------------------------------------------------------
 
