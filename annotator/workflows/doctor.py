@@ -153,7 +153,7 @@ def machine(projects: Path) -> Iterator[Line]:
 
 def _memory_bytes() -> tuple[int, int]:
     """Returns total and free memory, limited to that of the container (cgroup v2)."""
-    import psutil
+    import psutil  # type: ignore[import-untyped]
 
     memory = psutil.virtual_memory()
     total = memory.total
