@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -126,17 +126,14 @@ def run_calibrate(
         time_offset: how much the clocks of the clouds are ahead of those of the images, seconds; each cloud is shown
             with the image that is then nearest in time.
     """
-    given = turn is not None or shift is not None or time_offset is not None
+    turn_rad = None if turn is None else tuple(np.radians(turn).tolist())
+    given: dict[str, Any] = {"turn_rad": turn_rad, "shift_m": shift, "time_offset_s": time_offset}
+    given = {name: value for name, value in given.items() if value is not None}
     if clear and given:
         raise ConfigError("give either --clear, or --turn, --shift and --time-offset")
-    stored = project.recordings.find(recording)
-    new, moved = NO_CORRECTION if clear else stored.correction, 0
+    stored, moved = project.recordings.find(recording), 0
     try:
-        if turn is not None:
-            x, y, z = np.radians(turn).tolist()
-            new = replace(new, turn_rad=(x, y, z))
-        new = replace(new, shift_m=new.shift_m if shift is None else shift)
-        new = replace(new, time_offset_s=new.time_offset_s if time_offset is None else time_offset)
+        new = NO_CORRECTION if clear else replace(stored.correction, **given)
     except ValueError as error:
         raise ConfigError(f"{error}; give smaller numbers") from error
     if new != stored.correction:
