@@ -11,7 +11,7 @@ import tyro
 
 from annotator.cli.import_boxes import print_report
 from annotator.cli.options import AS_FILES_SAY, Reading
-from annotator.cli.output import counted, print_line
+from annotator.cli.output import counted, print_line, print_lines
 from annotator.project import REVIEWED, Project
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
@@ -68,8 +68,7 @@ def run(
     )
     for added in every:
         print_line(_summary(added))
-        for note in (*added.notes, *added.broken.sentences):
-            print_line(f"  {note}")
+        print_lines(f"  {note}" for note in (*added.notes, *added.broken.sentences))
         if len(added.broken.errors) > added.left_out:
             print_line("  to leave them out, give this command again with --leave-out-broken")
         if not no_labels:

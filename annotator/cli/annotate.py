@@ -18,7 +18,7 @@ from annotator.cli.options import (
     Rotation,
     ids_of,
 )
-from annotator.cli.output import counted, print_line
+from annotator.cli.output import counted, print_line, print_lines
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation, Project
 from annotator.rcv.config import Strategy
@@ -26,7 +26,7 @@ from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors, load_detector, stand_in, trained_detectors
-from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
+from annotator.workflows.importing import FlatFormat
 from annotator.workflows.importing.placing import class_names
 from annotator.workflows.proposing import lift as lifting
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit
@@ -120,8 +120,7 @@ def run_annotate(
         )
     if named is not None:
         print_line(f"view detector: {named}")
-    for line in summary_lines(done):
-        print_line(line)
+    print_lines(summary_lines(done))
     return 1 if done.failures else 0
 
 
@@ -196,23 +195,10 @@ def run_lift(
         with counted("lift") as progress:
             done = lifting.lift(project, given, view, config, progress)
         origin = given.origin
-        for line in _left_out(given).sentences():
-            print_line(line)
+        print_lines(given.left_out.sentences())
     print_line(f"3D boxes from {origin}, measured by: {view.title}")
-    for line in summary_lines(done):
-        print_line(line)
+    print_lines(summary_lines(done))
     return 1 if done.failures else 0
-
-
-def _left_out(given: lifting.GivenBoxes) -> ImportReport:
-    report = ImportReport(Become.FLAT)
-    if given.renamed is not None:
-        report.add(Note.RENAMED, of=str(given.renamed))
-    for label, number in given.other_classes.items():
-        report.add(Note.OTHER_CLASS, number, label)
-    report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
-    report.add_all(Note.UNREADABLE, given.unreadable)
-    return report
 
 
 def run_simulate(
@@ -250,6 +236,5 @@ def run_views(project: Project, out: Path, /, *, step: int = 1) -> None:
     """
     written = write_views(project, out, step, to_draw_on(project, rcv_config(project)))
     print_line(f"{amount(written.pictures, 'pseudo-view')} in {out}")
-    for line in written.unreadable:
-        print_line(f"skipped: frame {line}")
+    print_lines(f"skipped: frame {line}" for line in written.unreadable)
     print_line(f"next: draw boxes, then annotator import {project.path.name} {out / COCO} --pictures {out}")

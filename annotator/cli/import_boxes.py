@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from annotator.cli.options import BoxKindOption, Seed, ids_of
-from annotator.cli.output import counted, print_line
+from annotator.cli.output import counted, print_line, print_lines
 from annotator.formats.table import named_format
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
@@ -105,7 +104,8 @@ def run(
         if angles is not None:
             raise ConfigError(f"--angles is for 3D boxes; {path} is {found}, which contains none")
         if names:
-            _check_names(names, {label for each in read_pictures(found, path).pictures for label in each.labels})
+            present = {label for each in read_pictures(found, path).pictures for label in each.labels}
+            print_lines(importing.without_effect(names, present))
         if add_attributes:
             _add(project, values_of_pictures(found, path))
         if pictures is None:
@@ -122,7 +122,8 @@ def run(
         labels = RecordedLabels(project, chosen, with_files=True)
     else:
         labels = importing.read_labels(found, path, angles).in_project(project)
-        _check_names(names, {label for name in labels.frames for label in labels.classes(name)})
+        present = {label for name in labels.frames for label in labels.classes(name)}
+        print_lines(importing.without_effect(names, present))
     if add_attributes:
         _add(project, values_of_labels(labels))
     with counted("2D boxes" if as_ is importing.Become.FLAT else f"import {found}") as progress:
@@ -143,17 +144,12 @@ def run(
         print_line(f"next: annotator serve, to review {project.config.name}")
 
 
-def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
-    for line in importing.without_effect(names, present):
-        print_line(line)
-
-
 def _add(project: Project, found: FoundValues) -> None:
-    for each in add_attributes(project, found):
-        print_line(f"added: attribute {each.name} of a {each.of}: {each.values_text()}")
+    added = add_attributes(project, found)
+    print_lines(f"added: attribute {each.name} of a {each.of}: {each.values_text()}" for each in added)
 
 
 def print_report(report: importing.ImportReport, indent: str = "") -> None:
     """Prints what an import tells."""
-    for line in (report.headline(), *report.sentences(), *([ADVICE] if report[importing.Note.VALUE] else [])):
-        print_line(indent + line)
+    lines = (report.headline(), *report.sentences(), *([ADVICE] if report[importing.Note.VALUE] else []))
+    print_lines(indent + line for line in lines)

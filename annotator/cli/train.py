@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from tyro.conf import arg
 
 from annotator.cli.options import Seed
-from annotator.cli.output import print_line, progress_bar
+from annotator.cli.output import print_line, print_lines, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.training import TrainingProgress
 from annotator.project import Project
@@ -84,10 +84,7 @@ def run(
             bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
         trained = training.train(project, plan, roles=roles, progress=progress)
-    for line in trained[0].learned:
-        print_line(line)
-    for result in trained:
-        print_line(_summary(result))
+    print_lines([*trained[0].learned, *map(_summary, trained)])
     print_line(f"next: annotator annotate {project.path.name}")
 
 
