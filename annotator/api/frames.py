@@ -61,9 +61,10 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
     if np.issubdtype(image.dtype, np.floating) and image.min() >= 0 and image.max() <= 1:
         image = np.rint(image * 255).astype(np.uint8)
     elif image.dtype != np.uint8:
+        values = f" and values from {image.min():g} to {image.max():g}" if image.dtype.kind == "f" else ""
         raise ArgumentError(
-            f"rgb has the type {image.dtype} and values from {image.min():g} to {image.max():g}; pass uint8 in 0..255 "
-            "(rgb.astype(np.uint8)), or floats in 0..1, none of them NaN"
+            f"rgb has the type {image.dtype}{values}; pass uint8 in 0..255 (rgb.astype(np.uint8)), or floats in 0..1, "
+            "none of them NaN"
         )
     return np.ascontiguousarray(np.broadcast_to(image[..., :3], (*image.shape[:2], 3)))
 

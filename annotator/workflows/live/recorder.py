@@ -106,9 +106,7 @@ class Recorder:
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        self._unlock()
         if not self._writer.frames:
             rmtree(self._part, ignore_errors=True)
             return 0
@@ -136,7 +134,13 @@ class Recorder:
 
     def close(self) -> None:
         """Deletes the proposals."""
+        self._unlock()
         self._results.close()
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _write(self) -> None:
         while (detected := self._waiting.get()) is not None:
