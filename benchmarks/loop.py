@@ -142,8 +142,6 @@ class Arguments(BoxOptions):
     """Name of an ultralytics detection model for both detectors; None = the default of each."""
     weights: Literal["auto", "never"] = "auto"
     """What the view detector starts from: auto = the base detector, never = random weights."""
-    size: int | None = None
-    """Longer side of the pseudo-views, rendered and in the network, pixels; None = the default."""
     backend: Backend = "auto"
     """Backend of the detectors."""
     minutes: float | None = None
@@ -264,19 +262,14 @@ def _label(
         return
     simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
     if operator is BoxKind.SILHOUETTE and has_truth(recording):
-        ious = _confirm_whole_boxes(project, recording, stored.id)
-        QUIET.print(f"whole boxes: {len(ious)} confirmed, mean IoU {_mean(ious):.2f}")
+        _confirm_whole_boxes(project, recording, stored.id)
     seconds["label"] = time.perf_counter() - begin
 
 
-def _confirm_whole_boxes(project: Project, recording: Recording, recording_id: int) -> list[float]:
-    """Confirms offered whole boxes of drawn objects, never corrects them; returns their IoUs with the true ones.
-
-    A person sees whether a box fits on the image, the views and in 3D; an IoU of `FITS_IOU` stands for that.
-    """
+def _confirm_whole_boxes(project: Project, recording: Recording, recording_id: int) -> None:
+    """Confirms the offered whole boxes that fit drawn objects, and never corrects them."""
     source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
     indices, labelled = {key: index for index, key in enumerate(recording.keys)}, project.boxes.frames_with_images()
-    ious: list[float] = []
     for stored in [one for one in project.frames.of([recording_id]) if one.index is not None and one.id in labelled]:
         frame, new = source.read(stored), []
         for item in visible_objects(recording, indices[stored.key], frame, project.config.classes):
@@ -286,11 +279,9 @@ def _confirm_whole_boxes(project: Project, recording: Recording, recording_id: i
             if fits and max(fits) >= FITS_IOU:
                 box = offered[fits.index(max(fits))].box
                 new.append(NewLabel(item.label, box, origin=Origin.DRAWN, image_box=image_box))
-                ious.append(max(fits))
         if new:
             context = WriteContext(project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
             project.labels.create(stored.id, new, context)
-    return ious
 
 
 def plan(args: Arguments) -> TrainPlan:
@@ -298,12 +289,9 @@ def plan(args: Arguments) -> TrainPlan:
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model
-    view_changes = changes | {"pretrained": args.weights}
-    if args.size is not None:
-        view_changes["image_size_px"] = args.size
     return TrainPlan(
         image=image_defaults(args.minutes).model_copy(update=changes),
-        view=VIEW_DEFAULTS.model_copy(update=view_changes),
+        view=VIEW_DEFAULTS.model_copy(update=changes | {"pretrained": args.weights}),
         samples=SampleConfig(views=args.views),
         minutes=args.minutes,
     )
