@@ -25,13 +25,7 @@ from annotator.types import Detector, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.web.live import LivePage
-from annotator.workflows.detectors import (
-    Detectors,
-    UsedModel,
-    active_detectors,
-    load_detector,
-    required_model,
-)
+from annotator.workflows.detectors import Detectors, UsedModel, active_detectors, load_detector, required_model
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Figures, Pipeline

@@ -46,14 +46,7 @@ from annotator.recordings import open_recording
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import (
-    Detectors,
-    base_model,
-    base_titles,
-    load_detector,
-    own_model,
-    required_model,
-)
+from annotator.workflows.detectors import Detectors, base_model, base_titles, load_detector, own_model, required_model
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
