@@ -18,13 +18,7 @@ from annotator.recordings import parse_options
 from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
-from annotator.workflows.detectors import (
-    Detectors,
-    Names,
-    load_detector,
-    required_model,
-    trained_detectors,
-)
+from annotator.workflows.detectors import Detectors, Names, load_detector, required_model, trained_detectors
 from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource

@@ -9,15 +9,7 @@ from typing import Annotated
 from pydantic import JsonValue
 from tyro.conf import arg
 
-from annotator.cli.options import (
-    BackendOption,
-    BoxKindOption,
-    Limit,
-    RecordingName,
-    RecordingNames,
-    Rotation,
-    ids_of,
-)
+from annotator.cli.options import BackendOption, BoxKindOption, Limit, RecordingName, RecordingNames, Rotation, ids_of
 from annotator.cli.output import counted, print_line, print_lines
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation, Project

@@ -20,11 +20,7 @@ from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.simulate import (
-    MIN_VISIBLE_POINTS,
-    simulate_recording,
-    visible_objects,
-)
+from annotator.workflows.simulate import MIN_VISIBLE_POINTS, simulate_recording, visible_objects
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
 
 
