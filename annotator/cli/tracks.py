@@ -18,13 +18,7 @@ from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
 
-def run_track(
-    project: Project,
-    /,
-    *,
-    recordings: RecordingNames = (),
-    no_smooth: bool = False,
-) -> int:
+def run_track(project: Project, /, *, recordings: RecordingNames = (), no_smooth: bool = False) -> int:
     """Link the boxes of each object into tracks, and smooth the proposals along them.
 
     Open proposals get the size and the smoothed rotations of their track. Reviewed boxes, track ids set by an operator
