@@ -14,6 +14,7 @@ from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Camera, Frame
 from annotator.types.bases import Strict
 from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.add_recordings import FRAMES_TRIED, NO_OPTIONS
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
@@ -68,11 +69,6 @@ class RecordingReport(Strict):
     notes: tuple[str, ...]
     origin: tuple[float, float, float] | None
     topics: tuple[TopicReport, ...]
-
-
-# If this many frames at the beginning are unreadable, the others are not tried.
-FRAMES_TRIED = 5
-NO_OPTIONS = ReaderOptions()
 
 
 def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> RecordingReport:
