@@ -50,7 +50,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import load_detector, view_model
+from annotator.workflows.detectors import load_detector, required_model
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
@@ -292,7 +292,7 @@ def after(
             held_out.is_held_out = lambda *_: False  # type: ignore[attr-defined]  # all taught objects train
             seconds = seconds_of(lambda: train(project, plan, roles=(DetectorKind.VIEW,)))
             project.models.activate(project.models.all(DetectorKind.VIEW)[-1].id)
-            model = view_model(project)
+            model = required_model(project, DetectorKind.VIEW)
             config = rcv_config(project, view_px=read_trained(model.path.parent).image_size_px)
             config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
             detector = load_detector(model.path, args.backend)

@@ -21,11 +21,11 @@ from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import Detector
+from annotator.types import Detector, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 from annotator.web.live import LivePage
-from annotator.workflows.detectors import Detectors, UsedModel, active_detectors, image_model, load_detector, view_model
+from annotator.workflows.detectors import Detectors, UsedModel, active_detectors, load_detector, required_model
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Figures, Pipeline
@@ -92,8 +92,10 @@ def _detectors(project: Project, args: Arguments) -> Detectors:
     def resized(model: UsedModel, detector: Detector, size_px: int | None) -> Detector:
         return detector if size_px is None else load_detector(model.path, args.backend, size_px, names=model.names)
 
-    image = resized(image_model(project), detectors.image, args.image_size)
-    return replace(detectors, image=image, view=resized(view_model(project), detectors.view, args.view_size))
+    image = resized(required_model(project, DetectorKind.IMAGE), detectors.image, args.image_size)
+    return replace(
+        detectors, image=image, view=resized(required_model(project, DetectorKind.VIEW), detectors.view, args.view_size)
+    )
 
 
 def _measure(recording: Recording, detection: LiveDetection, args: Arguments) -> dict[str, object]:
@@ -112,7 +114,7 @@ def _measure(recording: Recording, detection: LiveDetection, args: Arguments) ->
         "latency_p95_ms": figures.latency_p95_ms,
         "stages_ms": dict(figures.stages_ms),
         "shown": figures.shown,
-        "drops": vars(figures.drops),
+        "drops": dict(figures.drops),
         "source_fps": rate,
         "objects_per_frame": measured.objects / measured.frames,
         "warm_share": measured.warm / max(measured.objects, 1),
@@ -130,7 +132,7 @@ class _Run:
 
     def figures(self, seconds: float, frames: int | None) -> Figures:
         """Runs for a number of seconds, or for a number of frames of the source."""
-        pipeline = Pipeline(self._source, self._detection, self._show, max_frames=frames)
+        pipeline = Pipeline(self._source, self._detection.detect, self._show, max_frames=frames)
         pipeline.meter.window_s = math.inf
         self._page = LivePage(self._source.name, {})
         self._page.follow(pipeline)

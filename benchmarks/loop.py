@@ -5,7 +5,7 @@
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
 simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` draws
-what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate`). It works with
+what is seen, and then confirms those of the offered whole boxes that fit. It works with
 masks only; there are then no whole boxes, and the scores that need true boxes are null.
 """
 
@@ -24,23 +24,37 @@ import tyro
 
 from annotator.detection.config import Backend
 from annotator.evaluation.boxes import BoxTable, evaluate_oriented
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
+from annotator.project import (
+    REVIEWED,
+    BoxRotation,
+    NewLabel,
+    Origin,
+    Project,
+    ProjectSettings,
+    WriteContext,
+    create_project,
+    open_project,
+)
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording, open_recording
-from annotator.types import BoxKind, DetectorKind, Frame, OrientedBox
+from annotator.types import BoxKind, DetectorKind, Frame, OrientedBox, Source
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import TASK_FRAMES
 from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
+from annotator.workflows.simulate import AUTHOR, image_box_of, require_boxes_for, simulate_recording, visible_objects
 from annotator.workflows.training import held_out
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
+from annotator.workflows.workbench.loaded_detectors import ready_view
 from benchmarks.report import QUIET, BoxOptions, Table, guarded, print_epoch, program
 
 
@@ -105,6 +119,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 NAME = "loop"
+FITS_IOU = 0.5
 # Class of the objects in a folder with masks only.
 UNNAMED = "object"
 
@@ -120,18 +135,12 @@ class Arguments(BoxOptions):
     projected true boxes (default otherwise)."""
     axes: Strategy = Strategy.CONSENSUS
     """Axes strategy of the recursion."""
-    label: str | None = None
-    """Class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
     """Epochs of both training runs; None = as many as show the default number of images."""
     model: str | None = None
     """Name of an ultralytics detection model for both detectors; None = the default of each."""
     weights: Literal["auto", "never"] = "auto"
     """What the view detector starts from: auto = the base detector, never = random weights."""
-    size: int | None = None
-    """Longer side of the pseudo-views, rendered and in the network, pixels; None = the default."""
-    refine_steps: int | None = None
-    """Steps of the recursion after the wide one; None = the default. `annotator live` uses 0."""
     backend: Backend = "auto"
     """Backend of the detectors."""
     minutes: float | None = None
@@ -144,8 +153,7 @@ class Arguments(BoxOptions):
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """The project's settings, changed by the arguments."""
-        steps = config.refine_steps if self.refine_steps is None else self.refine_steps
-        return config.model_copy(update={"strategy": self.axes, "refine_steps": steps})
+        return config.model_copy(update={"strategy": self.axes})
 
 
 def run(args: Arguments) -> dict[str, Any]:
@@ -189,12 +197,10 @@ def trained_project(
         yield project, _label_and_train(project, recording, step, args, seconds)
 
 
-def _labels(args: Arguments, recording: Recording) -> list[str]:
-    """The classes of a new project: those of the true boxes; with masks only, the class given by --label."""
+def _labels(recording: Recording) -> list[str]:
+    """The classes of a new project: those of the true boxes; with masks only, one without a name."""
     if _masks_alone(recording):
-        return [args.label or UNNAMED]
-    if args.label is not None:
-        raise ConfigError(f"{recording.path}: --label is only for recordings with masks and no true boxes")
+        return [UNNAMED]
     labels: set[str] = set()
     for index in range(len(recording)):
         try:
@@ -212,28 +218,14 @@ def _masks_alone(recording: Recording) -> bool:
 
 
 def _project(args: Arguments, recording: Recording, temporary: Path) -> Project:
-    """A new project, or the project of an earlier run, which must match the arguments."""
+    """A new project, or that of an earlier run, whose labels and detectors do not change."""
     root = args.project or temporary
     if not (root / NAME).is_dir():
         if args.operator is not None:
             require_boxes_for(args.operator, recording)
         settings = ProjectSettings(rotation=args.rotation)
-        return create_project(root, NAME, _labels(args, recording), settings=settings)
-    with open_project(root / NAME) as project:
-        _require_same(args, project)
+        return create_project(root, NAME, _labels(recording), settings=settings)
     return open_project(root / NAME)
-
-
-def _require_same(args: Arguments, project: Project) -> None:
-    """Checks the arguments against a kept project, whose labels and detectors do not change."""
-    rotation, stored, kind = args.rotation, project.config.settings.rotation, _box_kind(project)
-    where = f"the project {project.path}"
-    if rotation not in (BoxRotation.AUTO, stored):
-        raise ConfigError(f"{where} has the rotation {stored.value}, not {rotation}; leave out --{rotation}")
-    if args.operator is not None and kind not in (None, args.operator):
-        raise ConfigError(f"{where} was labelled by the operator {kind}, not {args.operator}; leave out --operator")
-    if args.label is not None and args.label not in project.config.classes:
-        raise ConfigError(f"{where} has the classes {', '.join(project.config.classes)}, not {args.label!r}")
 
 
 def _box_kind(project: Project) -> BoxKind | None:
@@ -269,9 +261,26 @@ def _label(
         return
     simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
     if operator is BoxKind.SILHOUETTE and has_truth(recording):
-        ious = confirm_whole_boxes(project, stored.id)
-        QUIET.print(f"whole boxes: {len(ious)} confirmed, mean IoU {_mean(ious):.2f}")
+        _confirm_whole_boxes(project, recording, stored.id)
     seconds["label"] = time.perf_counter() - begin
+
+
+def _confirm_whole_boxes(project: Project, recording: Recording, recording_id: int) -> None:
+    """Confirms the offered whole boxes that fit drawn objects, and never corrects them."""
+    source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
+    indices, labelled = {key: index for index, key in enumerate(recording.keys)}, project.boxes.frames_with_images()
+    for stored in [one for one in project.frames.of([recording_id]) if one.index is not None and one.id in labelled]:
+        frame, new = source.read(stored), []
+        for item in visible_objects(recording, indices[stored.key], frame, project.config.classes):
+            image_box = image_box_of(frame, item, BoxKind.SILHOUETTE)
+            offered = [] if image_box is None else offers.of(frame, stored, image_box, detector)
+            fits = [iou_3d(item.box, one.box) for one in offered]
+            if fits and max(fits) >= FITS_IOU:
+                box = offered[fits.index(max(fits))].box
+                new.append(NewLabel(item.label, box, origin=Origin.DRAWN, image_box=image_box))
+        if new:
+            context = WriteContext(project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
+            project.labels.create(stored.id, new, context)
 
 
 def plan(args: Arguments) -> TrainPlan:
@@ -279,12 +288,9 @@ def plan(args: Arguments) -> TrainPlan:
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model
-    view_changes = changes | {"pretrained": args.weights}
-    if args.size is not None:
-        view_changes["image_size_px"] = args.size
     return TrainPlan(
         image=image_defaults(args.minutes).model_copy(update=changes),
-        view=VIEW_DEFAULTS.model_copy(update=view_changes),
+        view=VIEW_DEFAULTS.model_copy(update=changes | {"pretrained": args.weights}),
         samples=SampleConfig(views=args.views),
         minutes=args.minutes,
     )

@@ -46,15 +46,7 @@ from annotator.recordings import open_recording
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import (
-    Detectors,
-    active_model,
-    base_model,
-    base_titles,
-    load_detector,
-    own_model,
-    view_model,
-)
+from annotator.workflows.detectors import Detectors, base_model, base_titles, load_detector, own_model, required_model
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
@@ -134,7 +126,9 @@ def _prepared(part: str, path: Path, folder: Path) -> tuple[Path, list[str]]:
             without_labels(project)
         elif part == "base_detector" or not project.labels.count([ReviewState.PROPOSED]):
             propose(project, with_base=part == "base_detector")
-        detectors = [view_model(project).described] if part == "from_nothing" else measured_by(project)
+        detectors = (
+            [required_model(project, DetectorKind.VIEW).described] if part == "from_nothing" else measured_by(project)
+        )
     return folder / part, detectors
 
 
@@ -227,8 +221,8 @@ def propose(project: Project, *, with_base: bool) -> None:
 
     `with_base` lets the base detector measure them, in place of the project's own view detector.
     """
-    image = active_model(project, DetectorKind.IMAGE)
-    view = base_model() if with_base else view_model(project)
+    image = required_model(project, DetectorKind.IMAGE)
+    view = base_model() if with_base else required_model(project, DetectorKind.VIEW)
     detectors = Detectors(
         load_detector(image.path), load_detector(view.path), view.box_kind, view.class_agnostic, image.box_kind
     )

@@ -25,8 +25,8 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["train", "p", "--epochs", "-3"], "--epochs must be greater than or equal to 1, not -3"),
-        (["train", "p", "--size", "100"], "--size must be a multiple of 32, not 100"),
+        (["train", "p", "--epochs", "-3"], "epochs: Input should be greater than or equal to 1, not -3"),
+        (["train", "p", "--size", "100"], "image_size_px: Input should be a multiple of 32, not 100"),
         (["demo", "d", "--frames", "1"], "--frames must be 2 or more, not 1"),
     ],
 )

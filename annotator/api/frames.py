@@ -40,6 +40,13 @@ def choice(name: str, given: str, kinds: type[Choice]) -> Choice:
         raise ArgumentError(f"{name} must be one of {', '.join(kinds)}, not {given!r}") from error
 
 
+def _numbers(name: str, given: Any) -> Float64[np.ndarray, "..."]:
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} must be numbers: {error}") from error
+
+
 def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
     """An image as (H, W, 3) uint8.
 
@@ -47,24 +54,18 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
         ArgumentError: a wrong shape or type, or values out of range.
     """
     image = np.asarray(rgb)
-    if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
-        raise ArgumentError(f"rgb has shape {image.shape}: but channels must come last; pass np.moveaxis(rgb, 0, -1)")
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or 0 in image.shape:
-        raise ArgumentError(f"rgb must have shape (H, W, 3), not {image.shape}")
-    if np.issubdtype(image.dtype, np.floating):
-        if not np.isfinite(image).all():
-            raise ArgumentError("rgb has NaN or infinite values; replace them")
-        low, high = float(image.min()), float(image.max())
-        if low < 0 or high > 1:
-            raise ArgumentError(
-                f"rgb holds floats from {low:g} to {high:g}; pass floats in 0..1, or uint8 (rgb.astype(np.uint8) if "
-                "they go from 0 to 255)"
-            )
+        raise ArgumentError(f"rgb must have shape (H, W, 3), not {image.shape}; for (3, H, W): np.moveaxis(rgb, 0, -1)")
+    if np.issubdtype(image.dtype, np.floating) and image.min() >= 0 and image.max() <= 1:
         image = np.rint(image * 255).astype(np.uint8)
     elif image.dtype != np.uint8:
-        raise ArgumentError(f"rgb has the type {image.dtype}; pass uint8 in 0..255, or floats in 0..1")
+        values = f" and values from {image.min():g} to {image.max():g}" if image.dtype.kind == "f" else ""
+        raise ArgumentError(
+            f"rgb has the type {image.dtype}{values}; pass uint8 in 0..255 (rgb.astype(np.uint8)), or floats in 0..1, "
+            "none of them NaN"
+        )
     return np.ascontiguousarray(np.broadcast_to(image[..., :3], (*image.shape[:2], 3)))
 
 
@@ -83,13 +84,16 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
         if len(distortion):
             raise ArgumentError("distortion is given twice; set it only in the Camera")
         return intrinsics
-    try:
-        values = np.asarray(intrinsics, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError("intrinsics must be numbers: a matrix K (3, 3), or (fx, fy, cx, cy)") from error
-    if not np.isfinite(values).all():
-        raise ArgumentError("intrinsics have NaN or infinite values")
-    fx, fy, cx, cy = _pinhole(values)
+    K = _numbers("intrinsics", intrinsics)
+    values = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]) if K.shape == (3, 3) else K
+    if values.shape != (4,) or not np.isfinite(values).all():
+        raise ArgumentError(f"intrinsics must be finite: (fx, fy, cx, cy) or a matrix K (3, 3), not of shape {K.shape}")
+    fx, fy, cx, cy = values.tolist()
+    if K.shape == (3, 3) and not np.array_equal(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]):
+        raise ArgumentError(
+            f"the rows of the intrinsic matrix must be fx 0 cx, 0 fy cy and 0 0 1, not {K.tolist()}: pass K.T if it is "
+            "transposed, and an image that is rectified without skew"
+        )
     if min(fx, fy) < LEAST_FOCAL_SHARE * max(width, height):
         raise ArgumentError(
             f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; pass them in "
@@ -104,28 +108,6 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
         return Camera(width, height, fx, fy, cx, cy, tuple(float(value) for value in distortion))
     except ValueError as error:
         raise ArgumentError(str(error)) from error
-
-
-def _pinhole(values: Float64[np.ndarray, "..."]) -> tuple[float, float, float, float]:
-    if values.shape == (4,):
-        fx, fy, cx, cy = map(float, values)
-        return fx, fy, cx, cy
-    if values.shape == (3, 4):
-        raise ArgumentError(
-            "intrinsics of shape (3, 4) are a projection matrix P; pass P[:, :3] as intrinsics and move its "
-            "translation to the transform"
-        )
-    if values.shape != (3, 3):
-        raise ArgumentError(f"intrinsics must be a matrix K (3, 3) or (fx, fy, cx, cy), not of shape {values.shape}")
-    if tuple(values[2]) != (0, 0, 1):
-        if tuple(values[:, 2]) == (0, 0, 1):
-            raise ArgumentError("the intrinsic matrix is transposed: its last row must be 0 0 1; pass K.T")
-        raise ArgumentError(f"the last row of the intrinsic matrix must be 0 0 1, not {values[2].tolist()}")
-    if values[0, 1] or values[1, 0]:
-        raise ArgumentError(
-            f"the intrinsic matrix has a skew of {values[0, 1]:g}; use an image that is rectified without skew"
-        )
-    return float(values[0, 0]), float(values[1, 1]), float(values[0, 2]), float(values[1, 2])
 
 
 def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) -> Float32[np.ndarray, "h w"]:
@@ -186,19 +168,12 @@ def points_of(xyz_m: Any, T_camera_points: RigidTransform) -> tuple[Float64[np.n
     Raises:
         ArgumentError: a wrong shape, no finite point, or points that seem to be in millimetres.
     """
-    try:
-        points = np.asarray(xyz_m, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError("xyz_m must be numbers of shape (N, 3)") from error
+    points = _numbers("xyz_m", xyz_m)
     if points.ndim != 2 or points.shape[1] != 3:
-        hint = ""
-        if points.ndim == 2 and points.shape[0] == 3:
-            hint = "; pass xyz.T"
-        elif points.ndim == 2 and points.shape[1] > 3:
-            hint = "; pass xyz[:, :3], and a fourth column as reflectance"
-        elif points.ndim == 3 and points.shape[2] == 3:
-            hint = "; pass xyz.reshape(-1, 3)"
-        raise ArgumentError(f"xyz_m must have shape (N, 3), not {points.shape}{hint}")
+        raise ArgumentError(
+            f"xyz_m must have shape (N, 3), not {points.shape}; for (3, N): xyz.T; for rows and columns: "
+            "xyz.reshape(-1, 3); for more numbers per point: xyz[:, :3], the fourth as reflectance"
+        )
     rows = np.flatnonzero(are_returns(points))
     if not len(rows):
         raise ArgumentError("xyz_m has no finite point other than (0, 0, 0)")
@@ -225,24 +200,16 @@ def transform_of(transform: Any) -> RigidTransform:
         if not transform.single:
             raise ArgumentError(f"{name} must be one transform, not a stack")
         return transform
-    try:
-        matrix = np.asarray(transform, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} must be a matrix (4, 4) of numbers") from error
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ArgumentError(f"{name} must be a matrix of shape (4, 4) with finite numbers; its shape is {matrix.shape}")
-    if tuple(matrix[3]) != (0, 0, 0, 1):
-        hint = "; it is transposed, pass T.T" if tuple(matrix[:, 3]) == (0, 0, 0, 1) else ""
-        raise ArgumentError(f"the last row of {name} must be 0 0 0 1, not {matrix[3].tolist()}{hint}")
-    R = matrix[:3, :3]
-    determinant = float(np.linalg.det(R))
-    if determinant < 0:
+    matrix = _numbers(name, transform)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or tuple(matrix[3]) != (0, 0, 0, 1):
         raise ArgumentError(
-            f"{name} is a reflection (determinant {determinant:.3g}); one of its axes has the wrong sign"
+            f"{name} must be a finite matrix (4, 4) whose last row is 0 0 0 1; if it is transposed, T.T"
         )
-    if np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION:
+    R = matrix[:3, :3]
+    if np.linalg.det(R) < 0 or np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION:
         raise ArgumentError(
-            f"{name} scales or shears (determinant {determinant:.3g}); pass a rotation and a translation"
+            f"{name} is not rigid (determinant {np.linalg.det(R):.3g}): pass a rotation and a translation, which "
+            "neither mirror (a wrong sign of an axis) nor scale"
         )
     return RigidTransform.from_matrix(matrix)
 
@@ -364,7 +331,12 @@ def frame_from_points(
     points, rows = points_of(xyz_m, T)
     seen, px = _on_image(camera, T.apply(points))
     if len(seen) < max(LEAST_SHARE_ON_IMAGE * len(points), 1):
-        raise ArgumentError(_why_unseen(camera, points, T, len(seen)))
+        in_front = int((T.apply(points)[:, 2] > 0).sum())
+        raise ArgumentError(
+            f"only {len(seen)} of {len(points)} points lie on the image, {in_front} are in front of the camera; check "
+            "T_camera_points (p_camera = T @ p_points, not its inverse; camera: x right, y down, z forward) and "
+            "the intrinsics; LiDARs have z up"
+        )
     cloud = PointCloud(
         T.apply(points)[seen].astype(np.float32),
         rgb=image[px[:, 1], px[:, 0]],
@@ -378,14 +350,6 @@ def _on_image(camera: Camera, xyz_m: np.ndarray) -> tuple[np.ndarray, np.ndarray
     px = project(camera, xyz_m)
     seen = np.flatnonzero(inside_image(camera, px) & (xyz_m[:, 2] > NEAREST_Z_M))
     return seen, np.floor(px[seen] + 0.5).astype(np.int64)
-
-
-def _why_unseen(camera: Camera, points: np.ndarray, T: RigidTransform, seen: int) -> str:
-    in_front = int((T.apply(points)[:, 2] > 0).sum())
-    what = f"only {seen} of {len(points)} points lie on the image, {in_front} are in front of the camera"
-    if len(_on_image(camera, T.inv().apply(points))[0]) > 10 * max(seen, 1):
-        return f"{what}; T_camera_points is inverted: p_camera = T @ p_points"
-    return f"{what}; check T_camera_points (camera: x right, y down, z forward; LiDARs have z up) and the intrinsics"
 
 
 def _reflectance(values: ArrayLike, points: int) -> np.ndarray:

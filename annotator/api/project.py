@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from annotator import project as store
 from annotator.api.frames import choice, up_of
@@ -15,18 +15,10 @@ from annotator.evaluation.report import Report
 from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
+from annotator.types import BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
-from annotator.workflows.detectors import (
-    Detectors,
-    Names,
-    active_model,
-    image_model,
-    load_detector,
-    trained_detectors,
-    view_model,
-)
+from annotator.workflows.detectors import Detectors, Names, load_detector, required_model, trained_detectors
 from annotator.workflows.evaluate import Measured, Options, Protocol, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -63,6 +55,14 @@ def create_project(path: str | Path, classes: Sequence[str], rotation: Rotation 
     """
     place, settings = Path(path).absolute(), ProjectSettings(rotation=choice("rotation", rotation, BoxRotation))
     return Project(store.create_project(place.parent, place.name, classes, settings=settings))
+
+
+class Given(TypedDict, total=False):
+    """The options of `Project.detect`, for the types of its results."""
+
+    image_boxes: Sequence[Any] | None
+    image_detector: ImageDetector | None
+    image_kind: BoxKind | str | None
 
 
 class Project:
@@ -149,24 +149,10 @@ class Project:
         return self.stored.labels.of_frame(frame.id)
 
     @overload
-    def detect(
-        self,
-        frames: Frame,
-        *,
-        image_boxes: Sequence[Box2D] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> FrameProposals: ...
+    def detect(self, frames: Frame, **options: Unpack[Given]) -> FrameProposals: ...
 
     @overload
-    def detect(
-        self,
-        frames: Sequence[Frame],
-        *,
-        image_boxes: Sequence[Sequence[Box2D]] | None = ...,
-        image_detector: ImageDetector | None = ...,
-        image_kind: BoxKind | str | None = ...,
-    ) -> list[FrameProposals]: ...
+    def detect(self, frames: Sequence[Frame], **options: Unpack[Given]) -> list[FrameProposals]: ...
 
     def detect(
         self,
@@ -316,7 +302,7 @@ class Project:
         """With the project's view detector unless one is given; without `image`, only that one may be called."""
         kinds: tuple[BoxKind, bool, BoxKind, bool]
         if view is None:
-            model, view = view_model(self.stored), self._detector(DetectorKind.VIEW)
+            model, view = required_model(self.stored, DetectorKind.VIEW), self._detector(DetectorKind.VIEW)
             kinds = model.box_kind, model.class_agnostic, image_kind, model.trained
         else:
             kinds = kind_of(view, box_kind), False, image_kind, False
@@ -324,11 +310,11 @@ class Project:
 
     def _own_image(self) -> tuple[Detector, BoxKind]:
         """The project's image detector, and what its boxes enclose."""
-        return self._detector(DetectorKind.IMAGE), active_model(self.stored, DetectorKind.IMAGE).box_kind
+        return self._detector(DetectorKind.IMAGE), required_model(self.stored, DetectorKind.IMAGE).box_kind
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
-        model = view_model(self.stored) if kind is DetectorKind.VIEW else image_model(self.stored)
+        model = required_model(self.stored, kind)
         known = (model.fingerprint, model.names)
         if kind not in self._loaded or self._loaded[kind][0] != known:
             self._loaded[kind] = (known, load_detector(model.path, names=model.names))

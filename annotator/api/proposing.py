@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, overload
+from typing import Any, Required, TypedDict, Unpack, overload
 
 from annotator.api.frames import choice, require_on_image
 from annotator.detection.perfect import on_region
@@ -62,30 +62,23 @@ def as_detector(given: Any) -> Detector:
     return given if isinstance(given, Detector) else FunctionDetector(given)
 
 
-@overload
-def propose(
-    frames: Frame,
-    *,
-    view_detector: ViewDetector,
-    image_boxes: Sequence[Box2D] | None = ...,
-    image_detector: ImageDetector | None = ...,
-    rotation: Rotation = ...,
-    box_kind: BoxKind | str | None = ...,
-    settings: Mapping[str, Any] | None = ...,
-) -> FrameProposals: ...
+class Options(TypedDict, total=False):
+    """The options of `propose`, for the types of its results."""
+
+    view_detector: Required[ViewDetector]
+    image_boxes: Sequence[Any] | None
+    image_detector: ImageDetector | None
+    rotation: Rotation
+    box_kind: BoxKind | str | None
+    settings: Mapping[str, Any] | None
 
 
 @overload
-def propose(
-    frames: Sequence[Frame],
-    *,
-    view_detector: ViewDetector,
-    image_boxes: Sequence[Sequence[Box2D]] | None = ...,
-    image_detector: ImageDetector | None = ...,
-    rotation: Rotation = ...,
-    box_kind: BoxKind | str | None = ...,
-    settings: Mapping[str, Any] | None = ...,
-) -> list[FrameProposals]: ...
+def propose(frames: Frame, **options: Unpack[Options]) -> FrameProposals: ...
+
+
+@overload
+def propose(frames: Sequence[Frame], **options: Unpack[Options]) -> list[FrameProposals]: ...
 
 
 def propose(

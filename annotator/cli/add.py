@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 
 from annotator.cli.import_boxes import print_report
-from annotator.cli.options import AS_FILES_SAY, ProjectName, Projects, Reading, open_named
-from annotator.cli.output import counted, print_line
-from annotator.project import REVIEWED
+from annotator.cli.options import AS_FILES_SAY, Reading
+from annotator.cli.output import counted, print_line, print_lines
+from annotator.project import REVIEWED, Project
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.messages import amount
 from annotator.workflows.add_recordings import Added, add_recordings
@@ -25,7 +25,7 @@ ONLY_ADDED = (
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     paths: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...", help_behavior_hint="(required)")],
     /,
     *,
@@ -35,7 +35,6 @@ def run(
     as_new: bool = False,
     leave_out_broken: bool = False,
     reading: Reading = AS_FILES_SAY,
-    projects: Projects = None,
 ) -> None:
     """Add recordings to a project. Their files stay where they are.
 
@@ -54,39 +53,35 @@ def run(
             and it can be read.
     """
     if not paths:
-        raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
+        raise ConfigError(f"no recording given; write annotator add {project.path.name} PATH ...")
     one = replace(reading, scene=(), camera=()).options()
-    with open_named(project, projects) as opened:
-        every = add_recordings(
-            opened,
-            paths,
-            name=name,
-            up=up,
-            options=one,
-            scenes=reading.scene,
-            cameras=reading.camera,
-            as_new=as_new,
-            leave_out_broken=leave_out_broken,
-        )
-        for added in every:
-            print_line(_summary(added))
-            for note in (*added.notes, *added.broken.sentences):
-                print_line(f"  {note}")
-            if len(added.broken.errors) > added.left_out:
-                print_line("  to leave them out, give this command again with --leave-out-broken")
-            if not no_labels:
-                has_labels = has_own_labels(opened, added.recording.id)
-                with counted("reading labels") if has_labels else nullcontext() as progress:
-                    try:
-                        imported = import_own_labels(opened, added.recording.id, progress)
-                    except FormatError as error:
-                        raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project)) from error
-                if imported.frames or imported.notes:
-                    print_report(imported, "  ")
-        if not opened.labels.select(states=REVIEWED):
-            print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")
-        else:
-            print_line(f"next: annotator train {project}")
+    every = add_recordings(
+        project,
+        paths,
+        name=name,
+        up=up,
+        options=one,
+        scenes=reading.scene,
+        cameras=reading.camera,
+        as_new=as_new,
+        leave_out_broken=leave_out_broken,
+    )
+    for added in every:
+        print_line(_summary(added))
+        print_lines(f"  {note}" for note in (*added.notes, *added.broken.sentences))
+        if len(added.broken.errors) > added.left_out:
+            print_line("  to leave them out, give this command again with --leave-out-broken")
+        if not no_labels:
+            has_labels = has_own_labels(project, added.recording.id)
+            with counted("reading labels") if has_labels else nullcontext() as progress:
+                try:
+                    imported = import_own_labels(project, added.recording.id, progress)
+                except FormatError as error:
+                    raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project.path.name)) from error
+            if imported.frames or imported.notes:
+                print_report(imported, "  ")
+    draw = "" if project.labels.select(states=REVIEWED) else "draw boxes (annotator simulate, annotator import), then "
+    print_line(f"next: {draw}annotator train {project.path.name}")
 
 
 def _summary(added: Added) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
-from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName, open_named
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.options import AsJson, Clear, RecordingName
+from annotator.cli.output import facts, print_result
 from annotator.project import Basis, Project
 from annotator.types import NO_CORRECTION
 from annotator.types.bases import Strict
@@ -33,14 +33,13 @@ class UpReport(Strict):
 
 
 def run_up(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     direction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z")] = (),
     /,
     *,
     estimate: bool = False,
     clear: Clear = False,
-    projects: Projects = None,
     as_json: AsJson = False,
 ) -> None:
     """Show or set which way is up in a recording, for upright boxes. Stored boxes do not change.
@@ -52,23 +51,19 @@ def run_up(
     """
     if (len(direction) > 0) + estimate + clear > 1 or len(direction) not in (0, 3):
         raise ConfigError("give three numbers X Y Z, --estimate or --clear; none of them shows the direction")
-    with open_named(project, projects) as opened:
-        stored, found = opened.recordings.find(recording), None
-        if estimate:
-            found = estimate_recording_up(opened, stored.id)
-            if found.up is None:
-                raise GeometryError(
-                    f"{recording}: {found.reason}; the up direction was not changed; give it as three numbers, or set "
-                    "the level on the page"
-                )
-            direction = found.up
-        if direction or clear:
-            opened.adjustments.set_up(stored.id, direction or None, UP_AUTHOR)
-        report = _report(opened, stored.id, found)
-    if as_json:
-        print_json(report)
-    else:
-        print_facts(_up_rows(report))
+    stored, found = project.recordings.find(recording), None
+    if estimate:
+        found = estimate_recording_up(project, stored.id)
+        if found.up is None:
+            raise GeometryError(
+                f"{recording}: {found.reason}; the up direction was not changed; give it as three numbers, or set "
+                "the level on the page"
+            )
+        direction = found.up
+    if direction or clear:
+        project.adjustments.set_up(stored.id, direction or None, UP_AUTHOR)
+    report = _report(project, stored.id, found)
+    print_result(report, facts(_up_rows(report)), as_json)
 
 
 def _report(project: Project, recording_id: int, found: RecordingUp | None) -> UpReport:
@@ -111,7 +106,7 @@ class CalibrationReport(Strict):
 
 
 def run_calibrate(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     /,
     *,
@@ -119,7 +114,6 @@ def run_calibrate(
     shift: Vector | None = None,
     time_offset: float | None = None,
     clear: Clear = False,
-    projects: Projects = None,
     as_json: AsJson = False,
 ) -> None:
     """Show or correct where the clouds of a recording lie relative to its images. Its files stay as they are.
@@ -132,23 +126,19 @@ def run_calibrate(
         time_offset: how much the clocks of the clouds are ahead of those of the images, seconds; each cloud is shown
             with the image that is then nearest in time.
     """
-    given = turn is not None or shift is not None or time_offset is not None
+    turn_rad = None if turn is None else tuple(np.radians(turn).tolist())
+    given: dict[str, Any] = {"turn_rad": turn_rad, "shift_m": shift, "time_offset_s": time_offset}
+    given = {name: value for name, value in given.items() if value is not None}
     if clear and given:
         raise ConfigError("give either --clear, or --turn, --shift and --time-offset")
-    with open_named(project, projects) as opened:
-        stored = opened.recordings.find(recording)
-        new, moved = NO_CORRECTION if clear else stored.correction, 0
-        try:
-            if turn is not None:
-                x, y, z = np.radians(turn).tolist()
-                new = replace(new, turn_rad=(x, y, z))
-            new = replace(new, shift_m=new.shift_m if shift is None else shift)
-            new = replace(new, time_offset_s=new.time_offset_s if time_offset is None else time_offset)
-        except ValueError as error:
-            raise ConfigError(f"{error}; give smaller numbers") from error
-        if new != stored.correction:
-            # refused if the page has corrected it meanwhile: what was not given would be undone
-            moved = correct_calibration(opened, stored.id, new, CALIBRATE_AUTHOR, Basis(stored.adjusted))
+    stored, moved = project.recordings.find(recording), 0
+    try:
+        new = NO_CORRECTION if clear else replace(stored.correction, **given)
+    except ValueError as error:
+        raise ConfigError(f"{error}; give smaller numbers") from error
+    if new != stored.correction:
+        # refused if the page has corrected it meanwhile: what was not given would be undone
+        moved = correct_calibration(project, stored.id, new, CALIBRATE_AUTHOR, Basis(stored.adjusted))
     x, y, z = np.degrees(new.turn_rad).tolist()
     report = CalibrationReport(
         recording=stored.name,
@@ -157,10 +147,7 @@ def run_calibrate(
         time_offset_s=new.time_offset_s,
         moved_labels=moved,
     )
-    if as_json:
-        print_json(report)
-    else:
-        print_facts(_correction_rows(report))
+    print_result(report, facts(_correction_rows(report)), as_json)
 
 
 def _correction_rows(report: CalibrationReport) -> Iterator[tuple[str, object]]:

@@ -9,26 +9,17 @@ from typing import Annotated
 from pydantic import JsonValue
 from tyro.conf import arg
 
-from annotator.cli.options import (
-    BackendOption,
-    BoxKindOption,
-    Limit,
-    ProjectName,
-    Projects,
-    RecordingName,
-    RecordingNames,
-    Rotation,
-    open_named,
-)
-from annotator.cli.output import counted, print_line
+from annotator.cli.options import BackendOption, BoxKindOption, Limit, RecordingName, RecordingNames, Rotation, ids_of
+from annotator.cli.output import counted, print_line, print_lines
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation, Project
 from annotator.rcv.config import Strategy
-from annotator.types import BoxKind, DetectorKind
+from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
-from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
-from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
+from annotator.workflows.detectors import Detectors, load_detector, stand_in, trained_detectors
+from annotator.workflows.importing import FlatFormat
+from annotator.workflows.importing.placing import class_names
 from annotator.workflows.proposing import lift as lifting
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit
 from annotator.workflows.proposing.engines import EngineName, make_engine
@@ -43,7 +34,7 @@ SHOWN_FAILURES = 10
 
 
 def run_annotate(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     recordings: RecordingNames = (),
@@ -51,7 +42,6 @@ def run_annotate(
     rotation: Annotated[
         Rotation[BoxRotation | None], arg(help_behavior_hint="(default: the project's setting)")
     ] = None,
-    coarse: bool = False,
     config: Path | None = None,
     show_config: bool = False,
     limit: Limit = None,
@@ -63,7 +53,6 @@ def run_annotate(
     address: str | None = None,
     elsewhere: tuple[str, ...] = (),
     cache_mb: int = CACHE_MB,
-    projects: Projects = None,
 ) -> int:
     """Propose oriented 3D boxes for every frame not yet processed with the current detectors and settings.
 
@@ -74,7 +63,6 @@ def run_annotate(
 
     Args:
         axes: method that finds the projection axes; default: the project's setting.
-        coarse: if the recursion loses an object after the first step, propose the object's last box.
         config: JSON file with some or all settings of the recursion.
         show_config: print all settings that would be used and exit; the output can be edited and passed to --config.
         from_reviewed: start from the reviewed boxes of the previous frame, if any; frames processed without this option
@@ -88,45 +76,43 @@ def run_annotate(
             path or a storage URL.
         cache_mb: disk cache of each worker for recordings in object storage, megabytes.
     """
-    with open_named(project, projects) as opened:
-        options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
-        settings = rcv_config(opened, config, options | ({"coarse_box": True} if coarse else {}))
-        if show_config:
-            print_line(editable(settings))
-            return 0
-        require_limit(limit)
-        source = trained_detectors(opened, backend)
-        named = stand_in(opened)
-        chosen = [opened.recordings.find(name).id for name in recordings] or None
-        present = opened.frames.count_present(chosen)
-        with (
-            closing(
-                make_engine(
-                    engine,
-                    source,
-                    frames=present if limit is None else min(present, limit),
-                    workers=workers,
-                    threads=threads,
-                    address=address,
-                    storage=Storage(parse_elsewhere(elsewhere), cache_mb),
-                )
-            ) as running,
-            counted("annotate") as progress,
-        ):
-            done = annotate_with(
-                opened,
-                running,
-                settings,
-                recordings=chosen,
-                rotation=rotation,
-                limit=limit,
-                from_reviewed=from_reviewed,
-                progress=progress,
+    options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
+    settings = rcv_config(project, config, options)
+    if show_config:
+        print_line(editable(settings))
+        return 0
+    require_limit(limit)
+    source = trained_detectors(project, backend)
+    named = stand_in(project)
+    chosen = ids_of(project, recordings)
+    present = project.frames.count_present(chosen)
+    with (
+        closing(
+            make_engine(
+                engine,
+                source,
+                frames=present if limit is None else min(present, limit),
+                workers=workers,
+                threads=threads,
+                address=address,
+                storage=Storage(parse_elsewhere(elsewhere), cache_mb),
             )
+        ) as running,
+        counted("annotate") as progress,
+    ):
+        done = annotate_with(
+            project,
+            running,
+            settings,
+            recordings=chosen,
+            rotation=rotation,
+            limit=limit,
+            from_reviewed=from_reviewed,
+            progress=progress,
+        )
     if named is not None:
         print_line(f"view detector: {named}")
-    for line in summary_lines(done):
-        print_line(line)
+    print_lines(summary_lines(done))
     return 1 if done.failures else 0
 
 
@@ -146,111 +132,74 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
     return lines
 
 
-OWN = "project"
 WEIGHTS_SIZE_PX = 640
 
 
 def run_lift(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     boxes: Path | None = None,
     format: FlatFormat = FlatFormat.COCO,
     recording: str | None = None,
-    detector: str | None = None,
-    rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
+    detector: Path | None = None,
+    classes: str | None = None,
     detector_size: int = WEIGHTS_SIZE_PX,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     backend: BackendOption[Backend] = "auto",
-    projects: Projects = None,
 ) -> int:
     """Propose oriented 3D boxes for 2D boxes on the camera images; nothing has to be trained.
 
     The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
     pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
     this installation has it. With --detector, --recording selects the frames on which the detector runs. Boxes that
-    were drawn in the project, and its own detector, know their --box-kind.
+    were drawn in the project know their --box-kind.
 
     Args:
         boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.
         format: format of --boxes.
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
-        detector: weights of a 2D detector (a published ultralytics model, or the file of a training), or "project" for
-            the project's own image detector.
-        rename: the project's class for a class of the file or detector, such as car=Car; other classes keep their
+        detector: weights of a 2D detector (a published ultralytics model, or the file of a training).
+        classes: the project's classes of the file's or detector's classes, such as car=Car,van=Car; others keep their
             names.
         detector_size: input size of --detector, longer side, pixels.
     """
     if boxes is not None and detector is not None:
         raise ConfigError("--boxes and --detector exclude each other; give one")
-    names = _names(rename)
-    with open_named(project, projects) as opened:
-        view, config = require_view(opened), rcv_config(opened)
-        if detector is not None:
-            loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
-            kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
-            lifting.require_known(view, loaded.labels)
-            chosen = None if recording is None else [opened.recordings.find(recording).id]
-            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
-            with counted("lift") as progress:
-                done = annotate(opened, pair, config, recordings=chosen, progress=progress)
+    names = {} if classes is None else class_names(classes, project)
+    view, config = require_view(project), rcv_config(project)
+    if detector is not None:
+        weights = load_detector(detector, backend, detector_size)
+        loaded, origin = (
+            lifting.RenamedDetector(weights, project.config.classes, names),
+            f"the detector {detector.name}",
+        )
+        lifting.require_known(view, loaded.labels)
+        chosen = ids_of(project, () if recording is None else (recording,))
+        pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, box_kind, view.trained)
+        with counted("lift") as progress:
+            done = annotate(project, pair, config, recordings=chosen, progress=progress)
+    else:
+        if boxes is None:
+            given = lifting.drawn_boxes(project)
         else:
-            if boxes is None:
-                given = lifting.drawn_boxes(opened)
-            else:
-                given = lifting.boxes_of_file(opened, boxes, format, recording, names, box_kind)
-            with counted("lift") as progress:
-                done = lifting.lift(opened, given, view, config, progress)
-            origin = given.origin
-            for line in _left_out(given).sentences():
-                print_line(line)
+            given = lifting.boxes_of_file(project, boxes, format, recording, names, box_kind)
+        with counted("lift") as progress:
+            done = lifting.lift(project, given, view, config, progress)
+        origin = given.origin
+        print_lines(given.left_out.sentences())
     print_line(f"3D boxes from {origin}, measured by: {view.title}")
-    for line in summary_lines(done):
-        print_line(line)
+    print_lines(summary_lines(done))
     return 1 if done.failures else 0
 
 
-def _left_out(given: lifting.GivenBoxes) -> ImportReport:
-    report = ImportReport(Become.FLAT)
-    if given.renamed is not None:
-        report.add(Note.RENAMED, of=str(given.renamed))
-    for label, number in given.other_classes.items():
-        report.add(Note.OTHER_CLASS, number, label)
-    report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
-    report.add_all(Note.UNREADABLE, given.unreadable)
-    return report
-
-
-def _names(pairs: tuple[str, ...]) -> dict[str, str]:
-    names = {}
-    for pair in pairs:
-        theirs, equals, ours = pair.partition("=")
-        if not (theirs and equals and ours):
-            raise ConfigError(f"--rename: {pair!r} is not NAME=CLASS, such as car=Car")
-        names[theirs] = ours
-    return names
-
-
-def _image_detector(
-    project: Project, detector: str, names: dict[str, str], size_px: int, backend: Backend
-) -> tuple[lifting.RenamedDetector, str]:
-    """The 2D detector under the project's class names, and its description."""
-    if detector == OWN:
-        loaded = load_detector(active_model(project, DetectorKind.IMAGE).path, backend)
-        origin = "the project's image detector"
-    else:
-        loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
-    return lifting.RenamedDetector(loaded, project.config.classes, names), origin
-
-
 def run_simulate(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     /,
     *,
     box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     every: int = 1,
-    projects: Projects = None,
 ) -> None:
     """Draw 2D boxes from a recording's ground truth, five per object, as an operator would.
 
@@ -259,16 +208,16 @@ def run_simulate(
     Args:
         every: label every Nth frame, starting with the first.
     """
-    with open_named(project, projects) as opened, counted("drawing") as progress:
-        stored = opened.recordings.find(recording)
-        drawn = simulate_recording(opened, stored.id, box_kind, rcv_config(opened), every, progress)
+    with counted("drawing") as progress:
+        stored = project.recordings.find(recording)
+        drawn = simulate_recording(project, stored.id, box_kind, rcv_config(project), every, progress)
     print_line(
         f"{amount(drawn.frames, 'frame')}, {amount(drawn.objects, 'object')}, {amount(drawn.boxes, '2D box')} drawn"
     )
-    print_line(f"next: annotator train {project}")
+    print_line(f"next: annotator train {project.path.name}")
 
 
-def run_views(project: ProjectName, out: Path, /, *, step: int = 1, projects: Projects = None) -> None:
+def run_views(project: Project, out: Path, /, *, step: int = 1) -> None:
     """Write pseudo-views as PNG files, to be labelled in any 2D tool that reads and writes COCO.
 
     Step 1 needs boxes on camera images, step 2 needs boxes on both views of step 1.
@@ -277,9 +226,7 @@ def run_views(project: ProjectName, out: Path, /, *, step: int = 1, projects: Pr
         out: new folder for the images, `coco.json` (the images without boxes) and `views.json` (their poses).
         step: step of the recursion, 1 or 2.
     """
-    with open_named(project, projects) as opened:
-        written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
+    written = write_views(project, out, step, to_draw_on(project, rcv_config(project)))
     print_line(f"{amount(written.pictures, 'pseudo-view')} in {out}")
-    for line in written.unreadable:
-        print_line(f"skipped: frame {line}")
-    print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")
+    print_lines(f"skipped: frame {line}" for line in written.unreadable)
+    print_line(f"next: draw boxes, then annotator import {project.path.name} {out / COCO} --pictures {out}")

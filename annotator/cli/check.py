@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, Projects, named_folder, no_project, open_named, projects_root
-from annotator.cli.output import counted, print_json, print_line
+from annotator.cli.options import AsJson, Projects, place_of
+from annotator.cli.output import counted, print_result
 from annotator.cli.project import report_problems
-from annotator.project.config import CONFIG_FILE
-from annotator.types.errors import ConfigError
+from annotator.project import open_project
 from annotator.types.messages import amount
 
 FAULTY = 1
@@ -23,10 +22,9 @@ MOST_OF_A_KIND = 5
 
 
 def run(
-    what: str | None = None,
+    what: str,
     /,
     *,
-    project: str | None = None,
     list_all: Annotated[bool, arg(name="all", help="list every finding, not only the first few of each kind.")] = False,
     as_json: AsJson = False,
     projects: Projects = None,
@@ -39,59 +37,34 @@ def run(
     missing or wrong values of attributes (1 if recordings or frames cannot be read).
 
     Args:
-        what: path of a dataset, path of a folder of datasets, or name of a project.
-        project: name of a project; needed only if a folder has the same name.
+        what: name or folder of a project, path of a dataset, or path of a folder of datasets.
     """
-    name = what if project is None else project
-    if name is None or (what is not None and project is not None):
-        raise ConfigError("name one thing to check: annotator check PATH, or annotator check --project NAME")
-    if project is None and _is_dataset(name, projects):
-        return _check_dataset(Path(name), list_all, as_json)
-    return _check_project(name, projects, list_all, as_json)
+    place, is_project = place_of(what, projects)
+    return (_check_project if is_project else _check_dataset)(place, list_all, as_json)
 
 
-def _is_dataset(what: str, projects: Path | None) -> bool:
-    """Whether `what` is the path of a dataset, not the name of a project."""
-    path = Path(what)
-    is_name = len(path.parts) == 1 and not what.startswith(".")
-    is_project = is_name and (projects_root(projects) / what).is_dir()
-    if path.exists() and is_project:
-        raise ConfigError(f"{what} is both a project and a path; write ./{what} or --project {what}")
-    if (path / CONFIG_FILE).is_file():
-        name, folder = path.resolve().name, path.resolve().parent
-        raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --projects {folder}")
-    if is_name and not path.exists() and not is_project:
-        raise ConfigError(f"{what}: no such file or folder, and {no_project(what, projects_root(projects))}")
-    return path.exists() or not is_name
-
-
-def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bool) -> int:
+def _check_project(folder: Path, list_all: bool, as_json: bool) -> int:
     from annotator.project.backup.verify import verify
     from annotator.workflows.checking.project_labels import check_project
 
-    folder = named_folder(name, projects)
     verification = verify(folder, deep=True)
     if verification.problems:
         report_problems(verification, folder, as_json)
         return FAULTY
-    with open_named(name, projects) as opened:
-        report = check_project(opened)
-    if as_json:
-        print_json(report)
-        return FAULTY if report.unreadable else 0
+    with open_project(folder) as project:
+        report = check_project(project)
     lines = [(w.kind.value, f"{w.recording} {w.key}: {w.kind}: {w.message}") for w in report.warnings]
     lines += [(UNREADABLE, f"{UNREADABLE}: {line}") for line in report.unreadable]
-    _print_grouped(lines, Counter(kind for kind, _ in lines), list_all)
-    unread = ""
-    if report.unreadable:
-        unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
-        unread = f"; {unread} could not be read"
-    print_line(f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked{unread}")
+    unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
+    summary = f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked"
+    summary += f"; {unread} could not be read" if report.unreadable else ""
+    shown = _grouped(lines, Counter(kind for kind, _ in lines), list_all)
+    print_result(report, (*shown, summary), as_json)
     return FAULTY if report.unreadable else 0
 
 
-def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> None:
-    """Prints the first lines of each kind, in their order, and how many more there are.
+def _grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> Iterator[str]:
+    """Yields the first lines of each kind, in their order, and how many more there are.
 
     Args:
         lines: the kind and the text of each.
@@ -100,11 +73,11 @@ def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], 
     printed: Counter[str] = Counter()
     for kind, line in lines:
         if list_all or printed[kind] < MOST_OF_A_KIND:
-            print_line(line)
+            yield line
             printed[kind] += 1
     for kind, total in totals.items():
         if not list_all and total > printed[kind]:
-            print_line(f"{kind}: {total - printed[kind]} more like these; --all lists them")
+            yield f"{kind}: {total - printed[kind]} more like these; --all lists them"
 
 
 def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
@@ -113,14 +86,12 @@ def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
 
     with counted("checking") as progress:
         report = check_datasets(path, progress)
-    if as_json:
-        print_json(report)
-    else:
-        found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
-        _print_grouped(found, report.by_rule, list_all)
-        for facts in report.datasets:
-            only = "" if facts.labels else ", so only its files were checked"
-            counts = f"{amount(facts.frames, 'frame')}, {amount(facts.labels, 'label')}"
-            print_line(f"{facts.path}: {facts.format}, {counts}{only}")
-        print_line(", ".join(amount(report.counts[each], each) for each in Severity))
+    found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
+    lines = [*_grouped(found, report.by_rule, list_all)]
+    for each in report.datasets:
+        only = "" if each.labels else ", so only its files were checked"
+        counts = f"{amount(each.frames, 'frame')}, {amount(each.labels, 'label')}"
+        lines.append(f"{each.path}: {each.format}, {counts}{only}")
+    lines.append(", ".join(amount(report.counts[each], each) for each in Severity))
+    print_result(report, lines, as_json)
     return FAULTY if report.counts[Severity.ERROR] else 0

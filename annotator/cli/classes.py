@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, ProjectName, Projects, names_in, open_named, projects_root
-from annotator.cli.output import print_facts, print_json, print_line
-from annotator.project import ProjectConfig
+from annotator.cli.options import AsJson, names_in, projects_root
+from annotator.cli.output import facts, print_line, print_result
+from annotator.project import Project, ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
 from annotator.project.classes.counts import ClassCounts
@@ -33,35 +33,30 @@ _UNSET = {"classes": ()}
 Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
 
 
-def show(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
+def show(project: Project, /, *, as_json: AsJson = False) -> None:
     """List a project's classes, with the number of their boxes, and its attributes."""
-    with open_named(project, projects) as opened:
-        listed = list_classes(opened)
-    if as_json:
-        print_json(listed)
-        return
-    print_facts([(row.name, _described(row)) for row in listed.classes])
-    print_facts([(f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown])
-    for attribute in listed.attributes:
-        print_line(_attribute_line(attribute))
+    listed = list_classes(project)
+    lines = [
+        *facts((row.name, _described(row)) for row in listed.classes),
+        *facts((f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown),
+        *map(_attribute_line, listed.attributes),
+    ]
+    print_result(listed, lines, as_json)
 
 
-def add(
-    project: ProjectName, name: ClassName, /, *, colour: Colour = None, key: Key = None, projects: Projects = None
-) -> None:
+def add(project: Project, name: ClassName, /, *, colour: Colour = None, key: Key = None) -> None:
     """Add a class at the end. Detectors find it after the next training."""
-    _change(project, projects, lambda config: edit.add_class(config, name, _style(ClassStyle(), colour, key)))
+    _change(project, lambda config: edit.add_class(config, name, _style(ClassStyle(), colour, key)))
 
 
 def style(
-    project: ProjectName,
+    project: Project,
     name: ClassName,
     /,
     *,
     colour: Colour = None,
     key: Key = None,
     unset: tuple[UnsettableStyle, ...] = (),
-    projects: Projects = None,
 ) -> None:
     """Set the colour and the key of a class on the page.
 
@@ -74,20 +69,20 @@ def style(
         before = config.class_styles.get(name, ClassStyle()).model_copy(update=dict.fromkeys(unset))
         return edit.style_class(config, name, _style(before, colour, key))
 
-    _change(project, projects, styled)
+    _change(project, styled)
 
 
-def order(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects = None) -> None:
+def order(project: Project, names: tuple[str, ...], /) -> None:
     """Set the order of the classes.
 
     Args:
         names: all classes of the project, with spaces or commas between them.
     """
 
-    _change(project, projects, lambda config: edit.order_classes(config, names_in(names, config.classes)))
+    _change(project, lambda config: edit.order_classes(config, names_in(names, config.classes)))
 
 
-def order_attributes(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects = None) -> None:
+def order_attributes(project: Project, names: tuple[str, ...], /) -> None:
     """Set the order of the attributes.
 
     Args:
@@ -97,22 +92,22 @@ def order_attributes(project: ProjectName, names: tuple[str, ...], /, *, project
     def ordered(config: ProjectConfig) -> ClassEdit:
         return edit.order_attributes(config, names_in(names, [each.name for each in config.attributes]))
 
-    config = _change(project, projects, ordered, show_classes=False)
+    config = _change(project, ordered, show_classes=False)
     for each in config.attributes:
         print_line(_attribute_line(each))
 
 
-def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
+def rename(project: Project, old: str, new: str, /) -> None:
     """Rename a class. Its 2D and 3D boxes follow, and so do the results of detectors that know the old name.
 
     Args:
         old: present name.
         new: new name.
     """
-    _change(project, projects, lambda config: edit.rename_class(config, old, new), old)
+    _change(project, lambda config: edit.rename_class(config, old, new), old)
 
 
-def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects: Projects = None) -> None:
+def merge(project: Project, old: tuple[str, ...], /, *, into: str) -> None:
     """Give all boxes of some classes to another class, and remove these classes.
 
     Undo does not take this back. A backup is made before.
@@ -129,20 +124,18 @@ def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects:
                 edit.require_class(config, name)
         return edit.merge_classes(config, names, into)
 
-    with open_named(project, projects) as opened:
-        counts = opened.class_counts()
-        names = names_in(old, {*counts, *opened.config.classes})
-    _change(project, projects, merged, *names)
+    counts = project.class_counts()
+    names = names_in(old, {*counts, *project.config.classes})
+    _change(project, merged, *names)
 
 
 def remove(
-    project: ProjectName,
+    project: Project,
     name: ClassName,
     /,
     *,
     into: str | None = None,
     with_boxes: bool = False,
-    projects: Projects = None,
 ) -> None:
     """Remove a class. One that has boxes needs --into or --with-boxes.
 
@@ -153,18 +146,18 @@ def remove(
     if into is not None:
         if with_boxes:
             raise ConfigError("--into keeps the boxes and --with-boxes removes them; give one of both")
-        merge(project, (name,), into=into, projects=projects)
+        merge(project, (name,), into=into)
         return
 
     def removed(config: ProjectConfig) -> ClassEdit:
         made = edit.remove_class(config, name)
         return made if with_boxes else ClassEdit(made.config)
 
-    _change(project, projects, removed, *([name] if with_boxes else []), verb="removed with the class")
+    _change(project, removed, *([name] if with_boxes else []), verb="removed with the class")
 
 
 def attribute(
-    project: ProjectName,
+    project: Project,
     name: str,
     /,
     *,
@@ -180,7 +173,6 @@ def attribute(
     key: Key = None,
     unset: tuple[Unsettable, ...] = (),
     drop: bool = False,
-    projects: Projects = None,
 ) -> None:
     """Add an attribute, or change the given settings of an existing one. Boxes without a value get the default value.
 
@@ -227,23 +219,22 @@ def attribute(
             raise ConfigError(f"--default: {error}") from error
         return edit.put_attribute(config, made, drop=drop)
 
-    config = _change(project, projects, put, show_classes=False)
+    config = _change(project, put, show_classes=False)
     print_line(_attribute_line(edit.find_attribute(config, name)))
 
 
-def remove_attribute(project: ProjectName, name: str, /, *, projects: Projects = None) -> None:
+def remove_attribute(project: Project, name: str, /) -> None:
     """Remove an attribute with all its values.
 
     Args:
         name: name of the attribute.
     """
-    with open_named(project, projects) as opened:
-        number = sum(opened.value_counts().get(name, {}).values())
-    _change(project, projects, lambda config: edit.remove_attribute(config, name), show_classes=False)
+    number = sum(project.value_counts().get(name, {}).values())
+    _change(project, lambda config: edit.remove_attribute(config, name), show_classes=False)
     print_line(f"removed {name} and {amount(number, 'value')} of it")
 
 
-def rename_attribute(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
+def rename_attribute(project: Project, old: str, new: str, /) -> None:
     """Rename an attribute, or a choice given as ATTRIBUTE=CHOICE; values follow.
 
     Args:
@@ -257,40 +248,38 @@ def rename_attribute(project: ProjectName, old: str, new: str, /, *, projects: P
             return edit.rename_choice(config, name, choice, new)
         return edit.rename_attribute(config, old, new)
 
-    config = _change(project, projects, renamed, show_classes=False)
+    config = _change(project, renamed, show_classes=False)
     print_line(_attribute_line(edit.find_attribute(config, name if is_choice else new)))
 
 
 def _change(
-    name: str,
-    projects: Any,
+    project: Project,
     change: Callable[[ProjectConfig], ClassEdit],
     *followed: str,
     verb: str = "relabelled",
     show_classes: bool = True,
 ) -> ProjectConfig:
     """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
-    with open_named(name, projects) as opened:
-        before = opened.class_counts()
-        config, backup = change_classes(opened, change, AUTHOR)
+    before = project.class_counts()
+    config, backup = change_classes(project, change, AUTHOR)
     for line in _followed(before, followed, verb):
         print_line(line)
     if backup is not None:
         print_line(f"backed up before: {backup}")
-        command = _restoring(name, backup, projects)
+        command = _restoring(project.path, backup)
         print_line(
             f"undo does not take this back; to have the boxes and values of before in a second project: {command}"
         )
     if show_classes:
-        print_line(f"{name}: {', '.join(config.classes)}")
+        print_line(f"{config.name}: {', '.join(config.classes)}")
     return config
 
 
-def _restoring(name: str, backup: Path, projects: Path | None) -> str:
+def _restoring(project: Path, backup: Path) -> str:
     """The command that makes a second project of a backup."""
-    root = projects_root(projects)
-    other = next(free for n in count(1) if not (root / (free := f"{name[:40]}-before-{n}")).exists())
-    where = [] if projects is None else ["--projects", str(projects)]
+    root = project.parent
+    other = next(free for n in count(1) if not (root / (free := f"{project.name[:40]}-before-{n}")).exists())
+    where = [] if root == projects_root(None) else ["--projects", str(root)]
     return shlex.join(["annotator", "project", "restore", str(backup), other, *where])
 
 

@@ -14,7 +14,7 @@ from rich.progress import Progress as Bar
 from rich.progress import TaskID
 
 from annotator.cli.options import Seed
-from annotator.cli.output import counted, print_line, progress_bar
+from annotator.cli.output import counted, print_line, print_lines, progress_bar
 from annotator.demo import PROJECT, FirstDragResult, Plan, Progress, TrainedResult, run_first_drag, run_trained
 from annotator.detection.pretrained import has_base
 from annotator.synthetic import write_generated
@@ -109,8 +109,7 @@ def _without_training(root: Path, plan: Plan, *, opens: bool) -> None:
 
         with progress_bar() as bar:
             result = run_first_drag(root, plan, _shown_on(bar), show)
-        for line in _summary_without_training(root, result):
-            print_line(line)
+        print_lines(_summary_without_training(root, result))
         if is_open:
             _wait_for_interrupt()
 
@@ -118,8 +117,7 @@ def _without_training(root: Path, plan: Plan, *, opens: bool) -> None:
 def _with_training(root: Path, plan: Plan, *, opens: bool) -> None:
     with progress_bar() as bar:
         result = run_trained(root, plan, _shown_on(bar))
-    for line in _summary_with_training(root, result):
-        print_line(line)
+    print_lines(_summary_with_training(root, result))
     if opens:
         with _workbench(root):
             _wait_for_interrupt()

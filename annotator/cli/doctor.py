@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from annotator.cli.options import AsJson, Projects, projects_root
-from annotator.cli.output import print_json, print_line
+from annotator.cli.output import print_result
 
 FAILED = 1
 
@@ -18,9 +18,5 @@ def run(*, as_json: AsJson = False, projects: Projects = None) -> int:
     from annotator.workflows.doctor import as_text, examine
 
     report = examine(projects_root(projects))
-    if as_json:
-        print_json(report)
-    else:
-        for line in as_text(report):
-            print_line(line)
+    print_result(report, as_text(report), as_json)
     return FAILED if report.failed else 0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from annotator.cli.options import AsJson, Projects, RecordingNames, open_named
-from annotator.cli.output import print_json, print_line
+from annotator.cli.options import AsJson, Projects, RecordingNames, ids_of, open_named
+from annotator.cli.output import print_line, print_lines
 from annotator.evaluation.report import Report
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
@@ -62,7 +62,7 @@ def run(
         if detections is not None:
             raise ConfigError("give either files or --project, not both")
         with open_named(project, projects) as opened:
-            ids = tuple(opened.recordings.find(name).id for name in recordings) or None
+            ids = ids_of(opened, recordings)
             report = evaluate.evaluate_project(
                 opened, protocol, replace(options, measured=measured, against=against, recordings=ids)
             )
@@ -78,7 +78,7 @@ def run(
 
 def _show(report: Report, as_json: bool) -> None:
     if as_json:
-        print_json(report.content)
+        print_line(report.content.model_dump_json())
         return
     from rich.console import Console
     from rich.table import Table
@@ -88,8 +88,7 @@ def _show(report: Report, as_json: bool) -> None:
         table.add_row(*map(_cell, row))
     console = Console()
     (console if console.is_terminal else Console(width=WIDTH)).print(table)
-    for note in report.notes:
-        print_line(f"note: {note}")
+    print_lines(f"note: {note}" for note in report.notes)
 
 
 def _cell(value: str | int | float | None) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in, open_named
-from annotator.cli.output import counted, print_json, print_line
+from annotator.cli.options import AsJson, RecordingNames, Seed, ids_of, names_in
+from annotator.cli.output import counted, print_result
 from annotator.formats.table import with_option
+from annotator.project import Project
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows import exporting
@@ -15,7 +17,7 @@ from annotator.workflows.exporting.choose import Pictures
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     out: Path,
     /,
     *,
@@ -33,7 +35,6 @@ def run(
     vertices: bool = False,
     overwrite: bool = False,
     as_json: AsJson = False,
-    projects: Projects = None,
 ) -> None:
     """Write the labels with their images and point clouds as a dataset. If the export fails, its files are removed.
 
@@ -55,38 +56,25 @@ def run(
     parts = None if split is None else exporting.Split(exporting.parse_shares(split), split_by, seed)
     if parts is None and split_by is not exporting.SplitBy.FRAMES:
         raise ConfigError("--split-by needs --split")
-    with open_named(project, projects) as opened, counted(f"export {format}") as progress:
-        ids = tuple(opened.recordings.find(name).id for name in recordings) or None
+    wanted, ids = names_in(classes, project.config.classes) or None, ids_of(project, recordings)
+    choose = exporting.ExportFilter(states or None, wanted, ids, empty_frames, skip_unreadable)
+    options = exporting.ExportOptions(images, boxes_on, vertices)
+    with counted(f"export {format}") as progress:
         report = exporting.export_project(
-            opened,
-            out,
-            format,
-            choose=exporting.ExportFilter(
-                states or None, names_in(classes, opened.config.classes) or None, ids, empty_frames, skip_unreadable
-            ),
-            split=parts,
-            options=exporting.ExportOptions(images, boxes_on, vertices),
-            overwrite=overwrite,
-            progress=progress,
+            project, out, format, choose=choose, split=parts, options=options, overwrite=overwrite, progress=progress
         )
-    if as_json:
-        print_json(report)
-    else:
-        _print_report(report)
+    print_result(report, _lines(report), as_json)
 
 
-def _print_report(report: exporting.ExportReport) -> None:
+def _lines(report: exporting.ExportReport) -> Iterator[str]:
     counts = ", ".join(f"{number} {name}" for name, number in report.objects_by_class.items())
     what = "images" if exporting.WRITERS[exporting.ExportFormat(report.format)].flat else "frames"
-    print_line(f"{report.out}: {report.frames} {what}, {counts}")
+    yield f"{report.out}: {report.frames} {what}, {counts}"
     if report.splits:
-        print_line("split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
-    for loss in report.losses:
-        print_line(f"lost in {report.format}: {loss.message}")
-    for line in report.unreadable:
-        print_line(f"unreadable: {line}")
-    for note in report.notes:
-        print_line(note)
+        yield "split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items())
+    yield from (f"lost in {report.format}: {loss.message}" for loss in report.losses)
+    yield from (f"unreadable: {line}" for line in report.unreadable)
+    yield from report.notes
 
 
 _SUMMARIES = "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in exporting.WRITERS.items())

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed, open_named
-from annotator.cli.output import counted, print_line
+from annotator.cli.options import BoxKindOption, Seed, ids_of
+from annotator.cli.output import counted, print_line, print_lines
 from annotator.formats.reading import AngleUnit
 from annotator.formats.table import named_format
 from annotator.project import Project
@@ -42,7 +41,7 @@ As_ = Annotated[
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     path: Path | None = None,
     /,
     *,
@@ -58,7 +57,6 @@ def run(
     recording: str | None = None,
     fraction: float = 1.0,
     seed: Seed = 0,
-    projects: Projects = None,
 ) -> None:
     """Import boxes from files: 3D boxes, or 2D boxes on camera images or pseudo-views.
 
@@ -95,67 +93,63 @@ def run(
         raise ConfigError("--angles is for a file or folder of 3D boxes; give its path")
     if path is None and as_ is not importing.Become.FLAT:
         raise ConfigError(
-            f"no labels given; write annotator import {project} PATH, or --as 2d for the recordings' own labels"
+            f"no labels given; write annotator import {project.path.name} PATH, or --as 2d for the labels of recordings"
         )
-    with open_named(project, projects) as opened:
-        names = {} if classes is None else class_names(classes, opened)
-        found = None if path is None else importing.format_of(path) if format is None else named_format(format)
-        if isinstance(found, importing.FlatFormat):
-            assert path is not None
-            if as_ is not importing.Become.LABELS:
-                raise ConfigError(f"{path} is {found}, which contains no 3D boxes; leave out --as")
-            if angles is not None:
-                raise ConfigError(f"--angles is for 3D boxes; {path} is {found}, which contains none")
-            if names:
-                _check_names(names, {label for each in read_pictures(found, path).pictures for label in each.labels})
-            if add_attributes:
-                _add(opened, values_of_pictures(found, path))
-            if pictures is None:
-                report = importing.import_image_boxes(opened, path, box_kind, recording, found, names)
-            else:
-                report = importing.import_view_boxes(opened, path, pictures, box_kind, found, names)
-            print_report(report)
-            return
-        if pictures is not None:
-            raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
-        labels: importing.LabelSet
-        if path is None or found is None:
-            chosen = None if recording is None else [opened.recordings.find(recording).id]
-            labels = RecordedLabels(opened, chosen, with_files=True)
-        else:
-            labels = importing.read_labels(found, path, angles).in_project(opened)
-            _check_names(names, {label for name in labels.frames for label in labels.classes(name)})
+    names = {} if classes is None else class_names(classes, project)
+    found = None if path is None else importing.format_of(path) if format is None else named_format(format)
+    if isinstance(found, importing.FlatFormat):
+        assert path is not None
+        if as_ is not importing.Become.LABELS:
+            raise ConfigError(f"{path} is {found}, which contains no 3D boxes; leave out --as")
+        if angles is not None:
+            raise ConfigError(f"--angles is for 3D boxes; {path} is {found}, which contains none")
+        if names:
+            present = {label for each in read_pictures(found, path).pictures for label in each.labels}
+            print_lines(importing.without_effect(names, present))
         if add_attributes:
-            _add(opened, values_of_labels(labels))
-        with counted("2D boxes" if as_ is importing.Become.FLAT else f"import {found}") as progress:
-            if as_ is importing.Become.FLAT:
-                report = boxes_from_3d(
-                    opened, labels, recording=recording, names=names, fraction=fraction, seed=seed, progress=progress
-                )
-            elif as_ is importing.Become.PROPOSALS:
-                report = importing.import_proposals(
-                    opened, labels, source, recording=recording, min_score=min_score, names=names, progress=progress
-                )
-            else:
-                report = importing.import_labels(opened, labels, recording, progress, names, fill=add_attributes)
+            _add(project, values_of_pictures(found, path))
+        if pictures is None:
+            report = importing.import_image_boxes(project, path, box_kind, recording, found, names)
+        else:
+            report = importing.import_view_boxes(project, path, pictures, box_kind, found, names)
         print_report(report)
+        return
+    if pictures is not None:
+        raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
+    labels: importing.LabelSet
+    if path is None or found is None:
+        chosen = ids_of(project, () if recording is None else (recording,))
+        labels = RecordedLabels(project, chosen, with_files=True)
+    else:
+        labels = importing.read_labels(found, path, angles).in_project(project)
+        present = {label for name in labels.frames for label in labels.classes(name)}
+        print_lines(importing.without_effect(names, present))
+    if add_attributes:
+        _add(project, values_of_labels(labels))
+    with counted("2D boxes" if as_ is importing.Become.FLAT else f"import {found}") as progress:
         if as_ is importing.Become.FLAT:
-            print_line(f"next: annotator train {project}")
-        elif as_ is importing.Become.PROPOSALS and report.boxes:
-            print_line(f"next: annotator serve, to review {opened.config.name}")
-
-
-def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
-    for line in importing.without_effect(names, present):
-        print_line(line)
+            report = boxes_from_3d(
+                project, labels, recording=recording, names=names, fraction=fraction, seed=seed, progress=progress
+            )
+        elif as_ is importing.Become.PROPOSALS:
+            report = importing.import_proposals(
+                project, labels, source, recording=recording, min_score=min_score, names=names, progress=progress
+            )
+        else:
+            report = importing.import_labels(project, labels, recording, progress, names, fill=add_attributes)
+    print_report(report)
+    if as_ is importing.Become.FLAT:
+        print_line(f"next: annotator train {project.path.name}")
+    elif as_ is importing.Become.PROPOSALS and report.boxes:
+        print_line(f"next: annotator serve, to review {project.config.name}")
 
 
 def _add(project: Project, found: FoundValues) -> None:
-    for each in add_attributes(project, found):
-        print_line(f"added: attribute {each.name} of a {each.of}: {each.values_text()}")
+    added = add_attributes(project, found)
+    print_lines(f"added: attribute {each.name} of a {each.of}: {each.values_text()}" for each in added)
 
 
 def print_report(report: importing.ImportReport, indent: str = "") -> None:
     """Prints what an import tells."""
-    for line in (report.headline(), *report.sentences(), *([ADVICE] if report[importing.Note.VALUE] else [])):
-        print_line(indent + line)
+    lines = (report.headline(), *report.sentences(), *([ADVICE] if report[importing.Note.VALUE] else []))
+    print_lines(indent + line for line in lines)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from annotator.cli.options import AS_FILES_SAY, AsJson, Reading
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.output import facts, print_lines, print_result
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError
 from annotator.types.messages import amount
@@ -25,17 +25,14 @@ def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = Fal
         report = inspect_recording(path, options)
     except UnknownFormatError as error:
         if not as_json:
-            print_facts(line.partition(": ")[::2] for line in error.looked_for)
+            print_lines(facts(line.partition(": ")[::2] for line in error.looked_for))
         raise
     except InputError:
         # the topics of a bag among which the error asks to choose
         if not as_json:
-            print_facts(_topic_rows(bag_topics(path)))
+            print_lines(facts(_topic_rows(bag_topics(path))))
         raise
-    if as_json:
-        print_json(report)
-    else:
-        print_facts(_rows(report))
+    print_result(report, facts(_rows(report)), as_json)
     if report.frame is None:
         raise RecordingError(f"{path}: none of its first frames can be read ({len(report.broken)} tried); see above")
 
@@ -72,18 +69,22 @@ def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
 
 def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "first frame", frame.key
-    yield "image", f"{frame.width_px} x {frame.height_px} px" + (", with depth image" if frame.has_depth_image else "")
-    yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
+    yield (
+        "image",
+        f"{frame.camera.width_px} x {frame.camera.height_px} px"
+        + (", with depth image" if frame.has_depth_image else ""),
+    )
+    camera = frame.camera
+    yield "camera", f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g} px"
     if frame.place is not None:
         yield "camera at", f"{_metres(frame.place)} m in map coordinates"
-    yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
+    yield "distortion", " ".join(f"{k:g}" for k in camera.distortion) if any(camera.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"
     if frame.scanned is not None:
         yield "seen", f"the image shows {frame.seen:,} of {frame.scanned:,} points"
     yield "depth", f"{frame.nearest_m:.2f} to {frame.farthest_m:.2f} m"
-    known = frame.up is not None
-    yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up and known else "not known"
+    yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up else "not known"
     if frame.timestamp_ns is not None:
         yield "time", f"{frame.timestamp_ns / 1e9:.3f} s"
     if frame.objects_problem is not None:

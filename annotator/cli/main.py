@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from annotator import __version__
@@ -241,24 +242,39 @@ def load(command: Command) -> Callable[..., int | None]:
 
 
 def with_help(function: Callable[..., int | None]) -> Callable[..., int | None]:
-    """The function, with annotations and a docstring that give a shorter help.
+    """The function as tyro gets it: one that takes a project, or its folder, gets it by its name and `--projects`.
 
-    Defaults of None, False and () are not shown, and the lines of an argument's description are joined.
+    Annotations and docstring give a shorter help: defaults of None, False and () are not shown, and the lines of an
+    argument's description are joined.
     """
     from tyro.conf import arg
 
+    from annotator.cli.options import ProjectName, Projects, named_folder, open_named
+
     def command(*values: Any, **options: Any) -> int | None:
-        return function(*values, **options)
+        if not by_name:
+            return function(*values, **options)
+        name, root = values[0], options.pop("projects")
+        if kind is Path:
+            return function(named_folder(name, root), *values[1:], **options)
+        with open_named(name, root) as project:
+            return function(project, *values[1:], **options)
 
     # the tests decorate every function; without this, tyro would read the undecorated one
     vars(command).pop("__wrapped__", None)
     hint = arg(help_behavior_hint=lambda default: "" if default in NO_DEFAULT else f"(default: {default})")
-    annotations = get_type_hints(function, include_extras=True)
+    annotations, signature = get_type_hints(function, include_extras=True), inspect.signature(function)
+    # in other commands, `project` is only a name
+    by_name = isinstance(kind := annotations.get("project"), type)
+    if by_name:
+        annotations |= {"project": ProjectName, "projects": Projects}
+        option = inspect.Parameter("projects", inspect.Parameter.KEYWORD_ONLY, default=None)
+        signature = signature.replace(parameters=[*signature.parameters.values(), option])
     for name, annotation in annotations.items():
         if all(getattr(each, "help_behavior_hint", None) is None for each in getattr(annotation, "__metadata__", ())):
             annotations[name] = Annotated[annotation, hint]
     command.__annotations__ = annotations
-    command.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+    command.__signature__ = signature  # type: ignore[attr-defined]
     command.__doc__ = re.sub(r"\n {8,}", " ", inspect.getdoc(function) or "")
     return command
 

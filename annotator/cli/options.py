@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from tyro import conf
 from tyro.conf import arg
 
+from annotator.project import Project, list_projects, open_project
+from annotator.project.config import CONFIG_FILE, check_name
 from annotator.recordings.recording import ReaderOptions, parse_options
 from annotator.types.errors import ConfigError
+from annotator.types.messages import alternatives
 from annotator.workflows.add_recordings import ALL
-
-if TYPE_CHECKING:
-    from annotator.project import Project
-
 
 Value = TypeVar("Value")
 
@@ -74,6 +73,11 @@ NoToken = Annotated[
 ]
 
 
+def ids_of(project: Project, names: tuple[str, ...]) -> tuple[int, ...] | None:
+    """The ids of recordings by their names; None without any, which stands for all."""
+    return tuple(project.recordings.find(name).id for name in names) or None
+
+
 def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, ...]:
     """The names that an option has: each word is one, or several with commas between them.
 
@@ -81,14 +85,9 @@ def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, 
         given: the words of the command line.
         known: names that stay whole even if they contain a comma.
     """
-
-    def split() -> Iterator[str]:
-        for word in given:
-            names = [] if word in known else [name.strip() for name in word.split(",") if name.strip()]
-            # an empty word is refused where it is used, as any other name
-            yield from names or [word]
-
-    return tuple(split())
+    split = [[word] if word in known else [each.strip() for each in word.split(",") if each.strip()] for word in given]
+    # an empty word is refused where it is used, as any other name
+    return tuple(name for word, names in zip(given, split, strict=True) for name in names or [word])
 
 
 ENVIRONMENT = "ANNOTATOR_PROJECTS"
@@ -103,16 +102,11 @@ def projects_root(projects: Path | None) -> Path:
 
 
 def open_named(name: str, projects: Path | None) -> Project:
-    # imported here, so that `annotator doctor` runs without the database's package
-    from annotator.project import open_project
-
     return open_project(named_folder(name, projects))
 
 
 def named_folder(name: str, projects: Path | None) -> Path:
     """The folder of the project of this name, which may be damaged."""
-    from annotator.project.config import check_name
-
     folder = projects_root(projects)
     try:
         check_name(name)
@@ -127,11 +121,21 @@ def named_folder(name: str, projects: Path | None) -> Path:
     return folder / name
 
 
+def place_of(what: str, projects: Path | None) -> tuple[Path, bool]:
+    """The project of this name, or the path, and whether it is a project. `./NAME` is a path, and a project has one."""
+    path, root = Path(what), projects_root(projects)
+    named = root / what if len(path.parts) == 1 and not what.startswith(".") else path
+    if named is not path and named.is_dir():
+        if path.exists() and not path.samefile(named):
+            raise ConfigError(f"{what} is both a path and a project; write ./{what} or {named}")
+        return named, True
+    if named is not path and not path.exists():
+        raise ConfigError(f"{what}: no such file or folder, and {no_project(what, root)}")
+    return path, (path / CONFIG_FILE).is_file()
+
+
 def no_project(name: str, folder: Path) -> str:
     """Says that a folder of projects has none of this name, and which is probably meant."""
-    from annotator.project import list_projects
-    from annotator.types.messages import alternatives
-
     others = alternatives(name, [each.path.name for each in list_projects(folder)])
     return f"{folder} has no project {name!r} ({others})"
 

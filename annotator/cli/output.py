@@ -29,25 +29,27 @@ def require_yes(question: str, yes: bool) -> None:
         raise ConfigError("nothing was changed")
 
 
-def print_json(model: BaseModel) -> None:
-    print_line(model.model_dump_json())
-
-
-def print_facts(rows: Iterable[tuple[str, object]]) -> None:
-    """Prints two columns: names and values."""
+def facts(rows: Iterable[tuple[str, object]]) -> Iterator[str]:
+    """Yields the lines of two columns: names and values."""
     listed = list(rows)
     width = max((len(name) for name, _ in listed), default=0)
     for name, value in listed:
-        print_line(f"{name:{width}}  {value}")
+        yield f"{name:{width}}  {value}"
 
 
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar with counts, elapsed and remaining time, on standard error.
+def print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        print_line(line)
 
-    If an error ends the work, the bar is removed, so that only the message remains.
-    """
-    bar = Progress(
+
+def print_result(result: BaseModel, lines: Iterable[str], as_json: bool) -> None:
+    """Prints a result as one JSON object, or as lines for people."""
+    print_lines([result.model_dump_json()] if as_json else lines)
+
+
+def progress_bar() -> Progress:
+    """A bar with counts, elapsed and remaining time, on standard error."""
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -58,18 +60,6 @@ def progress_bar() -> Iterator[Progress]:
         TextColumn("{task.fields[note]}"),
         console=Console(stderr=True),
     )
-    bar.start()
-    try:
-        yield bar
-    except Exception:
-        bar.live.transient = True
-        bar.live.stop()  # bar.stop() would leave an empty line where there is no terminal
-        raise
-    except BaseException:  # an interrupt: the bar stays and shows the progress
-        bar.stop()
-        raise
-    else:
-        bar.stop()
 
 
 @contextmanager

@@ -7,15 +7,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from annotator.cli import options
-from annotator.cli.output import counted, print_json, print_line, require_yes
-from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
+from annotator.cli.output import counted, print_line, print_result, require_yes
+from annotator.project import BoxRotation, Project, ProjectSettings, create_project, open_project
 from annotator.project.backup.archive import ModelChoice
 from annotator.project.backup.make import automatic_backups, back_up
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import Verification, verify
-from annotator.project.config import CONFIG_FILE, rename_project, set_aside
-from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.project.config import rename_project, set_aside
+from annotator.types.errors import AnnotatorError
 from annotator.types.messages import amount, first_few
 from annotator.workflows.add_recordings import move_recording
 
@@ -40,9 +40,7 @@ def run_new(
         print_line(f"next: annotator add {name} PATH")
 
 
-def run_move(
-    project: options.ProjectName, recording: options.RecordingName, path: Path, /, *, projects: options.Projects = None
-) -> None:
+def run_move(project: Project, recording: options.RecordingName, path: Path, /) -> None:
     """Set the new path of a moved recording. All its frames must be at the new path; labels and boxes are kept.
 
     A recording that was removed comes back with its labels.
@@ -50,9 +48,8 @@ def run_move(
     Args:
         path: new path of the recording.
     """
-    with options.open_named(project, projects) as opened:
-        before = opened.recordings.find(recording, removed=True)
-        now = move_recording(opened, before.id, path)
+    before = project.recordings.find(recording, removed=True)
+    now = move_recording(project, before.id, path)
     new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
     print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
@@ -61,14 +58,7 @@ def run_move(
 REMOVE_AUTHOR = "annotator project remove"
 
 
-def run_remove(
-    project: options.ProjectName,
-    recording: str | None = None,
-    /,
-    *,
-    yes: options.Yes = False,
-    projects: options.Projects = None,
-) -> None:
+def run_remove(project: Path, recording: str | None = None, /, *, yes: options.Yes = False) -> None:
     """Remove a recording from a project, or a whole project. Nothing is deleted.
 
     The labels of a removed recording stay in the project's history. They come back when it is added again. A removed
@@ -78,24 +68,26 @@ def run_remove(
         recording: name of the recording; default: the whole project.
     """
     if recording is None:
-        _whole(project, yes, projects)
+        _whole(project, yes)
         return
-    with options.open_named(project, projects) as opened:
+    with open_project(project) as opened:
         stored = opened.recordings.find(recording)
         labels = amount(opened.recordings.label_counts().get(stored.id, 0), "label")
-        require_yes(f"Remove {recording} from {project}, with {labels}? Adding it again brings back its labels.", yes)
+        question = f"Remove {recording} from {project.name}, with {labels}? Adding it again brings back its labels."
+        require_yes(question, yes)
         opened.recordings.remove(stored.id, REMOVE_AUTHOR)
     print_line(f"removed {recording} with {labels}; its files are unchanged")
-    words = f"annotator add {project} {stored.path}"
+    words = f"annotator add {project.name} {stored.path}"
     print_line(f"bring it back with: {words}" + (", and the options it was added with" if stored.options else ""))
 
 
-def _whole(name: str, yes: bool, projects: options.Projects) -> None:
-    folder = options.named_folder(name, projects)
-    require_yes(f"Remove the project {name}{_content(folder)}? It is moved to {folder.parent / '.removed'}.", yes)
+def _whole(folder: Path, yes: bool) -> None:
+    require_yes(
+        f"Remove the project {folder.name}{_content(folder)}? It is moved to {folder.parent / '.removed'}.", yes
+    )
     aside = set_aside(folder)
     print_line(f"moved {folder} to {aside}; delete that folder to free its space")
-    print_line(f"bring it back with: annotator project copy {aside} {name}")
+    print_line(f"bring it back with: annotator project copy {aside} {folder.name}")
 
 
 def _content(folder: Path) -> str:
@@ -108,13 +100,13 @@ def _content(folder: Path) -> str:
     return f" (recordings: {counts.recordings}, labels: {counts.labels.total})"
 
 
-def run_rename(project: options.ProjectName, new_name: str, /, *, projects: options.Projects = None) -> None:
+def run_rename(project: Path, new_name: str, /) -> None:
     """Rename a project and its folder. Its automatic backups go with it.
 
     Args:
         new_name: the new name.
     """
-    print_line(f"renamed {project} to {rename_project(options.named_folder(project, projects), new_name)}")
+    print_line(f"renamed {project.name} to {rename_project(project, new_name)}")
 
 
 # Files that a message lists.
@@ -122,12 +114,11 @@ MOST_NAMED = 5
 
 
 def run_backup(
-    project: options.ProjectName,
+    project: Path,
     file: Path | None = None,
     /,
     *,
     models: options.ModelsOption[ModelChoice] = ModelChoice.ALL,
-    projects: options.Projects = None,
 ) -> None:
     """Write a backup of a project, as of one moment, while a server or a job may go on writing.
 
@@ -137,9 +128,9 @@ def run_backup(
         file: the file to write; default: PROJECT-TIME.zip in this folder.
     """
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    out = Path(f"{project}-{moment}.zip") if file is None else file
+    out = Path(f"{project.name}-{moment}.zip") if file is None else file
     with counted("copying files") as progress:
-        backup = back_up(options.named_folder(project, projects), out, models, progress=progress)
+        backup = back_up(project, out, models, progress=progress)
     manifest = backup.manifest
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
     print_line(f"{out}: {labels}, {events}, {amount(manifest.count, 'file')}")
@@ -171,14 +162,7 @@ def run_restore(file: Path, name: str | None = None, /, *, projects: options.Pro
 FAULTY = 1
 
 
-def run_verify(
-    project: options.ProjectName,
-    /,
-    *,
-    deep: bool = False,
-    as_json: options.AsJson = False,
-    projects: options.Projects = None,
-) -> int:
+def run_verify(project: Path, /, *, deep: bool = False, as_json: options.AsJson = False) -> int:
     """Check whether a project is sound: its database, and that its tables are exactly those of its version.
 
     Nothing is changed, and a server may go on writing. The exit code is 1 if there are problems.
@@ -186,37 +170,33 @@ def run_verify(
     Args:
         deep: also replay all events and compare, and check the hashes of all images and detectors.
     """
-    folder = options.named_folder(project, projects)
-    result = verify(folder, deep=deep)
+    result = verify(project, deep=deep)
     if result.problems or as_json:
-        report_problems(result, folder, as_json)
+        report_problems(result, project, as_json)
     else:
-        print_line(f"{project}: sound")
+        print_line(f"{project.name}: sound")
     return FAULTY if result.problems else 0
 
 
 def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
     """Prints the result of a verification of the project in `folder`."""
-    if as_json:
-        print_json(result)
-        return
-    for problem in result.problems:
-        print_line(problem)
-    print_line(f"{result.project}: {amount(len(result.problems), 'problem')}")
     newest = automatic_backups(folder)[-1:]
     where = f" such as {newest[0]}, the newest automatic one" if newest else ""
-    print_line(f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can")
+    lines = [
+        *result.problems,
+        f"{result.project}: {amount(len(result.problems), 'problem')}",
+        f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can",
+    ]
+    print_result(result, lines, as_json)
 
 
-def run_repair(
-    project: options.ProjectName, new_name: str | None = None, /, *, projects: options.Projects = None
-) -> None:
+def run_repair(project: Path, new_name: str | None = None, /) -> None:
     """Repair a project: make a new one of all that can be read of it. The damaged project stays as it is.
 
     Args:
         new_name: name of the new project; default: the old name with `-repaired`.
     """
-    done = repair(options.named_folder(project, projects), new_name)
+    done = repair(project, new_name)
     events = amount(done.events, "event")
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
@@ -246,8 +226,8 @@ def run_copy(
         name: name of the new project.
         without_labels: copy the recordings and the detectors only, no labels and boxes.
     """
-    root = options.projects_root(projects)
-    folder, is_sent = _folder(source, root)
+    root, (folder, _) = options.projects_root(projects), options.place_of(source, projects)
+    is_sent = folder.parent.resolve() != root.resolve()
     with counted("copying files") as progress:
         path = copy_project(folder, root, name, models, progress, labels=not without_labels, sent=is_sent)
     with open_project(path) as project:
@@ -255,16 +235,3 @@ def run_copy(
         for recording in project.recordings.all():
             state = "" if recording.path.exists() else " (not on this computer: annotator project move)"
             print_line(f"it reads the recording {recording.name} from {recording.path}{state}")
-
-
-def _folder(source: str, root: Path) -> tuple[Path, bool]:
-    """The folder of a project that is given by its name or its path, and whether it is not one of those in `root`."""
-    path = Path(source)
-    # as for `annotator check`: ./NAME is a path
-    named = root / source if len(path.parts) == 1 and not source.startswith(".") else None
-    places = [place for place in (path, named) if place is not None and (place / CONFIG_FILE).is_file()]
-    if len(places) == 2 and not places[0].samefile(places[1]):
-        raise ConfigError(f"{source} is both a folder and a project; write ./{source} or {named}")
-    if not places and not path.exists() and (named is None or not named.exists()):
-        raise ConfigError(f"{source}: no such folder, and {options.no_project(source, root)}")
-    return (places[0], named not in places) if places else (path, True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from annotator.cli import options
 from annotator.cli.output import print_line
 from annotator.detection.config import Backend
+from annotator.project import Project
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 
@@ -55,7 +56,7 @@ def first_page(name: str, root: Path) -> str:
 
 
 def live(
-    project: options.ProjectName,
+    project: Project,
     source: str,
     /,
     *,
@@ -69,7 +70,6 @@ def live(
     limit: options.Limit = None,
     loop: bool = False,
     rate: float | None = None,
-    projects: options.Projects = None,
 ) -> None:
     """Detect on live frames and show them: point cloud with 3D boxes, camera image, frame rate, latency.
 
@@ -89,17 +89,16 @@ def live(
     from annotator.workflows.live.pipeline import summary_line
 
     chosen = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
-    settings = ServerSettings(options.projects_root(projects).resolve(), (), host, port)
+    settings = ServerSettings(project.path.parent.resolve(), (), host, port)
     settings = with_token(settings, token_file, no_token=no_token)
-    with options.open_named(project, projects) as opened:
-        figures, stored = run_live(opened, chosen, settings, report=_to_stderr)
+    figures, stored = run_live(project, chosen, settings, report=_to_stderr)
     print_line(summary_line(figures))
     if record is not None:
         print_line(
             "no frame was recorded"
             if stored is None
             else f"recorded {record}: {amount(stored.frames, 'frame')}, {amount(stored.proposals, 'proposal')}; "
-            f"in {project} as {stored.name}, ready for review"
+            f"in {project.path.name} as {stored.name}, ready for review"
         )
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from annotator.cli.options import AsJson, ProjectName, Projects, open_named
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.options import AsJson
+from annotator.cli.output import facts, print_result
+from annotator.project import Project
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.messages import amount, duration
@@ -15,21 +16,17 @@ from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of
 
 
-def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
+def run(project: Project, /, *, as_json: AsJson = False) -> None:
     """Show a project's progress: frames, labels, 2D boxes, people, effort per box, hours left, runs, models."""
-    with open_named(project, projects) as opened:
-        statistics = reported_statistics(opened)
-        newest = opened.models.all(DetectorKind.VIEW)[-1:]
-        decisions = [decision for decision in map(decision_of, newest) if decision is not None]
-    if as_json:
-        print_json(statistics)
-        return
+    statistics = reported_statistics(project)
+    newest = project.models.all(DetectorKind.VIEW)[-1:]
+    decisions = [decision for decision in map(decision_of, newest) if decision is not None]
     rows = list(_rows(statistics))
     for decision in decisions:
         rows.append(("  newest one", decision.outcome))
         if decision.mean_iou is not None:
             rows.append((f"  mean IoU on {decision.objects} held-out objects", measured_ious(decision)))
-    print_facts(rows)
+    print_result(statistics, facts(rows), as_json)
 
 
 def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, RecordingName, RecordingNames, open_named
+from annotator.cli.options import RecordingName, RecordingNames, ids_of
 from annotator.cli.output import counted, print_line
+from annotator.project import Project
 from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_run import follow_recording
@@ -17,14 +18,7 @@ from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
 
 
-def run_track(
-    project: ProjectName,
-    /,
-    *,
-    recordings: RecordingNames = (),
-    no_smooth: bool = False,
-    projects: Projects = None,
-) -> int:
+def run_track(project: Project, /, *, recordings: RecordingNames = (), no_smooth: bool = False) -> int:
     """Link the boxes of each object into tracks, and smooth the proposals along them.
 
     Open proposals get the size and the smoothed rotations of their track. Reviewed boxes, track ids set by an operator
@@ -33,10 +27,8 @@ def run_track(
     Args:
         no_smooth: only link; open proposals return to their original boxes.
     """
-    with open_named(project, projects) as opened:
-        chosen = [opened.recordings.find(name).id for name in recordings] or None
-        with counted("track") as progress:
-            done = link_tracks(opened, recordings=chosen, smooth=not no_smooth, progress=progress)
+    with counted("track") as progress:
+        done = link_tracks(project, recordings=ids_of(project, recordings), smooth=not no_smooth, progress=progress)
     tracks = f"{amount(done.tracks, 'track')} of {amount(done.recordings, 'recording')}"
     print_line(f"{amount(done.boxes, 'box')} in {tracks}, {done.changed} changed")
     if done.left:
@@ -53,13 +45,12 @@ FOLLOW_AUTHOR = "annotator follow"
 
 
 def run_follow(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     /,
     *,
     tracks: tuple[int, ...] = (),
     direction: Literal["forward", "backward", "both"] = "forward",
-    projects: Projects = None,
 ) -> None:
     """Follow reviewed boxes through a recording; no detector is needed.
 
@@ -73,11 +64,11 @@ def run_follow(
         tracks: ids of the tracks to follow; default: all tracks with a reviewed box.
         direction: go on after a track's last reviewed box (forward), before its first (backward), or both.
     """
-    with open_named(project, projects) as opened, counted("follow") as progress:
+    with counted("follow") as progress:
         done = follow_recording(
-            opened,
-            opened.recordings.find(recording).id,
-            view_with_classes(opened),
+            project,
+            project.recordings.find(recording).id,
+            view_with_classes(project),
             FOLLOW_AUTHOR,
             tracks=tracks or None,
             forward=direction != "backward",
@@ -96,7 +87,7 @@ INTERPOLATE_AUTHOR = "annotator interpolate"
 
 
 def run_interpolate(
-    project: ProjectName,
+    project: Project,
     recording: RecordingName,
     /,
     *,
@@ -104,7 +95,6 @@ def run_interpolate(
     first: Annotated[str | None, arg(name="from")] = None,
     last: Annotated[str | None, arg(name="to")] = None,
     refit: bool = False,
-    projects: Projects = None,
 ) -> None:
     """Propose the boxes of a track between its key frames, the frames with a reviewed box.
 
@@ -117,12 +107,11 @@ def run_interpolate(
         last: name of the last key frame; default: the track's last one.
         refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
-    with open_named(project, projects) as opened:
-        chosen = opened.recordings.find(recording).id
-        source, fit = FrameSource(opened), None
-        if refit:
-            fit = box_fitter(opened, lambda frame: OpenFrame(source.read(frame)), ready_view(opened))
-        done = interpolate(opened, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
+    chosen = project.recordings.find(recording).id
+    source, fit = FrameSource(project), None
+    if refit:
+        fit = box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))
+    done = interpolate(project, chosen, track, INTERPOLATE_AUTHOR, first=first, last=last, fit=fit)
     print_line(f"track {track}: {amount(len(done.filled), 'frame')} filled with proposals")
     if done.finalised or done.covered:
         finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, Seed, open_named
-from annotator.cli.output import print_line, progress_bar
+from annotator.cli.options import Seed
+from annotator.cli.output import print_line, print_lines, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.training import TrainingProgress
+from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.types.messages import amount
+from annotator.types.messages import amount, first_problem
 from annotator.workflows.training import train as training
 from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
 
 
 def run(
-    project: ProjectName,
+    project: Project,
     /,
     *,
     only: DetectorKind | None = None,
@@ -38,7 +38,6 @@ def run(
     weights: str = "auto",
     views: int = SampleConfig().views,
     seed: Seed = 0,
-    projects: Projects = None,
 ) -> None:
     """Train the two detectors, one for camera images and one for pseudo-views, from the project's boxes.
 
@@ -59,22 +58,24 @@ def run(
             else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
     """
-    start = weights if weights in ("auto", "never") else Path(weights)
-    shared = {"model": model, "pretrained": start, "seed": seed}
-    with _errors_by_flag():
-        samples = SampleConfig(views=views, seed=seed)
     if minutes is not None and not 0 < minutes <= MOST_MINUTES:
         raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
-    plan = training.TrainPlan(
-        image=_with(
-            training.image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared
-        ),
-        view=_with(training.VIEW_DEFAULTS, of_image=False, epochs=epochs, image_size_px=size, **shared),
-        samples=samples,
-        minutes=minutes,
-    )
+    start = weights if weights in ("auto", "never") else Path(weights)
+    shared = {"model": model, "pretrained": start, "seed": seed}
+    on_images = {"epochs": image_epochs, "image_size_px": image_size, **shared}
+    try:
+        plan = training.TrainPlan(
+            image=_with(training.image_defaults(minutes), on_images),
+            view=_with(training.VIEW_DEFAULTS, {"epochs": epochs, "image_size_px": size, **shared}),
+            samples=SampleConfig(views=views, seed=seed),
+            minutes=minutes,
+        )
+    except ValidationError as error:
+        raise ConfigError(
+            f"options of the training: {first_problem(error)}, not {error.errors()[0]['input']}"
+        ) from error
     roles = (DetectorKind.IMAGE, DetectorKind.VIEW) if only is None else (only,)
-    with open_named(project, projects) as opened, progress_bar() as bar:
+    with progress_bar() as bar:
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def progress(role: DetectorKind, step: TrainingProgress) -> None:
@@ -82,33 +83,15 @@ def run(
             done, total = (round(100 * step.share_done), 100) if step.is_timed else (step.epochs_done, step.epochs)
             bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
-        trained = training.train(opened, plan, roles=roles, progress=progress)
-    for line in trained[0].learned:
-        print_line(line)
-    for result in trained:
-        print_line(_summary(result))
-    print_line(f"next: annotator annotate {project}")
+        trained = training.train(project, plan, roles=roles, progress=progress)
+    print_lines([*trained[0].learned, *map(_summary, trained)])
+    print_line(f"next: annotator annotate {project.path.name}")
 
 
-def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
+def _with(config: TrainingConfig, changes: Mapping[str, object]) -> TrainingConfig:
     """A checked copy with the settings that are not None."""
-    settings = {name: value for name, value in changes.items() if value is not None}
-    with _errors_by_flag(of_image):
-        return TrainingConfig.model_validate({**config.model_dump(), **settings})
-
-
-@contextmanager
-def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
-    """Turns validation errors into errors that name the command line option."""
-    try:
-        yield
-    except ValidationError as error:
-        problem = error.errors()[0]
-        allowed = problem["msg"].replace("Input should be", "must be")
-        setting = str(problem["loc"][0])
-        name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
-        flag = f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
-        raise ConfigError(f"{flag} {allowed}, not {problem['input']}") from error
+    given = {name: value for name, value in changes.items() if value is not None}
+    return TrainingConfig.model_validate(config.model_dump() | given)
 
 
 def _decision_lines(decision: Decision) -> list[str]:

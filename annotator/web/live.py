@@ -195,7 +195,7 @@ class LivePage(ViserPage):
 def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
     """The figures as Markdown."""
     stages = " · ".join(f"{name} {ms:.0f}" for name, ms in figures.stages_ms.items())
-    drops = " · ".join(f"{name} {count}" for name, count in vars(figures.drops).items() if count)
+    drops = " · ".join(f"{name} {count}" for name, count in figures.drops.items() if count)
     objects = f"{len(detected.found.proposals)}" + (f", {lost} lost" if (lost := len(detected.found.lost)) else "")
     rows = {
         "frame": f"{detected.frame.key} ({figures.shown} shown)",
@@ -276,7 +276,7 @@ def run_live(
         def show(recorder: Recorder | None) -> Figures:
             with closing(LivePage(source.name, facts)) as page:
                 pipeline = Pipeline(
-                    source, detection, page.show, record=recorder, max_frames=options.frames, report=_few(report)
+                    source, detection.detect, page.show, record=recorder, max_frames=options.frames, report=_few(report)
                 )
                 serve_live(settings, page, pipeline, ignore_sigterm)
                 return pipeline.figures()
@@ -335,7 +335,7 @@ def serve_live(
     server = Running(settings, live_app(settings, page))
 
     page.follow(pipeline)
-    pipeline.at_end(server.stop)
+    pipeline.on_end = server.stop
     sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -23,7 +23,6 @@ from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 Names = tuple[tuple[str, str | None], ...]
-Model = TypeVar("Model")
 AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
 # Key of a run's settings: where the 2D boxes come from that it lifted to 3D.
 LIFTED_FROM = "lifted from"
@@ -149,7 +148,8 @@ class TrainedDetectors:
 
 def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
     """Describes the project's active detectors without loading them."""
-    return TrainedDetectors(image_model(project), view_model(project), backend)
+    image, view = (required_model(project, role) for role in (DetectorKind.IMAGE, DetectorKind.VIEW))
+    return TrainedDetectors(image, view, backend)
 
 
 def active_detectors(project: Project, *, backend: Backend = "auto") -> Detectors:
@@ -225,23 +225,10 @@ def stand_in(project: Project) -> str | None:
     return None if used is None or not used.name else detector_title(used.name)
 
 
-def view_model(project: Project) -> UsedModel:
-    """As `used_model` for the view detector."""
-    return _required(used_model(project, DetectorKind.VIEW), project, DetectorKind.VIEW)
-
-
-def image_model(project: Project) -> UsedModel:
-    """The project's active image detector."""
-    return own_model(project, active_model(project, DetectorKind.IMAGE))
-
-
-def _required(model: Model | None, project: Project, role: DetectorKind) -> Model:
+def required_model(project: Project, role: DetectorKind) -> UsedModel:
+    """As `used_model`; it is an error if there is none."""
+    model = used_model(project, role)
     if model is None:
         name = project.config.name
         raise DetectionError(f"project {name} has no {role.value} detector yet; run `annotator train {name}`")
     return model
-
-
-def active_model(project: Project, role: DetectorKind) -> StoredModel:
-    """Returns the project's active model of a role."""
-    return _required(project.models.active(role), project, role)

@@ -78,20 +78,16 @@ def open_stored(stored: StoredRecording, project: str) -> OpenedRecording:
     Raises:
         RecordingError: it is missing or cannot be read.
     """
-    missing = why_gone(stored.path, stored.name, project)
-    if missing is not None:
+    if missing := why_gone(stored.path, stored.name, project):
         raise RecordingError(missing)
     return OpenedRecording(open_recording(stored.path, stored_options(stored.options)), stored.up, stored.correction)
 
 
 def why_gone(path: Path, name: str, project: str) -> str | None:
     """Says that a project's recording is missing, and what to do; None if it is there."""
-    missing = why_missing(path)
-    if missing is None:
-        return None
+    missing, command = why_missing(path), f"annotator project move {project} {name} PATH"
     return (
-        f"{path}: {missing}; restore {name}, or give its new path: "
-        f"annotator project move {project} {name} PATH, or Locate on the start page"
+        missing and f"{path}: {missing}; restore {name}, or give its new path: {command}, or Locate on the start page"
     )
 
 

@@ -10,9 +10,10 @@ from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import Scanned
 from annotator.recordings.ros.topics import TopicReport, list_topics
-from annotator.types import Frame
+from annotator.types import Camera, Frame
 from annotator.types.bases import Strict
 from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.add_recordings import FRAMES_TRIED, NO_OPTIONS
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
@@ -25,13 +26,7 @@ class FrameReport(Strict):
     """
 
     key: str
-    width_px: int
-    height_px: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
+    camera: Camera
     points: int
     scanned: int | None
     seen: int | None
@@ -75,19 +70,14 @@ class RecordingReport(Strict):
     topics: tuple[TopicReport, ...]
 
 
-# If this many frames at the beginning are unreadable, the others are not tried.
-FRAMES_TRIED = 5
-NO_OPTIONS = ReaderOptions()
-
-
 def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> RecordingReport:
     """Describes a recording by its list of frames and its first readable frame."""
     recording = open_recording(path, options)
-    frame, broken = None, dict[str, str]()
-    index = 0
+    frame, report, broken = None, None, dict[str, str]()
     for index, key in enumerate(recording.keys[:FRAMES_TRIED]):
         try:
             frame = recording.frame(index)
+            report = _report(recording, index, frame)
             break
         except FrameError as error:
             broken[key] = str(error)
@@ -100,7 +90,7 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
         last_key=recording.keys[-1],
         is_sequence=recording.is_sequence,
         has_labels=has_truth(recording),
-        frame=None if frame is None else _report(recording, index, frame),
+        frame=report,
         broken=broken,
         notes=recording.notes,
         origin=None if frame is None or frame.T_world_camera is None else recording.origin,
@@ -116,29 +106,20 @@ def bag_topics(path: Path, options: ReaderOptions = NO_OPTIONS) -> tuple[TopicRe
 
 def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
     camera, cloud = frame.camera, frame.cloud
-    objects: Counter[str] | None = None
-    problem, has_mask = None, False
+    objects, problem, has_mask = None, None, False
     try:
         if has_truth(recording):
-            objects = Counter()
-            objects.update(truth.label for truth in load_truth(recording, index, frame))
+            objects = Counter(truth.label for truth in load_truth(recording, index, frame))
         has_mask = load_mask(recording, frame) is not None
     except FormatError as error:
         problem = str(error)
-    scanned = len(recording.scan(index).raw.xyz_m) if isinstance(recording, Scanned) else None
-    seen = int(inside_image(camera, project(camera, cloud.xyz_m)).sum())
+    in_scan = len(recording.scan(index).raw.xyz_m) if isinstance(recording, Scanned) else None
     return FrameReport(
         key=frame.key,
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        distortion=camera.distortion,
+        camera=camera,
         points=len(cloud),
-        scanned=scanned,
-        seen=None if scanned is None else seen,
+        scanned=in_scan,
+        seen=None if in_scan is None else int(inside_image(camera, project(camera, cloud.xyz_m)).sum()),
         has_colour=cloud.rgb is not None,
         has_reflectance=cloud.reflectance is not None,
         has_depth_image=frame.depth_m is not None,

@@ -130,10 +130,10 @@ def rcv_config(
         without_frames: ids of frames whose reviewed boxes do not count for the typical sizes of classes.
     """
     # each source is checked on its own, so that the error names the place to correct
-    stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
-    from_file = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
-    from_options = _checked(options or {}, "command line: ")
-    config = _validated({**stored, **from_file, **from_options})
+    merged = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
+    if file is not None:
+        merged |= _checked(read_model(file, _File).root, f"{file}: ")
+    config = _validated(merged | _checked(options or {}, "command line: "))
     config = config.model_copy(update={"reviewed_sizes": reviewed_sizes(project, without_frames)})
     if "view_px" in config.model_fields_set:
         return config
@@ -164,7 +164,7 @@ def editable(config: RcvConfig) -> str:
     return json.dumps(config.model_dump(mode="json", exclude=set(DERIVED)), indent=2)
 
 
-def _checked(settings: Settings, place: str) -> Settings:
+def _checked(settings: Settings, place: str) -> dict[str, Any]:
     for name, reason in DERIVED.items():
         if name in settings:
             raise ConfigError(f"{place}{name}: cannot be set: it {reason}")
@@ -172,7 +172,7 @@ def _checked(settings: Settings, place: str) -> Settings:
         _validated(settings)
     except ValidationError as error:
         raise ConfigError(place + _message(error.errors()[0])) from error
-    return settings
+    return dict(settings)
 
 
 def _validated(settings: Settings) -> RcvConfig:

@@ -3,10 +3,6 @@
 The operator `silhouette` draws around the object's visible points, as a person does. The operator `box` stands for
 imported 3D labels (RCV paper, Fig. 5): it projects the true box onto the same images and views, and stores it as an
 imported 3D label. `silhouette` also works for recordings with masks but no boxes.
-
-Whole boxes of the objects that were drawn as they are seen are confirmed, never corrected: the operator looks at the
-offered boxes one after the other, and confirms the one that fits best if its IoU with the true box is at least
-`FITS_IOU`. A person sees whether a box fits on the image, the views and in 3D; the true box stands for that.
 """
 
 from __future__ import annotations
@@ -21,7 +17,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.geometry.projection import project
-from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredFrame, WriteContext
+from annotator.project import REVIEWED, NewLabel, Project, StoredFrame, WriteContext
 from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import DrawnObject, draw_object
@@ -32,8 +28,6 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.reading import has_masks, has_truth, is_labelled, load_mask, load_truth
 from annotator.workflows.views import geometry_of
-from annotator.workflows.workbench.drawing_steps import WholeBoxes
-from annotator.workflows.workbench.loaded_detectors import ready_view
 
 AUTHOR = "simulated operator"
 # Objects with fewer points are too hard to see.
@@ -238,39 +232,3 @@ def _import_boxes(project: Project, frame_id: int, objects: Sequence[TaughtObjec
     ]
     if new:
         project.labels.create(frame_id, new, context)
-
-
-# Boxes with at least this IoU fit, as in the review of the demo.
-FITS_IOU = 0.5
-
-
-def confirm_whole_boxes(project: Project, recording_id: int) -> list[float]:
-    """Confirms whole boxes in the frames of a recording, once all are drawn; objects with a label are left out.
-
-    Returns:
-        the IoU of each confirmed box with the true one.
-    """
-    source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
-    recording = source.recording(recording_id)
-    indices = {key: index for index, key in enumerate(recording.keys)}
-    labelled = project.boxes.frames_with_images()
-    frames = [one for one in project.frames.of([recording_id]) if one.index is not None and one.id in labelled]
-    known = {(label.frame_id, label.image_box) for label in project.labels.select(recordings=[recording_id])}
-    ious: list[float] = []
-    for stored in frames:
-        frame = source.read(stored)
-        new = []
-        for item in visible_objects(recording, indices[stored.key], frame, project.config.classes):
-            image_box = image_box_of(frame, item, BoxKind.SILHOUETTE)
-            if image_box is None or (stored.id, image_box) in known:
-                continue
-            offered = offers.of(frame, stored, image_box, detector)
-            fits = [iou_3d(item.box, one.box) for one in offered]
-            if fits and max(fits) >= FITS_IOU:
-                box = offered[fits.index(max(fits))].box
-                new.append(NewLabel(item.label, box, origin=Origin.DRAWN, image_box=image_box))
-                ious.append(max(fits))
-        if new:
-            revision = project.frames.get(stored.id).revision
-            project.labels.create(stored.id, new, WriteContext(revision, AUTHOR, Source.MANUAL))
-    return ious

@@ -148,15 +148,9 @@ def front_and_side(views: Sequence[ViewBoxes]) -> tuple[ViewBoxes, ViewBoxes] | 
     for later in range(len(views) - 1, 0, -1):
         for earlier in range(later - 1, -1, -1):
             for front, side in ((views[earlier], views[later]), (views[later], views[earlier])):
-                if _is_pair(front, side):
+                if front.geometry and side.geometry and _are_beside(front.geometry.axes, side.geometry.axes):
                     return front, side
     return None
-
-
-def _is_pair(front: ViewBoxes, side: ViewBoxes) -> bool:
-    if front.geometry is None or side.geometry is None:
-        return False
-    return _are_beside(front.geometry.axes, side.geometry.axes)
 
 
 @lru_cache(maxsize=1024)

@@ -2,8 +2,8 @@
 
 Needs the base detector, the `test` extra and Chromium, and some ten minutes.
 
-`python docs/pictures cold_start FOLDER [DATA]` draws the curves of docs/cold_start.md, and fills its table and that of
-docs/gallery.md. FOLDER keeps the results; those that are missing are measured on the recordings in DATA.
+`python docs/pictures cold_start FOLDER [DATA]` draws the curves of docs/cold_start.md, and fills its table.
+FOLDER keeps the results; those that are missing are measured on the recordings in DATA.
 """
 
 from __future__ import annotations

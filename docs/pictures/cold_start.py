@@ -1,8 +1,7 @@
-"""The curves and tables of docs/cold_start.md, and the table of docs/gallery.md, from `benchmarks.cold_start`.
+"""The curves and the table of docs/cold_start.md, from `benchmarks.cold_start`.
 
 FOLDER/NAME.json has the results on the second half of a recording, after 0, 1, 5 and 20 taught objects of each class.
-FOLDER/all/NAME.json has those on the whole recording, with nothing taught. With a folder of recordings, missing files
-are measured first; delete the files if the base detector has changed.
+With a folder of recordings, missing files are measured first; delete the files if the base detector has changed.
 """
 
 from __future__ import annotations
@@ -65,15 +64,12 @@ def main(folder: Path, data: Path | None = None) -> None:
     """
     if data is not None:
         for name, options in RECORDINGS.items():
-            out = f"{Path(name).name}.json"
-            measure(data / name, options, TAUGHT, folder / out)
-            measure(data / name, options, (0,), folder / "all" / out)
+            measure(data / name, options, folder / f"{Path(name).name}.json")
     curves(read_results(folder), DOCS / "cold_start.svg")
     replace_table(DOCS / "cold_start.md", taught_table(read_results(folder)))
-    replace_table(DOCS / "gallery.md", untaught_table(read_results(folder / "all")))
 
 
-def measure(recording: Path, options: tuple[str, ...], taught: tuple[int, ...], out: Path) -> None:
+def measure(recording: Path, options: tuple[str, ...], out: Path) -> None:
     """Runs the benchmark, unless its result exists.
 
     Raises:
@@ -81,7 +77,7 @@ def measure(recording: Path, options: tuple[str, ...], taught: tuple[int, ...], 
     """
     if out.exists():
         return
-    numbers = [str(number) for number in taught]
+    numbers = [str(number) for number in TAUGHT]
     command = [
         sys.executable,
         "-m",
@@ -112,22 +108,12 @@ def read_results(folder: Path) -> Results:
 
 
 def taught_table(results: Results) -> list[str]:
-    """The lines of the table by number of taught objects."""
+    """The lines of the table, with a row for each class; "–" where nothing was measured."""
     heads = ["recording", "class", "objects", "clusters", *(f"{number} taught" for number in TAUGHT)]
-    return table(heads, results, (None, *TAUGHT))
-
-
-def untaught_table(results: Results) -> list[str]:
-    """The lines of the table with nothing taught."""
-    return table(["recording", "class", "objects", "clusters", "base detector"], results, (None, 0))
-
-
-def table(heads: list[str], results: Results, columns: tuple[int | None, ...]) -> list[str]:
-    """The lines of a table with a row for each class; "–" where nothing was measured."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for recording, classes in results.items():
         for label, rows in classes.items():
-            cells = [rows[key].cell if key in rows else "–" for key in columns]
+            cells = [rows[key].cell if key in rows else "–" for key in (None, *TAUGHT)]
             objects = next(iter(rows.values())).objects
             lines.append("| " + " | ".join([recording, label, str(objects), *cells]) + " |")
     return lines

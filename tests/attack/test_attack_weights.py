@@ -84,7 +84,6 @@ def test_no_backend_runs_a_pickle(tmp_path: Path, trap: Path, kind: str, backend
     [
         (["annotate", "sent", "--engine", "inline"], {2}, UNREADABLE),
         (["annotate", "sent", "--backend", "onnxruntime"], {2}, UNREADABLE),
-        (["lift", "sent", "--detector", "project"], {2}, UNREADABLE),
         (["lift", "sent", "--detector", "best.pt"], {2}, UNREADABLE),
         (["live", "sent", "people", "--limit", "1", "--port", "0"], {2}, UNREADABLE),
         (["train", "sent", "--only", "image", "--weights", "best.pt"], {2}, UNREADABLE),

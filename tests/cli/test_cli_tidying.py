@@ -147,7 +147,7 @@ def test_a_project_is_copied_with_or_without_its_labels(people: Path, capsys: Ca
         assert new.config.classes == ("person",)
     assert run(capsys, "check empty") == "0 warnings; 0 labels checked\n"
     shutil.copytree("projects/room", "room")
-    assert "room is both a folder and a project; write ./room or projects/room" in run(
+    assert "room is both a path and a project; write ./room or projects/room" in run(
         capsys, "project copy room third", code=2
     )
     run(capsys, "project copy ./room third")

@@ -56,7 +56,7 @@ def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeli
     """Serves a live page that runs until the block is left."""
     page = LivePage("hands", {"backend": "truth"})
     playback = Playback(open_recording(folder), rate=4.0, order=cycle((0, 1, 2, 3, 4, 3, 2, 1)))
-    pipeline = Pipeline(playback, TruthDetection(folder), page.show)
+    pipeline = Pipeline(playback, TruthDetection(folder).detect, page.show)
     page.follow(pipeline)
     server = Running(settings, live_app(settings, page))
     thread = threading.Thread(target=server.serve_until_stopped)
@@ -110,7 +110,9 @@ def test_on_other_addresses_the_live_page_needs_the_token(generated: Path, tmp_p
 
 def test_the_page_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
     page = LivePage("hands", {"backend": "none"})
-    pipeline = Pipeline(Playback(open_recording(generated / "hands")), TruthDetection(generated / "hands"), page.show)
+    pipeline = Pipeline(
+        Playback(open_recording(generated / "hands")), TruthDetection(generated / "hands").detect, page.show
+    )
     page.follow(pipeline)
     try:
         box = load_truth(open_recording(generated / "hands"), 0, frame)[0].box

@@ -12,7 +12,7 @@ from annotator.project.classes import edit
 from annotator.rcv.starts import is_warm
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
-from annotator.workflows.detectors import active_detectors, image_model, load_detector
+from annotator.workflows.detectors import active_detectors, load_detector, required_model
 from annotator.workflows.warm_up import warm_up
 
 
@@ -48,13 +48,13 @@ def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: objec
 
 def test_a_detector_follows_classes_that_were_changed_after_its_training(people: Project) -> None:
     register(people, DetectorKind.IMAGE)
-    assert image_model(people).names == ()
+    assert required_model(people, DetectorKind.IMAGE).names == ()
     people.change_classes(lambda config: edit.rename_class(config, "person", "human"), "ann")
     people.change_classes(lambda config: edit.rename_class(config, "human", "adult"), "ann")
-    assert image_model(people).names == (("person", "adult"),)
+    assert required_model(people, DetectorKind.IMAGE).names == (("person", "adult"),)
     people.change_classes(lambda config: edit.add_class(config, "child"), "ann")
     people.change_classes(lambda config: edit.remove_class(config, "adult"), "ann")
-    assert image_model(people).names == (("person", None),)
+    assert required_model(people, DetectorKind.IMAGE).names == (("person", None),)
 
 
 def test_objects_are_found_in_all_ways() -> None:

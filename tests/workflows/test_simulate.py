@@ -12,25 +12,15 @@ import cv2
 import numpy as np
 import pytest
 
-from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import BoxRotation, Origin, Project
+from annotator.project import BoxRotation, Project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.workflows import simulate
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.simulate import (
-    FITS_IOU,
-    MIN_VISIBLE_POINTS,
-    confirm_whole_boxes,
-    simulate_recording,
-    visible_objects,
-)
-from annotator.workflows.training.samples import gather
+from annotator.workflows.simulate import MIN_VISIBLE_POINTS, simulate_recording, visible_objects
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
 
 
@@ -210,26 +200,9 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
 
 
 @pytest.fixture
-def drawn(prepared: Callable[..., Project], monkeypatch: pytest.MonkeyPatch) -> Project:
+def drawn(prepared: Callable[..., Project]) -> Project:
     """People drawn as they are seen, in a project without a detector."""
-    monkeypatch.setattr(simulate, "ready_view", lambda project: None)
     return prepared("drawn_silhouettes", lambda project: simulated(project, BoxKind.SILHOUETTE, every=2))
-
-
-def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:
-    recording, silhouettes = drawn.recordings.all()[0].id, drawn.boxes.on_views()
-    confirmed = confirm_whole_boxes(drawn, recording)
-    labels = drawn.labels.select()
-    assert 0 < len(confirmed) == len(labels) <= 9
-    assert drawn.boxes.on_views() == silhouettes
-    truths = open_recording(generated / "people")
-    for stored in labels:
-        assert (stored.origin, stored.label.box_kind) == (Origin.DRAWN, BoxKind.BOX)
-        assert stored.image_box is not None and stored.image_box in drawn.boxes.on_image(stored.frame_id).boxes
-        index = [frame.id for frame in drawn.frames.of()].index(stored.frame_id)
-        true_boxes = [truth.box for truth in load_truth(truths, index, truths.frame(index))]
-        assert max(iou_3d(stored.label.box, box) for box in true_boxes) >= FITS_IOU
-    assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
 
 
 def test_other_settings_and_corrections_apply_at_once_to_objects_with_all_silhouettes(drawn: Project) -> None:

@@ -31,23 +31,6 @@ WINDOW_S = 5.0
 
 
 @dataclass(frozen=True)
-class Drops:
-    """Numbers of dropped frames.
-
-    Attributes:
-        source: left out by the source to keep its frame rate.
-        detect: replaced by a newer frame while the detectors were busy.
-        show: replaced by a newer frame while the display was busy.
-        record: not recorded because the disk was too slow.
-    """
-
-    source: int = 0
-    detect: int = 0
-    show: int = 0
-    record: int = 0
-
-
-@dataclass(frozen=True)
 class Figures:
     """Measurements of a pipeline; rates, medians and percentiles are those of the window.
 
@@ -57,6 +40,8 @@ class Figures:
         stages_ms: median duration of each stage: read, image and view detector, the geometry between them, show.
         read, detected, shown: numbers of frames since the start.
         broken: number of frames that could not be read.
+        drops: numbers of dropped frames: `source` left out by the source to keep its rate, `detect` and `show` replaced
+            by a newer one while detectors or display were busy, `record` not recorded because the disk was too slow.
     """
 
     fps: float | None
@@ -67,7 +52,7 @@ class Figures:
     detected: int
     shown: int
     broken: int
-    drops: Drops
+    drops: Mapping[str, int]
 
 
 @dataclass(eq=False)
@@ -103,7 +88,7 @@ class Meter:
             self._recent.append((now, now - taken_s, stages_s))
             self._forget(now)
 
-    def figures(self, drops: Drops) -> Figures:
+    def figures(self, drops: Mapping[str, int]) -> Figures:
         """Returns the present measurements."""
         with self._lock:
             self._forget(time.perf_counter())
@@ -134,7 +119,7 @@ class Meter:
 
 def summary_line(figures: Figures) -> str:
     """Returns the measurements in one line."""
-    counts = [f"{count} {name}" for name, count in vars(figures.drops).items() if count]
+    counts = [f"{count} {name}" for name, count in figures.drops.items() if count]
     parts = ["too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"]
     if figures.latency_ms is not None:
         parts[0] += f", {figures.latency_ms:.0f} ms latency (95 %: {figures.latency_p95_ms:.0f})"
@@ -241,26 +226,18 @@ class Source(Protocol):
         """Releases the camera."""
 
 
-@runtime_checkable
-class Detection(Protocol):
-    """Detects the boxes of successive frames."""
-
-    def detect(self, taken: Taken) -> Detected:
-        """Detects the boxes of a frame."""
-
-
 class Pipeline:
     """Runs from `start` until its source ends, a stage fails, or it is stopped.
 
     Attributes:
         source: of the frames; closed at the end.
-        ended: set once all threads have ended.
+        ended: set once all stages have ended; then `on_end`, which may be set before the start, is called.
     """
 
     def __init__(
         self,
         source: Source,
-        detection: Detection,
+        detect: Callable[[Taken], Detected],
         show: Show,
         *,
         record: Recorder | None = None,
@@ -278,7 +255,8 @@ class Pipeline:
         self.source = source
         self.meter = Meter()
         self.ended = threading.Event()
-        self._detection, self._show, self._record = detection, show, record
+        self.on_end: Callable[[], None] = lambda: None
+        self._detect_in, self._show, self._record = detect, show, record
         self._max_frames, self._report = max_frames, report
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
@@ -291,7 +269,6 @@ class Pipeline:
         self._ready = threading.Event()
         self._error: BaseException | None = None
         self._lock = threading.Lock()
-        self._at_end: list[Callable[[], None]] = []
         self._threads = [
             threading.Thread(target=self._run_stage, args=(stage,), name=name, daemon=True)
             for name, stage in (("capture", self._capture), ("detect", self._detect), ("display", self._display))
@@ -330,14 +307,6 @@ class Pipeline:
             alive = ", ".join(thread.name for thread in self._threads if thread.is_alive())
             raise DeviceError(f"{self.source.name}: {alive} does not end; unplug the device, or end the process")
 
-    def at_end(self, call: Callable[[], None]) -> None:
-        """Calls `call` from a thread of the pipeline when all stages have ended; at once if they have already."""
-        with self._lock:
-            if not self.ended.is_set():
-                self._at_end.append(call)
-                return
-        call()
-
     @property
     def is_paused(self) -> bool:
         """True while no frames are read."""
@@ -352,9 +321,8 @@ class Pipeline:
 
     def figures(self) -> Figures:
         """Returns the present measurements."""
-        dropped = 0 if self._record is None else self._record.dropped
-        drops = Drops(self.source.skipped, self._taken.dropped, self._detected.dropped, dropped)
-        return self.meter.figures(drops)
+        drops = {"source": self.source.skipped, "detect": self._taken.dropped, "show": self._detected.dropped}
+        return self.meter.figures(drops | {"record": 0 if self._record is None else self._record.dropped})
 
     # --- the stages, each by its own thread --------------------------------------------------------------------------
 
@@ -395,7 +363,7 @@ class Pipeline:
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
-                detected = self._detection.detect(taken)
+                detected = self._detect_in(taken)
                 if self._ready.is_set():
                     self._durations_s.append(time.perf_counter() - self._taken.taken_s)
                 self.meter.detected += 1
@@ -425,7 +393,5 @@ class Pipeline:
             self._running_stages -= 1
             if self._running_stages:
                 return
-            self.ended.set()
-            calls = tuple(self._at_end)
-        for call in calls:
-            call()
+        self.ended.set()
+        self.on_end()

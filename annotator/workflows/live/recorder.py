@@ -20,8 +20,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
-from typing import IO
 
+from annotator.files import lock_folder
 from annotator.project import Project
 from annotator.project.audit.writing import WriteContext
 from annotator.project.config import BoxRotation
@@ -39,7 +39,6 @@ from annotator.workflows.live.detection import Detected
 
 # Maximum number of frames that wait for the disk; a frame takes up to 10 MB.
 MAX_WAITING = 16
-LOCK = ".lock"
 
 Report = Callable[[str], None]
 
@@ -74,7 +73,7 @@ class Recorder:
             self.out.parent.mkdir(parents=True, exist_ok=True)
             rescue(self.out, report)
             self._part = Path(tempfile.mkdtemp(prefix=_prefix(self.out), dir=self.out.parent))
-            self._lock_file = _lock(self._part)
+            self._lock = lock_folder(self._part)
             # unbuffered, so that an error names the frame that did not fit on the disk; beside the recording, since
             # /tmp may be in memory
             self._results = tempfile.TemporaryFile(buffering=0, dir=self.out.parent)  # noqa: SIM115 - closed by `close`
@@ -107,13 +106,12 @@ class Recorder:
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
-        self._lock_file.close()
+        self._unlock()
         if not self._writer.frames:
             rmtree(self._part, ignore_errors=True)
             return 0
         try:
             trim(self._part)
-            (self._part / LOCK).unlink(missing_ok=True)
             self._part.chmod(0o755)
             self._part.rename(self.out)
         except OSError as error:
@@ -136,7 +134,13 @@ class Recorder:
 
     def close(self) -> None:
         """Deletes the proposals."""
+        self._unlock()
         self._results.close()
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _write(self) -> None:
         while (detected := self._waiting.get()) is not None:
@@ -186,48 +190,29 @@ def rescue(out: Path, report: Report) -> None:
     """
     for part in sorted(out.parent.glob(f"{glob.escape(_prefix(out))}*")):
         try:
-            lock_file = _lock(part)
+            lock = lock_folder(part, is_told=True)
         except BlockingIOError as error:
             raise ConfigError(
                 f"{out}: another `annotator live` records to it; end that one, or record to another path"
             ) from error
-        with lock_file:
-            frames = trim(part)
-            (part / LOCK).unlink(missing_ok=True)
-            if not frames:
+        try:
+            if frames := trim(part):
+                free = (out.with_name(f"{out.name}-rescued-{n}") for n in itertools.count(1))
+                rescued = next(path for path in free if not path.exists())
+                part.chmod(0o755)
+                part.rename(rescued)
+                told = f"{rescued}: {amount(frames, 'frame')} of an interrupted recording; add it with `annotator add`"
+            else:
                 rmtree(part)
-                report(f"{part}: removed; it is from an interrupted recording without frames")
-                continue
-            rescued = next(
-                path for n in itertools.count(1) if not (path := out.with_name(f"{out.name}-rescued-{n}")).exists()
-            )
-            part.chmod(0o755)
-            part.rename(rescued)
-        report(f"{rescued}: {amount(frames, 'frame')} of an interrupted recording; add it with `annotator add`")
+                told = f"{part}: removed; it is from an interrupted recording without frames"
+        finally:
+            if lock is not None:
+                os.close(lock)
+        report(told)
 
 
 def _prefix(out: Path) -> str:
     return f".{out.name}.recording-"
-
-
-def _lock(part: Path) -> IO[bytes]:
-    """Locks a folder by a file in it, until the file is closed or the process ends.
-
-    Raises:
-        BlockingIOError: another process has locked it.
-        OSError: the folder cannot be written.
-    """
-    file = (part / LOCK).open("wb")
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system: no lock
-        return file
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise
-    return file
 
 
 AUTHOR = "rcv, live"

@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from annotator.formats.table import FlatFormat
@@ -26,7 +26,7 @@ from annotator.types.messages import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.pictures import checked_images, read_pictures
-from annotator.workflows.importing.placing import Renamed
+from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer
@@ -69,20 +69,14 @@ class GivenBoxes:
     Attributes:
         origin: where they come from, for the record of the run.
         of_frame: the boxes on the image of each frame, by frame id.
-        other_classes: number of boxes left out because the project has no such class, by class name.
-        unmatched: image names without a frame in the project.
-        unreadable: images left out because their frame, which gives their size, cannot be read; as `key: reason`.
-        renamed: the dataset's only recording, if it was matched with one of another name.
         silhouettes: the frames whose boxes enclose what is seen; the others enclose the projected 3D box.
+        left_out: images and boxes that are not used, and a recording that was matched with one of another name.
     """
 
     origin: str
     of_frame: Mapping[int, tuple[Box2D, ...]]
-    other_classes: Mapping[str, int]
-    unmatched: tuple[str, ...] = ()
-    unreadable: tuple[str, ...] = ()
-    renamed: Renamed | None = None
     silhouettes: Collection[int] = ()
+    left_out: ImportReport = field(default_factory=lambda: ImportReport(Become.FLAT))
 
 
 def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBoxes:
@@ -104,7 +98,7 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
         raise ConfigError(
             f"project {project.config.name} has no boxes on its images; give --boxes or --detector, or draw some"
         )
-    return GivenBoxes("boxes drawn on the images", boxes, {}, silhouettes=silhouettes)
+    return GivenBoxes("boxes drawn on the images", boxes, silhouettes)
 
 
 def boxes_of_file(
@@ -124,21 +118,23 @@ def boxes_of_file(
     """
     dataset = read_pictures(format, path)
     images, placed, unreadable = checked_images(project, dataset, dataset.pictures, recording)
-    classes, other = set(project.config.classes), Counter[str]()
+    classes, left_out = set(project.config.classes), ImportReport(Become.FLAT)
     of_frame: dict[int, tuple[Box2D, ...]] = {}
     for image in images:
         renamed = [replace(box, label=names.get(box.label, box.label)) for box in image.boxes]
         of_frame[image.frame_id] = tuple(box for box in renamed if box.label in classes)
-        other.update(box.label for box in renamed if box.label not in classes)
+        left_out.add_all(Note.OTHER_CLASS, [box.label for box in renamed if box.label not in classes])
     if not any(of_frame.values()):
+        wanted, others = ", ".join(project.config.classes), _listed(left_out.of(Note.OTHER_CLASS))
         raise FormatError(
-            path,
-            f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(other)}; "
-            "map its classes to those of the project",
+            path, f"has no box of the classes {wanted}, only {others}; map its classes to those of the project"
         )
     silhouettes = of_frame if kind is BoxKind.SILHOUETTE else ()
-    left_out = placed.unmatched, tuple(unreadable), placed.renamed
-    return GivenBoxes(f"boxes of {path.name}", of_frame, other, *left_out, silhouettes)
+    if placed.renamed is not None:
+        left_out.add(Note.RENAMED, of=str(placed.renamed))
+    left_out.add_all(Note.UNMATCHED_IMAGE, placed.unmatched)
+    left_out.add_all(Note.UNREADABLE, unreadable)
+    return GivenBoxes(f"boxes of {path.name}", of_frame, silhouettes, left_out)
 
 
 class RenamedDetector:
@@ -151,7 +147,7 @@ class RenamedDetector:
         if not self._classes & set(self._names.values()):
             raise ConfigError(
                 f"the detector has none of the classes {', '.join(classes)}, but {_listed(detector.labels)}; "
-                "map its classes with --rename"
+                "map its classes with --classes"
             )
 
     @property

@@ -17,7 +17,7 @@ from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image, Suggestion
 from annotator.types.detector import Picture
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import Names, UsedModel, detector_title, load_detector, used_model, view_model
+from annotator.workflows.detectors import Names, UsedModel, detector_title, load_detector, required_model, used_model
 from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
@@ -104,7 +104,7 @@ def view_with_classes(project: Project) -> ReadyDetector | None:
 
 def require_view(project: Project) -> ReadyDetector:
     """As `ready_view`, but an error if there is none."""
-    return _ready(view_model(project), threading.Lock())
+    return _ready(required_model(project, DetectorKind.VIEW), threading.Lock())
 
 
 def _ready(model: UsedModel, lock: threading.Lock) -> ReadyDetector:

@@ -444,12 +444,10 @@ def test_the_check_command_prints_findings_and_sets_the_exit_code(
     monkeypatch.chdir(tmp_path)
     assert main(["new", "data", "--classes", "Car", "--projects", "projects"]) == 0
     assert main(["check", "data"]) == 2
-    assert "write ./data or --project data" in capsys.readouterr().err
-    assert main(["check", "projects/data"]) == 2
-    assert "is the folder of a project; write annotator check data --projects" in capsys.readouterr().err
+    assert "write ./data or projects/data" in capsys.readouterr().err
     assert main(["check", "./data"]) == 1
     capsys.readouterr()
-    assert main(["check", "--project", "data"]) == 0
+    assert main(["check", "projects/data"]) == 0
     assert capsys.readouterr().out == "0 warnings; 0 labels checked\n"
 
 

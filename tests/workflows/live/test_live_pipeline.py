@@ -37,7 +37,7 @@ from annotator.workflows.live.detection import (
     Taken,
 )
 from annotator.workflows.live.open_source import Playback
-from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, Slot, summary_line
+from annotator.workflows.live.pipeline import Meter, Pipeline, Slot, summary_line
 
 NEVER = threading.Event()
 # A limit for waits, which only a failure should reach.
@@ -206,9 +206,9 @@ def test_all_stages_process_frames_and_end_with_the_source(hands: Recording, kno
     shown: list[Detected] = []
     detectors: Detectors = knowing("hands")
     detection = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=False)
-    made = Pipeline(Playback(hands, rate=2.0), detection, shown.append, max_frames=3)
+    made = Pipeline(Playback(hands, rate=2.0), detection.detect, shown.append, max_frames=3)
     ends: list[str] = []
-    made.at_end(lambda: ends.append("end"))
+    made.on_end = lambda: ends.append("end")
     run(made)
     figures = made.figures()
     assert (figures.read, figures.detected, figures.shown) == (3, 3, 3)
@@ -218,8 +218,6 @@ def test_all_stages_process_frames_and_end_with_the_source(hands: Recording, kno
     assert figures.latency_ms is not None
     assert figures.latency_ms > sum(figures.stages_ms.values()) / 2
     assert ends == ["end"]
-    made.at_end(lambda: ends.append("later"))
-    assert ends == ["end", "later"]
 
 
 class QueueingPlayback(Playback):
@@ -254,14 +252,14 @@ def test_slow_stages_drop_frames_instead_of_delaying_others(frame: Frame) -> Non
         while source.begun < detected.frame.index + 12 and detect.is_alive():
             time.sleep(0.001)
 
-    made = Pipeline(source, Waiting(), show)
+    made = Pipeline(source, Waiting().detect, show)
     capture, detect, _ = made._threads
     run(made)
     figures = made.figures()
     drops = figures.drops
     assert figures.read == 40
-    assert figures.detected + drops.detect == figures.read
-    assert figures.shown + drops.show == figures.detected
+    assert figures.detected + drops["detect"] == figures.read
+    assert figures.shown + drops["show"] == figures.detected
     assert 2 <= figures.shown < figures.detected < figures.read
     assert shown[-1] == "39", "the last frame is never dropped"
 
@@ -270,7 +268,7 @@ def test_an_unreadable_frame_is_reported_and_the_others_are_shown(frame: Frame) 
     shown, lines = Shown(), list[str]()
     made = Pipeline(
         Playback(FakeRecording(frame, (None,) * 4, broken=(1,)), rate=math.inf),
-        FakeDetection(),
+        FakeDetection().detect,
         shown,
         report=lines.append,
     )
@@ -295,7 +293,7 @@ def test_a_frame_is_read_some_time_after_the_last_one_was_taken_or_when_one_is_w
 
 
 def test_a_pause_at_the_moment_of_a_stop_does_not_block(frame: Frame) -> None:
-    made = Pipeline(Playback(FakeRecording(frame, (None,) * 40), rate=100.0), FakeDetection(), Shown())
+    made = Pipeline(Playback(FakeRecording(frame, (None,) * 40), rate=100.0), FakeDetection().detect, Shown())
     clear = made._running.clear
 
     def stop_and_clear() -> None:
@@ -317,13 +315,13 @@ def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> No
     taken = Taken(frame, time.perf_counter(), 0.0)
     gone = SimpleNamespace(name="camera", skipped=0, gives_newest=False, resume=Mock(), close=Mock())
     gone.read = Mock(side_effect=[taken, taken, DeviceError("camera: was unplugged")])
-    made = Pipeline(gone, FakeDetection(), Shown())
+    made = Pipeline(gone, FakeDetection().detect, Shown())
     made.start()
     with pytest.raises(DeviceError, match="unplugged"):
         made.wait(PATIENCE_S)
     gone.close.assert_called_once()
     endless = Playback(FakeRecording(frame, (None,) * 2), rate=50.0, order=cycle(range(2)))
-    made = Pipeline(endless, FakeDetection(), fails)
+    made = Pipeline(endless, FakeDetection().detect, fails)
     made.start()
     with pytest.raises(ValueError, match="no display"):
         made.wait(PATIENCE_S)
@@ -334,7 +332,7 @@ def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> No
 def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
     shown = Shown()
     made = Pipeline(
-        Playback(FakeRecording(frame, (None,) * 2), rate=50.0, order=cycle(range(2))), FakeDetection(), shown
+        Playback(FakeRecording(frame, (None,) * 2), rate=50.0, order=cycle(range(2))), FakeDetection().detect, shown
     )
     made.start()
     while len(shown) < 2:
@@ -352,7 +350,7 @@ def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
     made.end()
     assert made.ended.is_set()
     with pytest.raises(ConfigError, match="0 frames"):
-        Pipeline(Playback(FakeRecording(frame, (None,)), rate=1.0), FakeDetection(), shown, max_frames=0)
+        Pipeline(Playback(FakeRecording(frame, (None,)), rate=1.0), FakeDetection().detect, shown, max_frames=0)
 
 
 def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowing: Any) -> None:
@@ -372,13 +370,13 @@ def test_figures_are_computed_over_their_window_only(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("annotator.workflows.live.pipeline.time", clock)
     clock.now_s = 100.0
     meter = Meter(window_s=0.3)
-    assert summary_line(meter.figures(Drops())) == "too few frames for a rate; 0 shown"
+    assert summary_line(meter.figures({})) == "too few frames for a rate; 0 shown"
     meter.shown(clock.now_s - 5, {"show": 1.0})
     clock.now_s += 0.35
     for _ in range(3):
         clock.now_s += 0.02
         meter.shown(clock.now_s - 0.05, {"show": 0.002})
-    figures = meter.figures(Drops(detect=2, record=1))
+    figures = meter.figures({"detect": 2, "record": 1})
     assert figures.shown == 4
     assert figures.stages_ms == pytest.approx({"show": 2.0})
     assert figures.latency_ms == pytest.approx(50)

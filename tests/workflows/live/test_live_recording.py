@@ -37,7 +37,6 @@ from annotator.types import (
 )
 from annotator.types.errors import ConfigError, RecordingError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.live import recorder as recording_of
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.recorder import Recorder, require_recordable, store
@@ -310,4 +309,3 @@ def test_if_the_path_is_taken_at_the_end_the_error_names_the_recorded_frames(
     with pytest.raises(RecordingError, match=r"1 frame kept in .*recording-"):
         recorder.finish()
     recorder.close()
-    assert recording_of.LOCK not in {path.name for path in tmp_path.rglob("*")}

@@ -24,7 +24,7 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import FlatFormat
+from annotator.workflows.importing import FlatFormat, Note
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.proposing.lift import GivenBoxes, RenamedDetector, boxes_of_file, drawn_boxes, lift
 from annotator.workflows.recorded.reading import load_truth
@@ -98,7 +98,7 @@ def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
     with pytest.raises(FormatError, match="has no box of the classes person, only cat, human; map its classes"):
         boxes_of_file(people, file, FlatFormat.COCO, None, {})
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"})
-    assert given.other_classes == {"cat": 1}
+    assert given.left_out.of(Note.OTHER_CLASS) == {"cat": 1}
     assert list(given.silhouettes) == [people.frames.of()[0].id]
     lift(people, given, base, quick(people))
     assert json.loads(people.jobs.all()[-1].config)["image_box_kind"] == BoxKind.SILHOUETTE
@@ -180,8 +180,8 @@ def test_the_command_lifts_drawn_boxes(
     assert main(["lift", *where]) == 0
     output = capsys.readouterr().out
     assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frame done" in output
-    assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
+    assert main(["lift", *where, "--boxes", "x.json", "--detector", "x.pt"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-    assert main(["lift", *where, "--rename", "car"]) == 2
-    assert "'car' is not NAME=CLASS, such as car=Car" in capsys.readouterr().err
+    assert main(["lift", *where, "--classes", "car"]) == 2
+    assert "--classes car: write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT" in capsys.readouterr().err
     assert loaded_detectors.ready_view(people) is None
