@@ -5,7 +5,7 @@
  * cache.
  */
 
-import { button, h } from "../dom.js";
+import { button, h, patch } from "../dom.js";
 import { ApiError, isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
@@ -186,10 +186,10 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
   }
 
   function show() {
-    root.replaceChildren();
-    if (!saver.problem) return;
+    if (!saver.problem) return patch(root);
     const gone = [...saver.labels()].find((label) => !app.state.project.classes.includes(label));
-    root.append(
+    patch(
+      root,
       `Not saved: ${saver.problem.message} `,
       gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
       " ",
