@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +21,7 @@ from urllib.parse import unquote
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from annotator.project import Project, Receipt, StoredRecording, open_project
+from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types import Frame
@@ -29,7 +29,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, P
 from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
-from annotator.web.hub import Hub
+from annotator.web.hub import Announcer, Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
 from annotator.web.security import ServerSettings, is_loopback
@@ -105,11 +105,12 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
+        self.announcer = Announcer(self.hub)
         self._temporary: Path | None = None
         # other people must not see more recordings than those they could add, whatever a project names
         self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in settings.folders)
         self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message, readable=self._readable)
-        self.follow_runs = FollowRuns(self.hub, self.public_message)
+        self.follow_runs = FollowRuns(self.hub, self.announcer, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
@@ -131,6 +132,7 @@ class Context:
                 self._drop(name)
             _require(folder)
             project = open_project(folder, readable=self._readable)
+            self.announcer.begin(project)
             with self._lock:
                 self._projects[name] = project
             return project
@@ -300,9 +302,11 @@ class InProject:
             self._project = self.ctx.project(self.name)
         return self._project
 
-    def told(self, changed: Iterable[tuple[int, Receipt]]) -> None:
-        """Tells the pages of changed frames."""
-        self.ctx.hub.frames_changed(self.project, changed, self.operator)
+    def announce(self) -> None:
+        """Tells the pages of the project what this request has changed."""
+        # it is stored; what cannot be read now is announced by the thread that watches
+        with suppress(AnnotatorError):
+            self.ctx.announcer.announce(self.project, self.operator)
 
 
 async def _in_project(ctx: Ctx, name: str, operator: Operator) -> InProject:

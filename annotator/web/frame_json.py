@@ -14,7 +14,7 @@ from fastapi import Depends
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from annotator.project import Project, Receipt, ViewBoxes
+from annotator.project import Project, ViewBoxes
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import StaleRevisionError
@@ -86,19 +86,17 @@ class InFrame(InProject):
         return replace(self, frame_id=frame_id)
 
     @contextmanager
-    def change(self, body: FrameChange) -> Iterator[list[tuple[int, Receipt]]]:
-        """Within the block, the change is stored. A stale one is answered (409) with both versions of the frame.
-
-        Pages are told of the frames, with their receipts, that the block has added to the list.
+    def change(self, body: FrameChange) -> Iterator[None]:
+        """Within the block, the change is stored; then the pages are told. A stale one is answered (409) with both
+        versions of the frame.
         """
-        changed: list[tuple[int, Receipt]] = []
         try:
-            yield changed
+            yield
         except StaleRevisionError as error:
             why = ErrorBody(kind=type(error).__name__, message=str(error))
             both = BothVersions.model_construct(error=why, state=self.state(), changes=body.sent())
             raise AnsweredError(ModelResponse(both, 409)) from error
-        self.told(changed)
+        self.announce()
 
 
 async def _in_frame(ctx: Ctx, name: str, frame_id: RowId, operator: Operator) -> InFrame:

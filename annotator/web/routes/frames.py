@@ -188,11 +188,11 @@ def frame(at: AtFrame) -> JSONResponse:
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
 def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     """Change one frame: all changes or none, as one undo step."""
-    with at.change(body) as changed:
+    with at.change(body):
         known = at.ctx.caches.frames.known_page(at.project, at.frame_id)
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        changed.append((at.frame_id, apply_changes(at.project, at.frame_id, payloads, context, at.open, known)))
+        apply_changes(at.project, at.frame_id, payloads, context, at.open, known)
     return ModelResponse(at.state())
 
 
@@ -226,7 +226,7 @@ def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepO
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
-    at.told(((reverted.frame_id, reverted.receipt), *reverted.others))
+    at.announce()
     state = InFrame(ctx, at.name, operator, reverted.frame_id).state()
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 

@@ -402,9 +402,9 @@ def change_classes_of(at: AtProject, body: ClassChange) -> ProjectInfo:
 def set_values(at: AtFrame, body: ValuesIn) -> FrameStateJson:
     """Set values of a label, or of the frame; those of a track in all its labels, as one action."""
     context, project = body.context(at.operator, body.uid), at.project
-    with at.change(body) as changed:
+    with at.change(body):
         if body.uid is None:
-            changed.append((at.frame_id, project.frames.set_attributes(at.frame_id, body.values, context)))
+            project.frames.set_attributes(at.frame_id, body.values, context)
         else:
-            changed += project.labels.set_attributes(at.frame_id, body.uid, body.values, context)
+            project.labels.set_attributes(at.frame_id, body.uid, body.values, context)
     return at.state()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -195,24 +193,18 @@ def move(at: AtProject, recording: RowId, body: RecordingPath) -> RecordingInfo:
 @router.delete("/api/projects/{name}/recordings/{recording}")
 def remove(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
-    with _told(at):
-        at.project.recordings.remove(recording, at.operator)
-    return recordings(at)
+    at.project.recordings.remove(recording, at.operator)
+    return _changed(at)
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/restore")
 def restore(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Bring a removed recording back, with its labels."""
-    with _told(at):
-        bring_back(at.project, recording)
-    return recordings(at)
+    bring_back(at.project, recording)
+    return _changed(at)
 
 
-@contextmanager
-def _told(at: InProject) -> Iterator[None]:
-    """Tells the pages which recordings were removed or have come back within the `with` block."""
-    hub, stored = at.ctx.hub, at.project.recordings
-    hub.recordings_are(at.project, stored.removed_by())
-    yield
+def _changed(at: InProject) -> list[ListedRecording]:
     at.ctx.caches.frames.forget(at.project)
-    hub.recordings_are(at.project, stored.removed_by(), at.operator)
+    at.announce()
+    return recordings(at)

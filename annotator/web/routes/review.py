@@ -140,9 +140,8 @@ def _ready(at: InFrame) -> tuple[OpenFrame, RcvConfig, Readiness]:
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", responses=STALE)
 def copy(at: AtFrame, body: CopyIn) -> FrameStateJson:
     """Copy the reviewed boxes of another frame, except those that this frame already has."""
-    with at.change(body) as changed:
-        receipt = copy_boxes(at.project, at.frame_id, body.source, body.context(at.operator))
-        changed.append((at.frame_id, receipt))
+    with at.change(body):
+        copy_boxes(at.project, at.frame_id, body.source, body.context(at.operator))
     return at.state()
 
 
@@ -398,9 +397,7 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
         labelling, ready = _labelled(at, opened, given, body.box_kind)
         drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, given.suggestion)
         answer = _steps_json(at, opened, labelling, ready)
-    with at.change(body) as changed:
+    with at.change(body):
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)
-        saved = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
-        if saved.receipt is not None:
-            changed.append((at.frame_id, saved.receipt))
-    return SaveOut.model_construct(state=at.state(), uid=saved.uid, drawn=answer)
+        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
+    return SaveOut.model_construct(state=at.state(), uid=uid, drawn=answer)

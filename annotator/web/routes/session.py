@@ -96,9 +96,10 @@ async def events(
     socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
     """Sends events to a page, and receives which frame it shows."""
-    since = 0 if project is None else await run_in_threadpool(_newest_event, ctx, project)
+    if project is not None:
+        await run_in_threadpool(_begin, ctx, project)
     # joined before the page knows that it is connected: what it reads from then on is followed by every later event
-    client = Client(project, operator, since)
+    client = Client(project, operator)
     ctx.hub.join(client)
     tasks = []
     try:
@@ -112,10 +113,10 @@ async def events(
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def _newest_event(ctx: Context, project: str) -> int:
+def _begin(ctx: Context, project: str) -> None:
     # pages that connect again and again to a locked project must not occupy all threads
     with waiting_at_most(CONNECT_WITHIN_S):
-        return ctx.project(project).log.last()
+        ctx.announcer.begin(ctx.project(project))
 
 
 async def _send(socket: WebSocket, client: Client) -> None:

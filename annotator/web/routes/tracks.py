@@ -107,7 +107,7 @@ def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBo
 @router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
 def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
-    with at.change(body) as changed:
+    with at.change(body):
         done = copy_next(
             at.project,
             at.frame_id,
@@ -117,16 +117,15 @@ def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
             read=lambda frame: at.of(frame.id).open().frame,
             effort=body.stored_effort(),
         )
-        changed += done.changed
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
 def carry(at: AtFrame, body: CarryIn) -> CarryOut:
     """Correct the later proposals of a track like this box; one undo step."""
-    with at.change(body) as changed:
+    with at.change(body):
         was, effort = body.was.box(), body.stored_effort()
-        changed += carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
+        changed = carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
     return CarryOut(changed=len(changed))
 
 
@@ -168,10 +167,9 @@ def interpolate(at: AtFrame, body: InterpolateIn) -> InterpolateOut:
     if body.refit:
         view = at.ctx.caches.detectors.get(at.project, DetectorKind.VIEW)
         fit = box_fitter(at.project, lambda frame: at.of(frame.id).open(), view)
-    with at.change(body) as changed:
+    with at.change(body):
         effort = body.stored_effort()
         done = interpolate_back(at.project, at.frame_id, body.uid, body.revision, at.operator, fit=fit, effort=effort)
-        changed += done.filled
     return InterpolateOut.of(done, filled=len(done.filled), state=at.state())
 
 
@@ -258,5 +256,6 @@ def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> Streami
 def accept(at: AtProject, body: AcceptIn) -> AcceptOut:
     """Accept proposals in several frames, all or none, as one undo step."""
     boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
-    at.told(accept_boxes(at.project, boxes, at.operator, body.stored_effort()))
+    accept_boxes(at.project, boxes, at.operator, body.stored_effort())
+    at.announce()
     return AcceptOut(accepted=len(boxes))

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int64, UInt8
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import every_nth, thin
 from annotator.image_bytes import encoded_image
-from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
+from annotator.project import Effort, FramePart, Project, StoredFrame, WriteContext
 from annotator.project.changes import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
@@ -176,10 +176,8 @@ class SeenBox:
     uid: str
 
 
-def accept_boxes(
-    project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None
-) -> tuple[tuple[int, Receipt], ...]:
-    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt."""
+def accept_boxes(project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None) -> None:
+    """Accepts proposals in several frames, all or none, as one action."""
     if not boxes:
         raise ConfigError("no box is chosen, so there is nothing to accept; click on those that are right")
     by_frame: dict[int, list[SeenBox]] = {}
@@ -196,8 +194,7 @@ def accept_boxes(
         )
         for number, (frame_id, chosen) in enumerate(by_frame.items())
     ]
-    receipts = project.log.append_to_frames(parts)
-    return tuple(zip(by_frame, receipts, strict=True))
+    project.log.append_to_frames(parts)
 
 
 LOG = logging.getLogger("annotator.web")

@@ -90,14 +90,6 @@ class ObjectDrawn:
     suggestion: Suggestion | None = None
 
 
-@dataclass(frozen=True)
-class Saved:
-    """The receipt (None if nothing changed), and the uid of the object's label, if it has one."""
-
-    receipt: Receipt | None
-    uid: str | None
-
-
 def save_object(
     project: Project,
     frame_id: int,
@@ -106,8 +98,10 @@ def save_object(
     kind: BoxKind,
     drawn: ObjectDrawn | None,
     context: WriteContext,
-) -> Saved:
+) -> str | None:
     """Stores the boxes on the image and on an object's views and, once all four are drawn, its 3D label: all or none.
+
+    Returns the uid of the object's label, if it has one.
 
     Boxes on a view are removed if their image box is gone, or if an earlier box of the object has changed, which gives
     the object another view: the old view is no longer a step of any object.
@@ -143,10 +137,10 @@ def save_object(
     if changes_kind(page, on_image):
         others = remeasured(page, opened, label_config(project, opened.frame), on_image)
         payloads += [entry for entry in others if entry.uid != uid]
-    if not payloads:
-        return Saved(None, uid)
-    target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
-    return Saved(project.log.append(frame_id, payloads, replace(context, effort_target=target)), uid)
+    if payloads:
+        target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
+        project.log.append(frame_id, payloads, replace(context, effort_target=target))
+    return uid
 
 
 def _view_boxes(
