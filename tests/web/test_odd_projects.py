@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import threading
 from collections.abc import Callable
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -208,7 +208,7 @@ def test_requests_to_one_project_leave_threads_to_the_others(monkeypatch: pytest
         async def call(path: str) -> None:
             await fair({"type": "http", "path": path}, _nothing, _nothing)
 
-        fair = Fair(app, SimpleNamespace(stepping_aside=nullcontext))  # type: ignore[arg-type]
+        fair = Fair(app, SimpleNamespace())  # type: ignore[arg-type]
         slow = [asyncio.create_task(call(f"/api/projects/slow/{n}")) for n in range(5)]
         while len(begun) < 2:
             await asyncio.sleep(0)
