@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import shutil
 import tempfile
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -36,57 +34,32 @@ from annotator.web.security import ServerSettings, is_loopback
 from annotator.web.uploads import as_sent
 from annotator.workflows.workbench.contact_sheet import SheetPictures
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
-from annotator.workflows.workbench.frame_cache import FrameCache
+from annotator.workflows.workbench.frame_cache import FrameCache, Memo
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 
 LOG = logging.getLogger("annotator.web")
 
-# The image of a pseudo-view takes some 30 kB.
-MOST_IMAGES = 1000
-
-
-class ViewImageCache:
-    """The latest PNG images of pseudo-views, by the SHA-256 of their content. Thread-safe."""
-
-    def __init__(self, most: int = MOST_IMAGES) -> None:
-        self._most = most
-        self._lock = threading.Lock()
-        self._images: OrderedDict[str, bytes] = OrderedDict()
-
-    def add(self, content: bytes) -> str:
-        """Adds the content of a PNG file; returns its id, the same as that of `project.views.store`."""
-        name = hashlib.sha256(content).hexdigest()
-        with self._lock:
-            self._images[name] = content
-            self._images.move_to_end(name)
-            while len(self._images) > self._most:
-                self._images.popitem(last=False)
-        return name
-
-    def get(self, name: str) -> bytes | None:
-        """The PNG, or None if it is not in the cache."""
-        with self._lock:
-            return self._images.get(name)
+# The image of a pseudo-view takes some 30 kB, what is seen of a project's objects up to 60 MB.
+MOST_IMAGES, MOST_PROJECTS = 1000, 4
 
 
 class Caches:
-    """The caches of one application."""
+    """The caches of one application.
+
+    Attributes:
+        view_images: the latest PNG images of pseudo-views, by the id that `project.views.store` gives them.
+    """
 
     def __init__(self) -> None:
         self.frames = FrameCache()
-        self.view_images = ViewImageCache()
+        self.view_images = Memo(MOST_IMAGES)
         self.sheets = SheetPictures(self.frames)
         self.detectors = ReadyDetectors()
-        self._lock = threading.Lock()
-        self._whole: dict[Path, WholeBoxes] = {}
+        self._whole = Memo(MOST_PROJECTS)
 
     def whole_boxes(self, project: Project) -> WholeBoxes:
         """What offers whole boxes for the drawn objects of a project."""
-        with self._lock:
-            known = self._whole.get(project.path)
-            if known is None or known.project is not project:  # opened again
-                known = self._whole[project.path] = WholeBoxes(project, partial(self.frames.look, project))
-            return known
+        return self._whole.get(project, lambda: WholeBoxes(project, partial(self.frames.look, project)))
 
     def close(self) -> None:
         self.frames.close()

@@ -189,10 +189,9 @@ def frame(at: AtFrame) -> JSONResponse:
 def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     """Change one frame: all changes or none, as one undo step."""
     with at.change(body):
-        known = at.ctx.caches.frames.known_page(at.project, at.frame_id)
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        apply_changes(at.project, at.frame_id, payloads, context, at.open, known)
+        apply_changes(at.project, at.frame_id, payloads, context, at.open)
     return ModelResponse(at.state())
 
 
@@ -248,5 +247,5 @@ def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Respons
 def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
     """The image of a pseudo-view, from the cache or the project."""
     project = ctx.project(name)
-    content = ctx.caches.view_images.get(view_id) or project.views.content(view_id)
+    content = ctx.caches.view_images.known(view_id) or project.views.content(view_id)
     return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

@@ -20,7 +20,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import in_frustum
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
-from annotator.project.overview import FramePage, neighbours
+from annotator.project.overview import neighbours
 from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
@@ -59,6 +59,12 @@ class Memo:
         found: T = result[0]
         return found
 
+    def known(self, key: Hashable) -> Any:
+        """Returns a result that was computed; None if there is none."""
+        with self._lock:
+            _, result = self._results.get(key, (None, ()))
+        return result[0] if result else None
+
 
 class OpenFrame:
     """An open frame. Thread-safe.
@@ -66,17 +72,14 @@ class OpenFrame:
     Attributes:
         adjusted: id of the event that adjusted its recording last, when the frame was read; 0 = none.
         is_prepared: its results were computed ahead, and its neighbours read ahead.
-        page: the stored state as read last; None before the first read.
     """
 
     def __init__(self, frame: Frame, adjusted: int = 0) -> None:
         self.frame = frame
         self.adjusted = adjusted
         self.is_prepared = False
-        self.page: FramePage | None = None
         self._whole, self._results = Memo(2), Memo(MAX_RESULTS)
         self._counts: dict[bytes, int] = {}
-        self._newest: dict[str, tuple[int, Any]] = {}
 
     @property
     def memory_bytes(self) -> int:
@@ -123,18 +126,6 @@ class OpenFrame:
     def image_detections(self, detector: Detector) -> list[Box2D]:
         """Returns a detector's boxes on the image; detected once."""
         return self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
-
-    def newest(self, name: str, revision: int, compute: Callable[[], T]) -> T:
-        """Returns a result that depends on the revision of the frame's labels; only the newest is kept."""
-        cached = self._newest.get(name)
-        if cached is None or cached[0] != revision:
-            cached = self._newest[name] = (revision, compute())
-        result: T = cached[1]
-        return result
-
-    def latest(self, name: str) -> Any:
-        """Returns the result of the last call of `newest`, of any revision; None if there was none."""
-        return self._newest.get(name, (0, None))[1]
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
@@ -206,11 +197,6 @@ class FrameCache:
         opened = self._open(project, stored)
         self._read_ahead((time.monotonic() + PAUSE_S, project, stored), operator)
         return opened
-
-    def known_page(self, project: Project, frame_id: int) -> FramePage | None:
-        """The page of an open frame as it was last read; None for a frame that is not open."""
-        opened = self._cached((project, frame_id))
-        return None if opened is None else opened.page
 
     def look(self, project: Project, stored: StoredFrame) -> Frame:
         """Returns a frame that is not opened: it is not cached, and nothing is read ahead. Raises as `read`."""

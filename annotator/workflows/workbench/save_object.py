@@ -27,7 +27,7 @@ from annotator.workflows.workbench.drawing_steps import (
     label_steps,
 )
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import ShownObject, present_page, shown_objects
+from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
@@ -116,7 +116,7 @@ def save_object(
         ConfigError: the object's image box is not in `image_boxes`, or it has more than four boxes.
         ProjectError: unknown class.
     """
-    page = present_page(project, frame_id, opened)
+    page = read_page(project, frame_id)
     if page.frame.revision != context.revision:
         raise StaleRevisionError(f"frame {page.frame.key}", context.revision, page.frame.revision)
     if drawn is not None and drawn.image_box not in image_boxes:
@@ -242,13 +242,11 @@ def apply_changes(
     payloads: Sequence[Payload],
     context: WriteContext,
     open_frame: Callable[[], OpenFrame],
-    known: FramePage | None = None,
 ) -> Receipt:
     """Stores changes to one frame and the changes they imply, as one action: all or none.
 
     Args:
         open_frame: returns the frame; called only if finished objects must be remeasured.
-        known: an earlier page of the frame, which need not be read again if it is still the present one.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
@@ -259,7 +257,7 @@ def apply_changes(
     if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
         return project.log.append(frame_id, payloads, context)
     # if another change comes between this read and the append, the append refuses the stale revision
-    page = read_page(project, frame_id, known)
+    page = read_page(project, frame_id)
     parts = [FramePart(frame_id, [*payloads, *_implied(project, page, payloads, open_frame)], context)]
     for other_id, implied in _on_other_images(project, page, payloads):
         revision = parts[-1].context.revision + len(parts[-1].payloads)
