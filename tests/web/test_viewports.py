@@ -79,8 +79,6 @@ def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> No
     assert [shown.uid for shown in scene.content.boxes] == [uid]
     np.testing.assert_allclose(scene.selected.box.center_m, [0.5, 0, 3])
     assert scene.selected.state is ReviewState.ACCEPTED
-    show(live, viewport, frame=frame_id, preview={"uid": None, "box": moved}, labels="none")
-    assert [shown.uid for shown in scene.content.boxes] == [None]
     # all unstored boxes are shown, the selected one as changed by its preview
     added = [{"uid": f"new-{n}", "box": {**moved, "center": [n, 0, 3]}} for n in (1, 2)]
     show(live, viewport, frame=frame_id, selected="new-2", added=added, preview={"uid": "new-2", "box": moved})

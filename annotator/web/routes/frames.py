@@ -32,12 +32,11 @@ from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse
 from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
-    Box3DJson,
-    ClassName,
     FrameChange,
     FrameListJson,
     FrameRowJson,
     FrameStateJson,
+    LabelValues,
     RowId,
     Schema,
     Uid,
@@ -62,14 +61,11 @@ class Decide(Schema):
         return DECIDED[self.kind](uid=self.uid)
 
 
-class Edit(Schema):
+class Edit(LabelValues):
     """Changes a label's class, box and track; with `box_kind`, also what its box encloses."""
 
     kind: Literal["edit"]
     uid: Uid
-    label: ClassName
-    box: Box3DJson
-    track_id: TrackId | None = None
     box_kind: BoxKind | None = None
 
     def payload(self) -> Payload:
@@ -88,16 +84,13 @@ class Track(Schema):
         return LabelTracked(uid=self.uid, track_id=self.track_id)
 
 
-class Create(Schema):
+class Create(LabelValues):
     """Creates an accepted label.
 
     `image_box` is the box on the image that it was fitted to, if any; `suggestion` the detector that fitted it.
     """
 
     kind: Literal["create"]
-    label: ClassName
-    box: Box3DJson
-    track_id: TrackId | None = None
     image_box: Box2DJson | None = None
     suggestion: Suggestion | None = None
 

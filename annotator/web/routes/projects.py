@@ -193,11 +193,10 @@ class NewProject(Schema):
     rotation: BoxRotation = BoxRotation.AUTO
 
 
-class ProjectChange(Schema):
-    """Changes of a project; null = unchanged."""
+class ProjectClasses(Schema):
+    """The classes of a project, in order."""
 
-    classes: Classes | None = None
-    rotation: BoxRotation | None = None
+    classes: Classes
 
 
 class NewName(Schema):
@@ -240,11 +239,9 @@ def project(at: AtProject) -> ProjectInfo:
 
 
 @router.patch("/api/projects/{name}")
-def change(at: AtProject, body: ProjectChange) -> ProjectInfo:
-    """Change the classes or the rotation of boxes."""
-    old = at.project.config.settings
-    settings = None if body.rotation is None else old.model_copy(update={"rotation": body.rotation})
-    at.project.configure(classes=body.classes, settings=settings, author=at.operator)
+def change(at: AtProject, body: ProjectClasses) -> ProjectInfo:
+    """Change the classes."""
+    at.project.configure(classes=body.classes, author=at.operator)
     return project_info(at)
 
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, WebSocket
@@ -17,7 +17,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response
 
 from annotator.project import Project
-from annotator.types import BoxKind, Label, OrientedBox, ReviewState
+from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
@@ -216,9 +216,9 @@ class DraftJson(Schema):
 
 
 class PreviewJson(Schema):
-    """An unstored box: it replaces that of the label `uid`, or is additional (null, or an unknown uid)."""
+    """An unstored box: it replaces that of the label `uid`, or is additional (an unknown uid)."""
 
-    uid: Uid | None
+    uid: Uid
     box: Box3DJson
 
 
@@ -232,7 +232,6 @@ class SceneRequest(Schema):
     frame: RowId | None
     selected: Uid | None = None
     gizmo: Gizmo = Gizmo.OFF
-    labels: Literal["all", "none"] = "all"
     draft: DraftJson | None = None
     preview: PreviewJson | None = None
     added: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
@@ -301,12 +300,12 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
     shown = show_frame(project, frame_id, opened)
-    labels = [each.stored.label for each in shown.labels] if body.labels == "all" else []
+    labels = [each.stored.label for each in shown.labels]
     previews = [*body.added, *([] if body.preview is None else [body.preview])]
     return SceneContent(
         key=(project.path.name, shown.page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, [(preview.uid, preview.box.box()) for preview in previews]),
+        boxes=_boxes(labels, previews),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
@@ -317,15 +316,13 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     )
 
 
-def _boxes(labels: Sequence[Label], previews: Sequence[tuple[str | None, OrientedBox]]) -> tuple[ShownBox, ...]:
+def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson]) -> tuple[ShownBox, ...]:
     """The stored boxes and the previews. A preview replaces the box with its uid; of several, the last one is used."""
-    states = {label.uid: label.state for label in labels}
     shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
-    without_uid = [ShownBox(None, box, ReviewState.PROPOSED) for uid, box in previews if uid is None]
-    for uid, box in previews:
-        if uid is not None:
-            shown[uid] = ShownBox(uid, box, states.get(uid, ReviewState.PROPOSED))
-    return (*shown.values(), *without_uid)
+    for preview in previews:
+        state = shown[preview.uid].state if preview.uid in shown else ReviewState.PROPOSED
+        shown[preview.uid] = ShownBox(preview.uid, preview.box.box(), state)
+    return tuple(shown.values())
 
 
 def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:

@@ -87,7 +87,7 @@ export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp}
     const others = desk.labels().filter(({ uid, isNew }) => isNew && uid !== desk.uid);
     const added = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
     /** @type {Scene3D} */
-    const scene = { frame: id, selected: desk.uid, labels: "all", preview, added, ...chosen, ...more };
+    const scene = { frame: id, selected: desk.uid, preview, added, ...chosen, ...more };
     const text = JSON.stringify(scene);
     if (text === sent.scene && revision === sent.revision) return;
     const waitMs = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;
