@@ -102,7 +102,7 @@ def _to_teach(project: Project) -> list[QueueItem]:
     present = [frame for frame in project.frames.of() if frame.index is not None]
     frames = {frame.id: frame for frame in present if not frame.finalised}
     known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED)
-    worst = worst_of_frames(project.store)
+    worst = worst_of_frames(project.store, None)
     untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
     seen = [frame for frame in present if frame.id in known]
     ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]
