@@ -159,7 +159,6 @@ class QualityJson(BaseModel):
     view_disagreement: Signal
     kept_share: Signal
     last_change: Signal
-    image_agreement: Signal
     expected_iou_loss: Signal
 
     @classmethod
@@ -195,7 +194,6 @@ class LabelJson(LabelValues):
     source: Source
     state: ReviewState
     author: str
-    time_ns: int
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None

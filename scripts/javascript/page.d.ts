@@ -406,7 +406,7 @@ type Panel = typeof import("../../web_assets/js/label/side_panel.js");
 // -- Review
 
 /** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
-type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns" | "box"> & {
+type PageLabel = Omit<Api.LabelJson, "source" | "author" | "box"> & {
   box: Box3D;
   source: string;
   author: string | null;

@@ -41,7 +41,7 @@ def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, projec
     assert frame["history"] == {"undo": None, "redo": None}
     (label,) = frame["labels"]
     assert (label["uid"], label["state"], label["source"], label["label"]) == (uid, "proposed", "auto", "person")
-    assert label["quality"]["view_disagreement"] == 0.1 and label["quality"]["image_agreement"] == 0.8
+    assert label["quality"]["view_disagreement"] == 0.1
     assert label["quality"]["expected_iou_loss"] == 0.2
     assert 0.3 < label["doubt"] < 0.8
     assert 8 <= len(label["outline"]) <= 12 and len(label["outline"][0]) == 2

@@ -71,7 +71,6 @@ class RecordingInfo(Schema):
     name: str
     format: str
     frames: int
-    is_sequence: bool
     missing: bool
 
 

@@ -109,7 +109,6 @@ class AddedRecording(Schema):
     recording: RecordingInfo
     is_new: bool
     new_frames: int
-    missing_frames: int
     notes: tuple[str, ...]
     broken: list[str]
     left_out: int

@@ -36,35 +36,30 @@ class SignIn(Schema):
 
 
 class Session(BaseModel):
-    """The signed-in operator, and the server's version and protection."""
+    """The signed-in operator, and the server's version."""
 
     operator: str | None
     version: str
-    token_required: bool
 
 
 @router.get("/api/session")
-def session(request: Request, ctx: Ctx) -> Session:
+def session(request: Request) -> Session:
     """The operator who is signed in on this browser."""
-    return _session(ctx, operator_or_none(request))
+    return Session(operator=operator_or_none(request), version=__version__)
 
 
 @router.post("/api/session")
-def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
+def sign_in(body: SignIn, response: Response) -> Session:
     """Sign in with a name, which becomes the author of all changes."""
     response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
-    return _session(ctx, body.operator)
+    return Session(operator=body.operator, version=__version__)
 
 
 @router.delete("/api/session")
-def sign_out(response: Response, ctx: Ctx) -> Session:
+def sign_out(response: Response) -> Session:
     """Sign out."""
     response.delete_cookie(OPERATOR_COOKIE, httponly=True, samesite="strict")
-    return _session(ctx, None)
-
-
-def _session(ctx: Ctx, name: str | None) -> Session:
-    return Session(operator=name, version=__version__, token_required=ctx.settings.token is not None)
+    return Session(operator=None, version=__version__)
 
 
 # Time limit for sending an event to a page; after that the page is disconnected.

@@ -100,7 +100,7 @@ class InterpolateOut(Schema):
 def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBox]:
     """All boxes of an object, in the order of the recording. Its contact sheet is drawn in the meantime."""
     boxes = boxes_of(at.project, recording_id, track_id)
-    at.ctx.caches.sheets.prepare(at.project, recording_id, boxes)
+    at.ctx.caches.sheets.prepare(at.project, boxes)
     return [TrackBox.of(frame, frame=frame.id, uid=label.uid, state=label.state) for frame, label in boxes]
 
 

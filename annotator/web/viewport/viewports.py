@@ -23,7 +23,7 @@ from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
-from annotator.web.viewport.scene import PointCounts, Scene
+from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
@@ -65,8 +65,8 @@ class Viewport(ViserPage):
         self._scene = Scene(self._server, self._gizmo_moved)
         self._server.scene.on_click()(self._clicked)
 
-    def show(self, content: SceneContent) -> PointCounts:
-        """Shows a scene. While an operator drags the gizmo, the selected box stays at the gizmo."""
+    def show(self, content: SceneContent) -> tuple[int, int]:
+        """As `Scene.show`. While an operator drags the gizmo, the selected box stays at the gizmo."""
         with self._lock:
             self.used_s = time.monotonic()
             dragged = self._dragged_s is not None and time.monotonic() - self._dragged_s < DRAG_ENDS_S
@@ -267,11 +267,9 @@ def show_scene(
     viewport = viewports.get(id, operator)
     project = ctx.project(viewport.project)
     content = SceneContent(None, None) if body.frame is None else _content(ctx, project, body, body.frame)
-    counts = viewport.show(content)
+    shown_points, points = viewport.show(content)
     took_ms = (time.perf_counter() - began) * 1000
-    return SceneAnswer(
-        shown_points=counts.shown_points, points=counts.points, ms=round(took_ms, 1), connected=viewport.sockets > 0
-    )
+    return SceneAnswer(shown_points=shown_points, points=points, ms=round(took_ms, 1), connected=viewport.sockets > 0)
 
 
 @router.delete("/api/workbench/{id}", status_code=204)
