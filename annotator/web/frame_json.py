@@ -6,7 +6,7 @@ import hashlib
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -80,10 +80,6 @@ class InFrame(InProject):
         """The present state of the frame for the operator's page."""
         with self.project.store.snapshot():
             return _state(self)
-
-    def of(self, frame_id: int) -> InFrame:
-        """As if another frame had been asked for."""
-        return replace(self, frame_id=frame_id)
 
     @contextmanager
     def change(self, body: FrameChange) -> Iterator[None]:

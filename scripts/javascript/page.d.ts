@@ -463,11 +463,10 @@ interface Window {
 // -- the 3D view
 
 /** A box that is not stored. */
-type PreviewBox = { uid: string | null; box: Box3D };
+type PreviewBox = { uid: string; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
-type Scene3D = Omit<Api.SceneRequest, "preview" | "added" | "draft"> & {
-  preview?: PreviewBox | null;
-  added?: PreviewBox[];
+type Scene3D = Omit<Api.SceneRequest, "previews" | "draft"> & {
+  previews?: PreviewBox[];
   draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
 };
 

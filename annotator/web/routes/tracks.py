@@ -107,6 +107,7 @@ def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBo
 @router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
 def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
+    frames = at.ctx.caches.frames
     with at.change(body):
         done = copy_next(
             at.project,
@@ -114,7 +115,7 @@ def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
             body.uid,
             body.revision,
             at.operator,
-            read=lambda frame: at.of(frame.id).open().frame,
+            read=lambda frame: frames.read(at.project, frame.id),
             effort=body.stored_effort(),
         )
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
@@ -166,7 +167,7 @@ def interpolate(at: AtFrame, body: InterpolateIn) -> InterpolateOut:
     fit = None
     if body.refit:
         view = at.ctx.caches.detectors.get(at.project, DetectorKind.VIEW)
-        fit = box_fitter(at.project, lambda frame: at.of(frame.id).open(), view)
+        fit = box_fitter(at.project, lambda frame: at.ctx.caches.frames.open(at.project, frame.id), view)
     with at.change(body):
         effort = body.stored_effort()
         done = interpolate_back(at.project, at.frame_id, body.uid, body.revision, at.operator, fit=fit, effort=effort)

@@ -225,17 +225,16 @@ class PreviewJson(Schema):
 class SceneRequest(Schema):
     """The content of a viewport. Omitted fields take their defaults, so each request is complete.
 
-    `added` are unstored boxes; `preview` is the box that is being changed. `point_size` is a factor of the default
-    size, which depends on the cloud's distance. `reset_view` resets the viewport's camera.
+    `previews` are unstored boxes. `point_size` is a factor of the default size, which depends on the cloud's distance.
+    `reset_view` resets the viewport's camera.
     """
 
     frame: RowId | None
     selected: Uid | None = None
     gizmo: Gizmo = Gizmo.OFF
     draft: DraftJson | None = None
-    preview: PreviewJson | None = None
-    added: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
-    point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] | None = None
+    previews: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
+    point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = 1.0
     color: PointColor = PointColor.RGB
     most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
     reset_view: bool = False
@@ -299,23 +298,22 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     opened = ctx.caches.frames.open(project, frame_id)
     shown = show_frame(project, frame_id, opened)
     labels = [each.stored.label for each in shown.labels]
-    previews = [*body.added, *([] if body.preview is None else [body.preview])]
     return SceneContent(
         key=(project.path.name, shown.page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, previews),
+        boxes=_boxes(labels, body.previews),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
         most_points=body.most_points,
-        point_size=1.0 if body.point_size is None else body.point_size,
+        point_size=body.point_size,
         reset_camera=body.reset_view,
     )
 
 
 def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson]) -> tuple[ShownBox, ...]:
-    """The stored boxes and the previews. A preview replaces the box with its uid; of several, the last one is used."""
+    """The stored boxes and the previews, which replace the boxes with their uids."""
     shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
     for preview in previews:
         state = shown[preview.uid].state if preview.uid in shown else ReviewState.PROPOSED
