@@ -59,13 +59,10 @@ class Hub:
         if client.frame is not None:
             self._send_presence(client.project)
 
-    def set_frame(self, client: Client, project: str | None, frame: int | None) -> None:
+    def set_frame(self, client: Client, frame: int | None) -> None:
         """Records the frame that a page shows; None = no frame."""
-        before = client.project
-        with self._lock:
-            client.project, client.frame = project or before, frame
-        for name in {before, client.project}:
-            self._send_presence(name)
+        client.frame = frame
+        self._send_presence(client.project)
 
     # --- the state of the pages (any thread) --------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-OPEN = {"type": "open", "project": "room", "frame": 1}
+OPEN = {"type": "open", "frame": 1}
 
 
 @pytest.fixture

@@ -98,20 +98,18 @@ def test_a_page_hears_what_was_changed_while_it_connected_and_nothing_older(live
 
 def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -> None:
     with listen(live) as ada, listen(live, name="Bob") as bob:
-        ada.send(json.dumps({"type": "open", "project": "room", "frame": 3}))
+        ada.send(json.dumps({"type": "open", "frame": 3}))
         wait_for(lambda: next_of(bob, "presence")["frames"] == {"3": ["Ada"]})
-        bob.send(json.dumps({"type": "open", "project": "room", "frame": 3}))
+        bob.send(json.dumps({"type": "open", "frame": 3}))
         wait_for(lambda: next_of(ada, "presence")["frames"] == {"3": ["Ada", "Bob"]})
         assert live.context.hub.open_by("room", 3, "Ada") == ["Bob"]
         bob.send(json.dumps({"type": "close"}))
         wait_for(lambda: next_of(ada, "presence")["frames"] == {"3": ["Ada"]})
-        bob.send(json.dumps({"type": "open", "project": "room", "frame": 4}))
+        bob.send(json.dumps({"type": "open", "frame": 4}))
     wait_for(lambda: live.context.hub.presence("room") == {})
 
 
-@pytest.mark.parametrize(
-    "message", ["", "{", "[]", '{"type": "open"}', '{"type": "open", "project": "room", "frame": -1}', b"x"]
-)
+@pytest.mark.parametrize("message", ["", "{", "[]", '{"type": "open"}', '{"type": "open", "frame": -1}', b"x"])
 def test_invalid_messages_close_the_socket(live: Live, message: str | bytes, wait_for: WaitFor) -> None:
     with listen(live) as socket:
         socket.send(message)

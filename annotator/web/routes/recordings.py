@@ -6,14 +6,12 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
 from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
-from annotator.types.errors import InputError, MovedError
+from annotator.types.errors import InputError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
-from annotator.web.errors import error_response, status_of
 from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
@@ -145,18 +143,14 @@ def recordings(at: AtProject) -> list[ListedRecording]:
     ]
 
 
-@router.post("/api/projects/{name}/recordings", response_model=AddedRecordings, responses=MOVED)
-def add(at: AtProject, body: NewRecording) -> AddedRecordings | JSONResponse:
+@router.post("/api/projects/{name}/recordings", responses=MOVED)
+def add(at: AtProject, body: NewRecording) -> AddedRecordings:
     """Add a recording below one of the server's folders to a project; its files are not copied."""
     ctx, opened = at.ctx, at.project
     path = ctx.folders.find(body.path)
-    try:
-        results = add_recordings(
-            opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
-        )
-    except MovedError as error:
-        message, moved = ctx.public_message(str(error)), {"id": error.recording_id, "name": error.name}
-        return error_response(type(error).__name__, message, status_of(error), moved=moved)
+    results = add_recordings(
+        opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
+    )
     ctx.caches.frames.forget(opened)
     added = [
         AddedRecording.of(

@@ -22,7 +22,7 @@ from annotator.web.context import (
     operator_or_none,
 )
 from annotator.web.hub import Client
-from annotator.web.schemas import ClassName, RowId, Schema
+from annotator.web.schemas import RowId, Schema
 
 router = APIRouter(tags=["session"])
 
@@ -73,7 +73,6 @@ class Opened(Schema):
     """The page shows a frame."""
 
     type: Literal["open"]
-    project: ClassName
     frame: RowId
 
 
@@ -138,7 +137,7 @@ async def _receive(socket: WebSocket, ctx: Context, client: Client) -> None:
 
 def _handle(ctx: Context, client: Client, text: str) -> None:
     match PageMessage.validate_json(text):
-        case Opened(project=project, frame=frame):
-            ctx.hub.set_frame(client, project, frame)
+        case Opened(frame=frame):
+            ctx.hub.set_frame(client, frame)
         case Closed():
-            ctx.hub.set_frame(client, None, None)
+            ctx.hub.set_frame(client, None)

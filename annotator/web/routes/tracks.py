@@ -210,12 +210,6 @@ class AcceptIn(WithEffort):
     boxes: Annotated[list[SeenJson], Field(max_length=MOST_BOXES)]
 
 
-class AcceptOut(Schema):
-    """Number of accepted proposals."""
-
-    accepted: int
-
-
 STREAM: dict[int | str, dict[str, Any]] = {200: {"model": TileJson}}
 
 
@@ -253,10 +247,9 @@ def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> Streami
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 
 
-@router.post("/api/projects/{name}/sheet/accept")
-def accept(at: AtProject, body: AcceptIn) -> AcceptOut:
+@router.post("/api/projects/{name}/sheet/accept", status_code=204)
+def accept(at: AtProject, body: AcceptIn) -> None:
     """Accept proposals in several frames, all or none, as one undo step."""
     boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
     accept_boxes(at.project, boxes, at.operator, body.stored_effort())
     at.announce()
-    return AcceptOut(accepted=len(boxes))
