@@ -73,8 +73,8 @@ function listen(/** @type {Element} */ element, /** @type {string} */ type, /** 
 /**
  * Makes these the children of an element, in place: a child of the same tag and `data-key` that is there already stays,
  * and becomes like the new one. So a click counts although the list is drawn again between press and release, and
- * focus, tooltips and open lists stay. What a listener needs of its own element, it takes from the event, since the
- * element it was made with may not be the one that is shown.
+ * focus, tooltips and open lists stay. The new element is then not shown: what a listener needs of it, it takes from the
+ * event, and an element that somebody keeps needs a key of its own.
  */
 export function patch(/** @type {Element} */ host, /** @type {(Child | Child[])[]} */ ...children) {
   const left = [...host.childNodes];

@@ -175,14 +175,14 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
 
   function choice(/** @type {string} */ gone) {
     const options = app.state.project.classes.map((name) => h("option", {}, name));
-    const select = h(
+    const onchange = (/** @type {Event} */ { currentTarget }) =>
+      onRelabel({ [gone]: /** @type {HTMLSelectElement} */ (currentTarget).value });
+    return h(
       "select",
-      { "aria-label": `Class in place of ${gone}`, "data-testid": "save-as" },
+      { "aria-label": `Class in place of ${gone}`, "data-testid": "save-as", onchange },
       h("option", { value: "", disabled: true, selected: true }, "save it as …"),
       options,
     );
-    select.addEventListener("change", () => onRelabel({ [gone]: select.value }));
-    return select;
   }
 
   function show() {

@@ -121,7 +121,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
             : `${box.state} already`,
           "data-testid": "sheet-box",
           "data-uid": box.uid,
-          "data-key": box.uid,
+          // a tile of another state is another one: `tiles` has it
+          "data-key": `${box.uid} ${box.state}`,
         },
       );
     }
