@@ -20,7 +20,18 @@ from annotator.project.records import storable
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, StaleRevisionError, TrackTakenError
 
-# Built once, since building this frequent query takes longer than running it.
+# Built once, since building these frequent queries takes longer than running them.
+_AT = frames.alias()
+_LAST = func.max(events.c.id)
+_NEWEST = select(func.coalesce(_LAST, 0))
+_CHANGED = (
+    select(frames.c.id, events.c.revision, events.c.author, _LAST)
+    .join(_AT, _AT.c.id == events.c.frame_id)
+    .join(frames, frames.c.moment_id == _AT.c.moment_id)
+    .where(events.c.id > bindparam("after"))
+    .group_by(frames.c.id)  # SQLite takes the other columns from the row with the maximum
+    .order_by(_LAST)
+)
 _FRAME = (
     select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name, recordings.c.removed_ns)
     .join(recordings, recordings.c.id == frames.c.recording_id)
@@ -148,24 +159,17 @@ class Writer:
     def last(self) -> int:
         """The id of the newest event; 0 if there is none."""
         with self.store.read() as connection:
-            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
+            return int(connection.execute(_NEWEST).scalar_one())
 
     def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
         """The id of the newest event, and the frames whose moments changed after the event `event_id`."""
-        last, at = func.max(events.c.id), frames.alias()
-        changed = (
-            select(frames.c.id, events.c.revision, events.c.author, last)
-            .join(at, at.c.id == events.c.frame_id)
-            .join(frames, frames.c.moment_id == at.c.moment_id)
-            .where(events.c.id > event_id)
-            .group_by(frames.c.id)  # SQLite takes the other columns from the row with the maximum
-            .order_by(last)
-        )
         with self.store.read() as connection:
-            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
+            newest = int(connection.execute(_NEWEST).scalar_one())
             if newest <= event_id:
                 return newest, ()
-            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
+            return newest, tuple(
+                ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(_CHANGED, {"after": event_id})
+            )
 
     def rebuild(self) -> int:
         """Makes the audited tables anew from all events, of which it returns the number; an intact state stays."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import ScalarSelect, bindparam, select
@@ -45,20 +45,14 @@ class FramePage:
         return tuple(each for each in self.labels if each.is_own and each.image_box is not None)
 
 
-def read_page(project: Project, frame_id: int, known: FramePage | None = None) -> FramePage:
-    """Reads one frame.
-
-    Args:
-        known: an earlier result for the same frame; its labels and boxes are reused if no event has changed them.
-    """
+def read_page(project: Project, frame_id: int) -> FramePage:
+    """Reads one frame."""
     with project.store.read() as connection:
         row = connection.execute(_HEAD, {"frame": frame_id}).first()
         if row is None:
             raise NotFoundError(f"the project has no frame with id {frame_id}")
         frame, name = frame_of(row), row.recording_name
         previous, following = row.previous, row.next
-        if known is not None and known.frame.revision == frame.revision:
-            return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
         stored = read_stored(connection, frame_id)
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
     values = values_of(row.attributes)

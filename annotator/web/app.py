@@ -91,7 +91,7 @@ class Fair:
         async with AsyncExitStack() as held:
             await held.enter_async_context(gate)
             if "/frames/" in scope["path"]:
-                held.enter_context(self._jobs.stepping_aside())
+                self._jobs.step_aside()
 
             async def sending(message: Message) -> None:
                 # the work is done; a slow download must not count

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import shutil
 import tempfile
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +19,7 @@ from urllib.parse import unquote
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from annotator.project import Project, Receipt, StoredRecording, open_project
+from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types import Frame
@@ -29,64 +27,39 @@ from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, P
 from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
-from annotator.web.hub import Hub
+from annotator.web.hub import Announcer, Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
 from annotator.web.security import ServerSettings, is_loopback
 from annotator.web.uploads import as_sent
 from annotator.workflows.workbench.contact_sheet import SheetPictures
 from annotator.workflows.workbench.drawing_steps import WholeBoxes
-from annotator.workflows.workbench.frame_cache import FrameCache
+from annotator.workflows.workbench.frame_cache import FrameCache, Memo
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 
 LOG = logging.getLogger("annotator.web")
 
-# The image of a pseudo-view takes some 30 kB.
-MOST_IMAGES = 1000
-
-
-class ViewImageCache:
-    """The latest PNG images of pseudo-views, by the SHA-256 of their content. Thread-safe."""
-
-    def __init__(self, most: int = MOST_IMAGES) -> None:
-        self._most = most
-        self._lock = threading.Lock()
-        self._images: OrderedDict[str, bytes] = OrderedDict()
-
-    def add(self, content: bytes) -> str:
-        """Adds the content of a PNG file; returns its id, the same as that of `project.views.store`."""
-        name = hashlib.sha256(content).hexdigest()
-        with self._lock:
-            self._images[name] = content
-            self._images.move_to_end(name)
-            while len(self._images) > self._most:
-                self._images.popitem(last=False)
-        return name
-
-    def get(self, name: str) -> bytes | None:
-        """The PNG, or None if it is not in the cache."""
-        with self._lock:
-            return self._images.get(name)
+# The image of a pseudo-view takes some 30 kB, what is seen of a project's objects up to 60 MB.
+MOST_IMAGES, MOST_PROJECTS = 1000, 4
 
 
 class Caches:
-    """The caches of one application."""
+    """The caches of one application.
+
+    Attributes:
+        view_images: the latest PNG images of pseudo-views, by the id that `project.views.store` gives them.
+    """
 
     def __init__(self) -> None:
         self.frames = FrameCache()
-        self.view_images = ViewImageCache()
+        self.view_images = Memo(MOST_IMAGES)
         self.sheets = SheetPictures(self.frames)
         self.detectors = ReadyDetectors()
-        self._lock = threading.Lock()
-        self._whole: dict[Path, WholeBoxes] = {}
+        self._whole = Memo(MOST_PROJECTS)
 
     def whole_boxes(self, project: Project) -> WholeBoxes:
         """What offers whole boxes for the drawn objects of a project."""
-        with self._lock:
-            known = self._whole.get(project.path)
-            if known is None or known.project is not project:  # opened again
-                known = self._whole[project.path] = WholeBoxes(project, partial(self.frames.look, project))
-            return known
+        return self._whole.get(project, lambda: WholeBoxes(project, partial(self.frames.look, project)))
 
     def close(self) -> None:
         self.frames.close()
@@ -105,11 +78,12 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
+        self.announcer = Announcer(self.hub)
         self._temporary: Path | None = None
         # other people must not see more recordings than those they could add, whatever a project names
         self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in settings.folders)
         self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message, readable=self._readable)
-        self.follow_runs = FollowRuns(self.hub, self.public_message)
+        self.follow_runs = FollowRuns(self.hub, self.announcer, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
@@ -131,6 +105,7 @@ class Context:
                 self._drop(name)
             _require(folder)
             project = open_project(folder, readable=self._readable)
+            self.announcer.begin(project)
             with self._lock:
                 self._projects[name] = project
             return project
@@ -300,9 +275,11 @@ class InProject:
             self._project = self.ctx.project(self.name)
         return self._project
 
-    def told(self, changed: Iterable[tuple[int, Receipt]]) -> None:
-        """Tells the pages of changed frames."""
-        self.ctx.hub.frames_changed(self.project, changed, self.operator)
+    def announce(self) -> None:
+        """Tells the pages of the project what this request has changed."""
+        # it is stored; what cannot be read now is announced by the thread that watches
+        with suppress(AnnotatorError):
+            self.ctx.announcer.announce(self.project, self.operator)
 
 
 async def _in_project(ctx: Ctx, name: str, operator: Operator) -> InProject:

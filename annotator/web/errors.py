@@ -22,6 +22,7 @@ from annotator.types.errors import (
     FinalisedFrameError,
     HistoryError,
     InUseError,
+    MovedError,
     NotFoundError,
     ReplacedError,
     StaleRevisionError,
@@ -149,7 +150,11 @@ async def _annotator_error(connection: HTTPConnection, error: Exception) -> Any:
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
         # Starlette sends any response, which a closed socket refuses
         return None
-    more = {"track": error.track_id} if isinstance(error, TrackTakenError) else {}
+    more: dict[str, object] = {}
+    if isinstance(error, TrackTakenError):
+        more = {"track": error.track_id}
+    elif isinstance(error, MovedError):
+        more = {"moved": {"id": error.recording_id, "name": error.name}}
     return error_response(type(error).__name__, message, status, **more)
 
 

@@ -42,10 +42,9 @@ class FolderEntry:
 
 @dataclass(frozen=True)
 class FolderListing:
-    """The content of a folder; `parent` is None for the list of roots."""
+    """The content of a folder."""
 
     path: str
-    parent: str | None
     entries: tuple[FolderEntry, ...]
 
 
@@ -61,13 +60,12 @@ class Folders:
     def list(self, path: str) -> FolderListing:
         """Lists the sub-folders and recordings of a folder; "" lists the roots."""
         if not path:
-            return FolderListing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
+            return FolderListing("", tuple(_entry(name, name, root) for name, root in self._roots.items()))
         folder = self.find(path)
         if not folder.is_dir():
             raise _missing(path)
-        parent = path.rpartition("/")[0]
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return FolderListing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
+        return FolderListing(path, tuple(e for e in entries if e.is_folder or e.recording is not None))
 
     def roots(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, nested ones first."""

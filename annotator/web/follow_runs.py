@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 from annotator.project import Project
 from annotator.types.errors import AnnotatorError
 from annotator.web.errors import INTERNAL
-from annotator.web.hub import Hub
+from annotator.web.hub import Announcer, Hub
 from annotator.web.schemas import Schema
 from annotator.workflows.tracks.follow_objects import FollowedTrack
 from annotator.workflows.tracks.follow_run import Following, FollowRun
@@ -63,8 +63,8 @@ class _Running:
 class FollowRuns:
     """Starts, stops and remembers runs. Thread-safe."""
 
-    def __init__(self, hub: Hub, public_message: Callable[[str], str]) -> None:
-        self._hub, self._public_message = hub, public_message
+    def __init__(self, hub: Hub, announcer: Announcer, public_message: Callable[[str], str]) -> None:
+        self._hub, self._announcer, self._public_message = hub, announcer, public_message
         self._lock, self._starting = threading.Lock(), threading.Lock()
         self._number = 0
         # the latest run of each operator; not by the project's name: another one of that name has none of them
@@ -137,7 +137,7 @@ class FollowRuns:
 
     def _follow(self, project: Project, running: _Running, run: FollowRun) -> None:
         def report(state: Following) -> None:
-            self._hub.frames_changed(project, state.changed, running.shown.operator)
+            self._announcer.announce(project)
             first = running.shown.first or next(iter(state.proposed), None)
             self._show(project, running, state, first=first)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from fastapi import Depends
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from annotator.project import Project, Receipt, ViewBoxes
+from annotator.project import Project, ViewBoxes
 from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import StaleRevisionError
@@ -81,24 +81,18 @@ class InFrame(InProject):
         with self.project.store.snapshot():
             return _state(self)
 
-    def of(self, frame_id: int) -> InFrame:
-        """As if another frame had been asked for."""
-        return replace(self, frame_id=frame_id)
-
     @contextmanager
-    def change(self, body: FrameChange) -> Iterator[list[tuple[int, Receipt]]]:
-        """Within the block, the change is stored. A stale one is answered (409) with both versions of the frame.
-
-        Pages are told of the frames, with their receipts, that the block has added to the list.
+    def change(self, body: FrameChange) -> Iterator[None]:
+        """Within the block, the change is stored; then the pages are told. A stale one is answered (409) with both
+        versions of the frame.
         """
-        changed: list[tuple[int, Receipt]] = []
         try:
-            yield changed
+            yield
         except StaleRevisionError as error:
             why = ErrorBody(kind=type(error).__name__, message=str(error))
             both = BothVersions.model_construct(error=why, state=self.state(), changes=body.sent())
             raise AnsweredError(ModelResponse(both, 409)) from error
-        self.told(changed)
+        self.announce()
 
 
 async def _in_frame(ctx: Ctx, name: str, frame_id: RowId, operator: Operator) -> InFrame:
@@ -114,11 +108,6 @@ def _state(at: InFrame) -> FrameStateJson:
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
     undo, redo = project.history.next(at.operator)
-    objects, labels = opened.newest(
-        "json",
-        page.frame.revision,
-        lambda: (_objects(at.name, project, shown.objects, opened), _labels(project, shown.labels, opened)),
-    )
     version = f"{_image_version(project, shown)}{_offset(opened)}"
     return FrameStateJson.model_construct(
         frame=FrameJson.of(
@@ -140,8 +129,8 @@ def _state(at: InFrame) -> FrameStateJson:
         image_boxes=None
         if boxes is None
         else ImageBoxesJson(boxes=[Box2DJson.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
-        objects=list(objects.values()),
-        labels=list(labels.values()),
+        objects=[_object(at.name, project, each) for each in shown.objects],
+        labels=_labels(project, shown.labels),
         open_by=at.ctx.hub.open_by(at.name, at.frame_id, at.operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
@@ -162,7 +151,9 @@ def _offset(opened: OpenFrame) -> str:
 def drawn_view(at: InProject, view: PseudoView, picture: bytes) -> ViewJson:
     """The JSON of a new pseudo-view; its image (PNG) is cached, and stored once a box is drawn on it."""
     height, width = view.rgb.shape[:2]
-    return _view(at.name, at.ctx.caches.view_images.add(picture), (width, height), view)
+    view_id = hashlib.sha256(picture).hexdigest()
+    at.ctx.caches.view_images.get(view_id, lambda: picture)
+    return _view(at.name, view_id, (width, height), view)
 
 
 def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView | ViewGeometry) -> ViewJson:
@@ -177,48 +168,27 @@ def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView |
     )
 
 
-# What the JSON of a label depends on: the label, the name of what measured it, and whether it is kept.
-_Facts = tuple[ShownLabel, str | None, bool]
-
-
-def _labels(project: Project, shown: Sequence[ShownLabel], opened: OpenFrame) -> dict[_Facts, LabelJson]:
+def _labels(project: Project, shown: Sequence[ShownLabel]) -> list[LabelJson]:
     run_ids = {label.stored.run_id for label in shown} - {None}
     measured_by = base_titles(project) if run_ids else {}
     # most frames have none, and need no query
     may_be_kept = next((each.stored.frame_id for each in shown if each.stored.label.attributes), None)
     kept = frozenset[str]() if may_be_kept is None else project.labels.kept(may_be_kept)
-    # only those that have changed are converted anew
-    before: dict[_Facts, LabelJson] = (opened.latest("json") or ((), {}))[1]
-    facts = [(each, measured_by.get(each.stored.run_id or 0), each.stored.label.uid in kept) for each in shown]
-    return {each: before.get(each) or _label(*each) for each in facts}
-
-
-def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
-    label = shown.stored.label
-    return LabelJson.of(
-        label,
-        box=Box3DJson.of(label.box),
-        quality=QualityJson.of(shown.stored.quality),
-        doubt=shown.doubt,
-        measured_by=measured_by,
-        said=[SaidJson.of(each) for each in shown.stored.said],
-        attributes=dict(label.attributes),
-        kept=kept,
-        outline=shown.outline.round(2).tolist(),
-        points=shown.points,
-    )
-
-
-def _objects(
-    name: str, project: Project, shown: Sequence[ShownObject], opened: OpenFrame
-) -> dict[Hashable, ObjectJson]:
-    """The drawn objects; only those that have changed are converted anew."""
-    before: dict[Hashable, ObjectJson] = (opened.latest("json") or ({},))[0]
-    facts: dict[Hashable, ShownObject] = {
-        (name, each.image_box, tuple((view.event_id, view.boxes) for view in each.views), each.uid): each
+    return [
+        LabelJson.of(
+            each.stored.label,
+            box=Box3DJson.of(each.stored.label.box),
+            quality=QualityJson.of(each.stored.quality),
+            doubt=each.doubt,
+            measured_by=measured_by.get(each.stored.run_id or 0),
+            said=[SaidJson.of(said) for said in each.stored.said],
+            attributes=dict(each.stored.label.attributes),
+            kept=each.stored.label.uid in kept,
+            outline=each.outline.round(2).tolist(),
+            points=each.points,
+        )
         for each in shown
-    }
-    return {key: before.get(key) or _object(name, project, each) for key, each in facts.items()}
+    ]
 
 
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:

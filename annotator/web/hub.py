@@ -1,4 +1,4 @@
-"""Events to all open pages. `Hub.send` is thread-safe."""
+"""Events to all open pages, and what tells them of changes in a project. Thread-safe."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from annotator.project import Project, Receipt
+from annotator.project import Project
 
 Message = Mapping[str, Any]
 """One event as JSON; "type" determines its further fields (docs/architecture.md lists them)."""
@@ -26,14 +26,12 @@ class Client:
 
     Attributes:
         project: it receives no events of other projects.
-        since: id of the project's newest event when the page connected; it receives all later ones.
         queue: unsent events as JSON texts; None = the end.
         dropped: True once it has been disconnected for exceeding the queue.
     """
 
     project: str | None
     operator: str
-    since: int = 0
     queue: asyncio.Queue[str | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
     frame: int | None = None
     dropped: bool = False
@@ -45,9 +43,6 @@ class Hub:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
-        # not by name: another project of the same name begins anew
-        self._told = WeakKeyDictionary[Project, dict[tuple[str, int], int]]()
-        self._recordings = WeakKeyDictionary[Project, dict[int, str | None]]()
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -64,13 +59,10 @@ class Hub:
         if client.frame is not None:
             self._send_presence(client.project)
 
-    def set_frame(self, client: Client, project: str | None, frame: int | None) -> None:
+    def set_frame(self, client: Client, frame: int | None) -> None:
         """Records the frame that a page shows; None = no frame."""
-        before = client.project
-        with self._lock:
-            client.project, client.frame = project or before, frame
-        for name in {before, client.project}:
-            self._send_presence(name)
+        client.frame = frame
+        self._send_presence(client.project)
 
     # --- the state of the pages (any thread) --------------------------------------------------------------------------
 
@@ -88,13 +80,9 @@ class Hub:
         """The names of the operators other than `besides` who have a frame open."""
         return [name for name in self.presence(project).get(str(frame), []) if name != besides]
 
-    def projects(self) -> dict[str, int]:
-        """Projects that at least one page has open -> the least `since` of these pages."""
-        least: dict[str, int] = {}
-        for client in self.clients():
-            if client.project is not None:
-                least[client.project] = min(client.since, least.get(client.project, client.since))
-        return least
+    def projects(self) -> set[str]:
+        """The projects that at least one page has open."""
+        return {client.project for client in self.clients() if client.project is not None}
 
     def clients(self) -> list[Client]:
         """The open pages."""
@@ -102,53 +90,6 @@ class Hub:
             return list(self._clients)
 
     # --- events (any thread) ---------------------------------------------------------------------------------------
-
-    def frame_changed(self, project: Project, frame_id: int, revision: int, operator: str) -> None:
-        """Sends the event for a new revision of a frame, unless it was sent before."""
-        if self._is_new(project, ("frame", frame_id), revision):
-            event = {"type": "frame", "project": project.path.name, "frame": frame_id, "revision": revision}
-            self.send({**event, "operator": operator})
-
-    def frames_changed(self, project: Project, changed: Iterable[tuple[int, Receipt]], operator: str) -> None:
-        """Sends the events for new revisions of frames."""
-        for frame_id, receipt in changed:
-            self.frame_changed(project, frame_id, receipt.revision, operator)
-
-    def recording_adjusted(self, project: Project, recording: int, adjusted: int, operator: str) -> None:
-        """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""
-        if self._is_new(project, ("adjusted", recording), adjusted):
-            event = {"type": "adjusted", "project": project.path.name, "recording": recording, "adjusted": adjusted}
-            self.send({**event, "operator": operator})
-
-    def _is_new(self, project: Project, what: tuple[str, int], number: int) -> bool:
-        """Whether pages were not told of this number of something, or of a newer one."""
-        with self._lock:
-            told = self._told.setdefault(project, {})
-            is_new = number > told.get(what, -1)
-            if is_new:
-                told[what] = number
-        return is_new
-
-    def recordings_are(self, project: Project, recordings: Mapping[int, str | None], operator: str = "") -> None:
-        """Takes a project's recordings; sends an event for each one that was added, removed or restored.
-
-        Args:
-            recordings: by id, who has removed it; None if it is in the project. So an event names who has removed a
-                recording, whichever thread sees it first.
-            operator: who has added or restored one; "" if that is not known.
-        """
-        now = dict(recordings)
-        with self._lock:
-            before = self._recordings.get(project, now)
-            self._recordings[project] = now
-        for recording, removed_by in sorted(now.items()):
-            if (removed_by is None) != (before.get(recording, "") is None):
-                event = {"type": "recordings", "project": project.path.name, "recording": recording}
-                self.send({**event, "operator": removed_by or operator})
-
-    def classes_changed(self, project: str, renamed: Mapping[str, str], operator: str) -> None:
-        """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""
-        self.send({"type": "classes", "project": project, "renamed": dict(renamed), "operator": operator})
 
     def send(self, message: Message, to: str | None = None) -> None:
         """Sends an event to the pages of its "project" if it has one, of an operator or (None) of all.
@@ -179,6 +120,58 @@ class Hub:
 
     def _presence_event(self, project: str) -> Message:
         return {"type": "presence", "project": project, "frames": self.presence(project)}
+
+
+@dataclass(eq=False)
+class _Told:
+    """What the pages know of a project: its newest event, and who has removed each of its recordings."""
+
+    event: int
+    removed_by: dict[int, str | None]
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Announcer:
+    """Sends the pages of a project an event for each changed frame, adjusted recording, change of the classes, and
+    added, removed or restored recording, whoever has made it. The log is what knows them."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub, self._lock = hub, threading.Lock()
+        # not by name: another project of the same name begins anew
+        self._told = WeakKeyDictionary[Project, _Told]()
+
+    def begin(self, project: Project) -> None:
+        """To be called before a page of the project joins, which then reads what there is, and is told what comes."""
+        now = _Told(project.log.last(), project.recordings.removed_by())
+        with self._lock:
+            if project not in self._told or project.path.name not in self._hub.projects():
+                self._told[project] = now
+
+    def announce(self, project: Project, operator: str = "") -> None:
+        """Sends the events since the last call. `operator`: who has added or restored a recording, if known."""
+        with self._lock:
+            told = self._told.get(project)
+        if told is None or project.path.name not in self._hub.projects():
+            return
+        # in order, and once: both the thread of a change and the one that watches come here
+        with told.lock:
+            newest, changed = project.log.changed_frames(told.event)
+            adjusted = project.adjustments.since(told.event) if changed else ()
+            classes = project.class_changes(told.event) if newest > told.event else []
+            removed_by = project.recordings.removed_by()
+            for frame in changed:
+                self._send(project, "frame", frame.author, frame=frame.frame_id, revision=frame.revision)
+            for recording, event, author in adjusted:
+                self._send(project, "adjusted", author, recording=recording, adjusted=event)
+            for recording, remover in sorted(removed_by.items()):
+                if (remover is None) != (told.removed_by.get(recording, "") is None):
+                    self._send(project, "recordings", remover or operator, recording=recording)
+            for made in classes:
+                self._send(project, "classes", made.author, renamed=dict(made.change.classes))
+            told.event, told.removed_by = newest, removed_by
+
+    def _send(self, project: Project, kind: str, operator: str, **fields: object) -> None:
+        self._hub.send({"type": kind, "project": project.path.name, "operator": operator, **fields})
 
 
 def _call(loop: asyncio.AbstractEventLoop, function: Any, *arguments: Any) -> None:

@@ -88,14 +88,6 @@ class Connections:
         # a dictionary, since it keeps the order of arrival
         self._silent: dict[asyncio.Transport, None] = {}
 
-    def __len__(self) -> int:
-        return len(self._addresses)
-
-    @property
-    def silent(self) -> int:
-        """The number of silent connections."""
-        return len(self._silent)
-
     def arrive(self, address: str, transport: asyncio.Transport) -> None:
         """Adds a connection; closes the oldest silent one, or this one, if there are too many."""
         if len(self._addresses) >= self._most and not self._turn_out(self._silent):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
 from annotator.project import WriteContext
+from annotator.project.changes import TrackId
 from annotator.project.classes.attributes import Value
 from annotator.types import Box2D, BoxKind, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.bases import Strict
@@ -158,7 +159,6 @@ class QualityJson(BaseModel):
     view_disagreement: Signal
     kept_share: Signal
     last_change: Signal
-    image_agreement: Signal
     expected_iou_loss: Signal
 
     @classmethod
@@ -174,7 +174,15 @@ class SaidJson(Schema):
     score: float | None
 
 
-class LabelJson(Schema):
+class LabelValues(Schema):
+    """What an operator says of an object: its class, its 3D box and its track."""
+
+    label: ClassName
+    box: Box3DJson
+    track_id: TrackId | None = None
+
+
+class LabelJson(LabelValues):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
     `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses; `kept`: a
@@ -182,14 +190,10 @@ class LabelJson(Schema):
     """
 
     uid: str
-    label: str
-    box: Box3DJson
     score: float | None
     source: Source
     state: ReviewState
     author: str
-    time_ns: int
-    track_id: int | None
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None

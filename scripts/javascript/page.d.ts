@@ -406,7 +406,7 @@ type Panel = typeof import("../../web_assets/js/label/side_panel.js");
 // -- Review
 
 /** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
-type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns" | "box"> & {
+type PageLabel = Omit<Api.LabelJson, "source" | "author" | "box"> & {
   box: Box3D;
   source: string;
   author: string | null;
@@ -463,11 +463,10 @@ interface Window {
 // -- the 3D view
 
 /** A box that is not stored. */
-type PreviewBox = { uid: string | null; box: Box3D };
+type PreviewBox = { uid: string; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
-type Scene3D = Omit<Api.SceneRequest, "preview" | "added" | "draft"> & {
-  preview?: PreviewBox | null;
-  added?: PreviewBox[];
+type Scene3D = Omit<Api.SceneRequest, "previews" | "draft"> & {
+  previews?: PreviewBox[];
   draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
 };
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from live_server import Live
 
 
-OPEN = {"type": "open", "project": "room", "frame": 1}
+OPEN = {"type": "open", "frame": 1}
 
 
 @pytest.fixture
@@ -114,5 +114,5 @@ def test_half_sent_requests_do_not_stop_the_server(locked: Live, monkeypatch: py
         # those who have signed in are served over old and over new connections
         assert locked.client.get("/api/projects/room").status_code == 200
         assert httpx.get(f"{locked.url}/api/session", cookies=locked.client.cookies, timeout=60).status_code == 200
-        wait_until(lambda: config.open.silent == 0)
+        wait_until(lambda: not config.open._silent)
     assert log_of(locked) == ""

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
 
-from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORKER_MESSAGE, Order, WorkerMessage
+from annotator.web.jobs.records import PAUSE, STOP, WORKER_MESSAGE, Order, WorkerMessage
 from annotator.web.jobs.worker import Orders, run
 
 
 class WorkerThread:
     """In place of `WorkerProcess`."""
 
-    pid = exit_code = 0
+    exit_code = 0
 
     def __init__(self, order: Order, log: Path) -> None:
         self._orders, self._sent = Orders(), SimpleQueue[WorkerMessage | None]()
@@ -34,5 +34,5 @@ class WorkerThread:
     def stop(self, grace_s: float | None = None) -> None:
         self._orders.take(STOP)
 
-    def pause(self, is_paused: bool) -> None:
-        self._orders.take(PAUSE if is_paused else RESUME)
+    def pause(self) -> None:
+        self._orders.take(PAUSE)

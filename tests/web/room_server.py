@@ -59,7 +59,7 @@ def live(live_of_file: Live, projects_with_room: Path, tmp_path_factory: pytest.
     for job in context.jobs.all():
         if not job.state.ended:
             context.jobs.cancel(job.id)
-    wait_until(lambda: context.jobs.is_idle() and not context.jobs._current)
+    wait_until(lambda: context.jobs.is_idle() and not context.jobs._tasks)
     context.jobs._jobs.clear()
     before = tmp_path_factory.mktemp("before")
     for path in root.iterdir():

@@ -13,9 +13,9 @@ from live_server import PATIENCE_S
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from annotator.project import WriteContext, open_project
+from annotator.project import Project, WriteContext, open_project
 from annotator.project.classes.edit import rename_class
-from annotator.types import Correction, Source
+from annotator.types import Correction
 from annotator.web.hub import Client, Hub
 from annotator.workflows.add_recordings import bring_back
 
@@ -40,72 +40,76 @@ def next_of(socket: ClientConnection, kind: str) -> dict[str, Any]:
             return message
 
 
-def test_a_changed_frame_is_announced_once_to_pages_of_its_project(live: Live) -> None:
-    with listen(live) as socket, listen(live, None) as other:
+def finalise(project: Project, author: str) -> int:
+    """Changes a frame; returns its id."""
+    frame = project.frames.of()[2]
+    project.frames.finalise(frame.id, WriteContext(frame.revision, author))
+    return frame.id
+
+
+def test_what_any_process_changes_is_announced_once_to_pages_of_its_project(live: Live) -> None:
+    with (
+        listen(live) as socket,
+        listen(live, None) as other,
+        open_project(live.settings.projects_root / "room") as project,
+    ):
         next_of(socket, "presence")
-        live.context.hub.frame_changed(live.context.project("room"), 1, 5, "Bob")
-        live.context.hub.frame_changed(live.context.project("room"), 1, 5, "Bob")
-        live.context.hub.frame_changed(live.context.project("room"), 1, 4, "Eve")
-        live.context.hub.frame_changed(live.context.project("room"), 1, 6, "Bob")
-        expected = {"type": "frame", "project": "room", "frame": 1, "revision": 5, "operator": "Bob"}
+        frame, of_server = finalise(project, "the command line"), live.context.project("room")
+        expected = {"type": "frame", "project": "room", "frame": frame, "revision": 1, "operator": "the command line"}
         assert next_of(socket, "frame") == expected
-        assert next_of(socket, "frame")["revision"] == 6, "the same revision is not announced twice"
-        with pytest.raises(TimeoutError):
-            other.recv(timeout=0.2)
+        project.frames.reopen(frame, WriteContext(1, "Bob"))
+        for _ in range(3):
+            live.context.announcer.announce(of_server)
+        finalise(project, "Eve")
+        for expected_next in ((2, "Bob"), (3, "Eve")):
+            event = next_of(socket, "frame")
+            assert (event["revision"], event["operator"]) == expected_next
 
-
-def test_changes_by_another_process_are_announced(live: Live) -> None:
-    with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
-        next_of(socket, "presence")
-        frame = project.frames.of()[2]
-        project.frames.finalise(frame.id, WriteContext(frame.revision, "the command line", Source.MANUAL))
-        event = next_of(socket, "frame")
-        assert (event["frame"], event["revision"], event["operator"]) == (frame.id, 1, "the command line")
-
-
-def test_classes_and_corrections_of_another_process_are_announced(live: Live) -> None:
-    with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
-        next_of(socket, "presence")
         project.change_classes(lambda config: rename_class(config, "person", "human"), "Cleo")
         expected = {"type": "classes", "project": "room", "renamed": {"person": "human"}, "operator": "Cleo"}
         assert next_of(socket, "classes") == expected
         project.adjustments.correct(1, Correction((0.0, 0.1, 0.0), (0.0, 0.0, 0.0)), "annotator calibrate")
         event = next_of(socket, "adjusted")
         assert (event["recording"], event["operator"]) == (1, "annotator calibrate")
-
-
-def test_recordings_removed_and_restored_by_another_process_are_announced(live: Live) -> None:
-    with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
-        next_of(socket, "presence")
-        recording = project.recordings.all()[0].id
-        # an event that was sent after the server had looked at the recordings for the first time
-        frame = project.frames.of()[2]
-        project.frames.finalise(frame.id, WriteContext(frame.revision, "Bob", Source.MANUAL))
-        next_of(socket, "frame")
-        live.context.hub.recordings_are(live.context.project("room"), {recording: None})
-        project.recordings.remove(recording, "Bob")
+        project.recordings.remove(1, "Bob")
         event = next_of(socket, "recordings")
-        assert (event["recording"], event["operator"]) == (recording, "Bob")
-        bring_back(project, recording)
-        assert next_of(socket, "recordings")["recording"] == recording
+        assert (event["recording"], event["operator"]) == (1, "Bob")
+        bring_back(project, 1)
+        assert next_of(socket, "recordings")["recording"] == 1
+        with pytest.raises(TimeoutError):
+            other.recv(timeout=0.2)
+
+
+def test_a_page_hears_what_was_changed_while_it_connected_and_nothing_older(live: Live) -> None:
+    project = live.context.project("room")
+    finalise(project, "Ada")
+    live.context.announcer.begin(project)
+    project.frames.reopen(project.frames.of()[2].id, WriteContext(1, "Bob"))
+
+    async def scenario() -> list[str]:
+        live.context.hub.join(client := Client("room", "Ada"))
+        live.context.announcer.announce(project)
+        await asyncio.sleep(0)
+        live.context.hub.leave(client)
+        return [json.loads(client.queue.get_nowait())["type"] for _ in range(client.queue.qsize())]
+
+    assert asyncio.run(scenario()) == ["presence", "frame"]
 
 
 def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -> None:
     with listen(live) as ada, listen(live, name="Bob") as bob:
-        ada.send(json.dumps({"type": "open", "project": "room", "frame": 3}))
+        ada.send(json.dumps({"type": "open", "frame": 3}))
         wait_for(lambda: next_of(bob, "presence")["frames"] == {"3": ["Ada"]})
-        bob.send(json.dumps({"type": "open", "project": "room", "frame": 3}))
+        bob.send(json.dumps({"type": "open", "frame": 3}))
         wait_for(lambda: next_of(ada, "presence")["frames"] == {"3": ["Ada", "Bob"]})
         assert live.context.hub.open_by("room", 3, "Ada") == ["Bob"]
         bob.send(json.dumps({"type": "close"}))
         wait_for(lambda: next_of(ada, "presence")["frames"] == {"3": ["Ada"]})
-        bob.send(json.dumps({"type": "open", "project": "room", "frame": 4}))
+        bob.send(json.dumps({"type": "open", "frame": 4}))
     wait_for(lambda: live.context.hub.presence("room") == {})
 
 
-@pytest.mark.parametrize(
-    "message", ["", "{", "[]", '{"type": "open"}', '{"type": "open", "project": "room", "frame": -1}', b"x"]
-)
+@pytest.mark.parametrize("message", ["", "{", "[]", '{"type": "open"}', '{"type": "open", "frame": -1}', b"x"])
 def test_invalid_messages_close_the_socket(live: Live, message: str | bytes, wait_for: WaitFor) -> None:
     with listen(live) as socket:
         socket.send(message)

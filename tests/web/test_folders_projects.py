@@ -52,7 +52,6 @@ def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: P
         ("data-2", "data-2", None),
         ("missing", "missing", None),
     ]
-    assert listing.parent is None
     assert folders.find("data-2") == other
     with pytest.raises(NotFoundError):
         folders.list("missing")
@@ -62,8 +61,6 @@ def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
     folders = Folders((tree,))
     listing = folders.list("data")
     assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
-    assert listing.parent == ""
-    assert folders.list("data/sub").parent == "data"
     assert folders.find("data/inside/deep") == tree / "sub" / "deep"
 
 
@@ -123,7 +120,7 @@ def test_a_project_can_be_created_and_filled(
     new = {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
     assert client.post("/api/projects", json=new).json()["classes"] == ["person", "hand"]
     added = client.post(place, json={"path": f"{generated.name}/people"}).json()
-    facts = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "is_sequence": True, "missing": False}
+    facts = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "missing": False}
     assert added["added"][0]["recording"] == facts
     assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, added["job"])
@@ -197,13 +194,6 @@ def test_a_moved_recording_is_located(generated: Path, tmp_path: Path, monkeypat
         assert (moved["name"], moved["frames"], moved["missing"]) == ("people", 5, False)
         assert client.get("/api/projects/two/frames/1").json() == before
         assert client.get("/api/projects/two/frames/3").status_code == 200
-
-
-def test_classes_and_settings_can_be_changed(live: Live) -> None:
-    changed = live.client.patch("/api/projects/room", json={"classes": ["person", "robot"], "rotation": "free"})
-    assert changed.json()["classes"] == ["person", "robot"]
-    assert changed.json()["settings"]["rotation"] == "free"
-    assert live.client.patch("/api/projects/room", json={}).json() == changed.json()
 
 
 REFUSED = [

@@ -59,7 +59,7 @@ def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, pro
     for _ in range(2):
         numbers.append(follow(live)["number"])
         wait_until(lambda: latest(live)["state"] != "running")
-    restarted = FollowRuns(live.context.hub, str)
+    restarted = FollowRuns(live.context.hub, live.context.announcer, str)
     frame = project.frames.get(1)
     run = follow_from_frame(project, frame.id, frame.revision, None, "Ada")
     numbers.append(restarted.start(project, "Ada", run, frame.id, "forward", False).number)

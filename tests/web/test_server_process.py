@@ -284,11 +284,11 @@ def test_room_is_kept_for_those_who_have_signed_in() -> None:
     for transport in more:
         connections.heard(transport)
     assert not any(transport.closed for transport in [*known, *more])
-    assert (len(connections), connections.silent) == (8, 0)
+    assert (len(connections._addresses), len(connections._silent)) == (8, 0)
     assert arrive("n")[0].closed, "there is no silent one to turn out"
     for transport in [*known, *more]:
         connections.leave(transport)
-    assert len(connections) == 0
+    assert not connections._addresses
     silent = arrive("o", "p", "q", "q", "q", "q", "q")
     assert [transport.closed for transport in silent] == [False] * 2 + [True] + [False] * 4, "room for 4 of an address"
     assert [transport.closed for transport in [*arrive("r"), silent[0]]] == [False, True], "room for 6 silent ones"

@@ -33,9 +33,10 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.web import background
 from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups, Learner
 from annotator.web.context import Context
-from annotator.web.jobs import runner
+from annotator.web.jobs import runner, worker
 from annotator.web.jobs.records import (
     FILE,
+    PAUSE,
     WORK,
     JobState,
     read_journal,
@@ -311,7 +312,7 @@ def learning(live: Live, fake: None, in_threads: None, monkeypatch: pytest.Monke
 def end_all(jobs: JobRunner, state: JobState = JobState.DONE) -> None:
     for job in jobs.all():
         jobs._update(job.id, state=state)
-    jobs._waiting.clear()
+    jobs._tasks.clear()
 
 
 def test_a_round_starts_after_every_so_many_reviewed_boxes(
@@ -372,28 +373,21 @@ def test_a_job_in_the_background_stops_for_another_job_and_begins_again(learning
 def test_a_job_in_the_background_waits_while_a_frame_is_worked_on(
     learning: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pauses: list[bool] = []
-    pause = runner.WorkerProcess.pause
-    monkeypatch.setattr(
-        runner.WorkerProcess, "pause", lambda self, paused: (pauses.append(paused), pause(self, paused))
-    )
-    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 0.2)
+    monkeypatch.setattr(worker, "PAUSE_S", 600.0)
     job = learning.client.post(JOBS, json=ROUND).json()
     until(learning, job, "running", "learn")
-    assert learning.client.get("/api/projects/room/frames/1").status_code in (200, 404)
-    end = time.monotonic() + PATIENCE_S
-    while pauses[-2:] != [True, False]:
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    assert learning.client.get("/api/projects/room/frames/1").status_code == 200
+    time.sleep(0.3)
     before = look(learning, job["id"])["done"]
-    while look(learning, job["id"])["done"] == before:
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    # a job that is paused can be stopped
-    monkeypatch.setattr(runner, "PAUSE_AFTER_S", 600.0)
-    learning.client.get("/api/projects/room/frames/1")
+    time.sleep(0.3)
+    assert look(learning, job["id"])["done"] == before
+    # a job that is paused can be stopped, and goes on by itself
     learning.client.post(f"/api/jobs/{job['id']}/cancel")
     assert ended(learning, job)["state"] == "cancelled"
+    monkeypatch.setattr(worker, "PAUSE_S", 0.05)
+    (orders := worker.Orders()).take(PAUSE)
+    began = time.monotonic()
+    assert not orders.stopped() and time.monotonic() - began >= 0.05
 
 
 OLD = 1_000_000_000

@@ -37,11 +37,13 @@ export function s(tag, attributes, ...children) {
  */
 function fill(element, attributes = {}, children = []) {
   for (const [name, value] of Object.entries(attributes)) setAttribute(element, name, value);
-  for (const child of children.flat()) {
-    if (child !== null && child !== undefined && child !== false) element.append(child);
-  }
+  element.append(...present(children));
   return element;
 }
+
+/** @returns {(Node | string)[]} */
+const present = (/** @type {(Child | Child[])[]} */ children) =>
+  children.flat().filter((child) => child !== null && child !== undefined && child !== false);
 
 function setAttribute(
   /** @type {Element} */ element,
@@ -49,10 +51,65 @@ function setAttribute(
   /** @type {AttributeValue} */ value,
 ) {
   if (value === null || value === undefined || value === false) return;
-  if (typeof value === "function")
-    element.addEventListener(name.replace(/^on/, ""), /** @type {EventListener} */ (value));
+  if (typeof value === "function") listen(element, name.slice(2), /** @type {EventListener} */ (value));
   else if (name === "value" || name === "checked") Object.assign(element, { [name]: value });
   else element.setAttribute(name, value === true ? "" : String(value));
+}
+
+/**
+ * What the elements made here do on events.
+ *
+ * @type {WeakMap<Node, Record<string, EventListener>>}
+ */
+const listeners = new WeakMap();
+
+function listen(/** @type {Element} */ element, /** @type {string} */ type, /** @type {EventListener} */ fn) {
+  const own = listeners.get(element) ?? {};
+  listeners.set(element, own);
+  if (!own[type]) element.addEventListener(type, (event) => own[type](event));
+  own[type] = fn;
+}
+
+/**
+ * Makes these the children of an element, in place: a child of the same tag and `data-key` that is there already stays,
+ * and becomes like the new one. So a click counts although the list is drawn again between press and release, and
+ * focus, tooltips and open lists stay. The new element is then not shown: what a listener needs of it, it takes from the
+ * event, and an element that somebody keeps needs a key of its own.
+ */
+export function patch(/** @type {Element} */ host, /** @type {(Child | Child[])[]} */ ...children) {
+  const left = [...host.childNodes];
+  const nodes = present(children).map((child) => {
+    const fresh = typeof child === "string" ? document.createTextNode(child) : child;
+    const old = left.find((node) => node === fresh) ?? left.find((node) => isSame(node, fresh));
+    if (!old) return fresh;
+    left.splice(left.indexOf(old), 1);
+    if (old !== fresh) become(old, fresh);
+    return old;
+  });
+  for (const old of left) old.remove();
+  nodes.forEach((node, i) => {
+    if (host.childNodes[i] !== node) host.insertBefore(node, host.childNodes[i] ?? null);
+  });
+}
+
+const keyOf = (/** @type {Node} */ node) => (node instanceof Element ? node.getAttribute("data-key") : null);
+const isSame = (/** @type {Node} */ a, /** @type {Node} */ b) => a.nodeName === b.nodeName && keyOf(a) === keyOf(b);
+
+function become(/** @type {Node} */ old, /** @type {Node} */ fresh) {
+  if (!(old instanceof Element && fresh instanceof Element)) {
+    if (old.nodeValue !== fresh.nodeValue) old.nodeValue = fresh.nodeValue;
+    return;
+  }
+  for (const { name } of [...old.attributes]) if (!fresh.hasAttribute(name)) old.removeAttribute(name);
+  for (const { name, value } of fresh.attributes) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+  const [mine, wanted] = [listeners.get(old) ?? {}, listeners.get(fresh) ?? {}];
+  for (const type of Object.keys(mine)) mine[type] = () => {};
+  for (const [type, fn] of Object.entries(wanted)) listen(old, type, fn);
+  patch(old, ...fresh.childNodes);
+  for (const name of ["value", "checked"]) {
+    const [was, is] = [Reflect.get(old, name), Reflect.get(fresh, name)];
+    if (is !== undefined && was !== is) Reflect.set(old, name, is);
+  }
 }
 
 const GLYPHS = {

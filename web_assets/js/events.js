@@ -38,7 +38,7 @@ export function createEvents() {
     mine.onopen = () => {
       waitMs = FIRST_WAIT_MS;
       emit("connection", true);
-      if (shownFrame !== null) send({ type: "open", project, frame: shownFrame });
+      if (shownFrame !== null) send({ type: "open", frame: shownFrame });
       if (hasRead) emit("reconnected", null);
       hasRead = true;
       onFirst();
@@ -108,7 +108,7 @@ export function createEvents() {
     /** Reports to the other pages which frame is open on this page; null: no frame is open. */
     openFrame(/** @type {number | null} */ frame) {
       shownFrame = frame;
-      send(frame === null ? { type: "close" } : { type: "open", project, frame });
+      send(frame === null ? { type: "close" } : { type: "open", frame });
     },
   };
 }

@@ -4,7 +4,7 @@
  */
 
 import { confirm, keyTableDialog } from "./dialogs.js";
-import { glyph, h, iconButton } from "./dom.js";
+import { glyph, h, iconButton, patch } from "./dom.js";
 import { makeHash } from "./router.js";
 import { signOut } from "./session.js";
 
@@ -53,8 +53,9 @@ function tabs(/** @type {App} */ app) {
     project.textContent = name;
     project.title = name;
     const frame = app.state.frame?.frame.id ?? null;
-    nav.replaceChildren(
-      ...TABS.map(([mode, label]) => {
+    patch(
+      nav,
+      TABS.map(([mode, label]) => {
         const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
         return h(
           "a",

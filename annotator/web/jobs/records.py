@@ -274,8 +274,8 @@ def _ended(job: Job) -> Job:
     return job.model_copy(update={"state": JobState.FAILED, "message": SERVER_STOPPED, "eta_s": None})
 
 
-# Orders to a running worker. PAUSE and RESUME are for jobs in the background.
-STOP, PAUSE, RESUME = "stop\n", "pause\n", "resume\n"
+# Orders to a running worker; PAUSE is for jobs in the background.
+STOP, PAUSE = "stop\n", "pause\n"
 
 
 class Order(Schema):

@@ -13,9 +13,10 @@ import time
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
@@ -27,7 +28,6 @@ from annotator.web.jobs.records import (
     HEAVY,
     LIFT_STAGE,
     PAUSE,
-    RESUME,
     SERVER_STOPPED,
     STOP,
     WORK,
@@ -56,7 +56,6 @@ class WorkerProcess:
     """A worker process with its order. Killing it is safe: the project's database is transactional."""
 
     def __init__(self, order: Order, log: Path) -> None:
-        self._timers: list[threading.Timer] = []
         make_private(log)
         with log.open("wb") as errors:
             self._process = subprocess.Popen(
@@ -74,24 +73,17 @@ class WorkerProcess:
             )
         self._write(order.model_dump_json() + "\n")
 
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
     def messages(self) -> Iterator[WorkerMessage]:
         """Yields the worker's messages until it has ended."""
-        assert self._process.stdout is not None
+        assert self._process.stdout is not None and self._process.stdin is not None
         for line in self._process.stdout:
             try:
                 yield WORKER_MESSAGE.validate_json(line)
             except ValidationError:
                 LOG.warning("invalid message from a worker: %s", line[:200])
         self._process.wait()
-        for timer in self._timers:
-            timer.cancel()
         self._process.stdout.close()
         with suppress(BrokenPipeError):
-            assert self._process.stdin is not None
             self._process.stdin.close()
 
     @property
@@ -101,26 +93,23 @@ class WorkerProcess:
 
     def stop(self, grace_s: float | None = None) -> None:
         """Asks the worker to stop; terminates it after `grace_s`, and kills it `KILL_AFTER_S` seconds later."""
-        grace_s = GRACE_S if grace_s is None else grace_s
         self._write(STOP)
-        self._later(grace_s, signal.SIGTERM)
-        self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
+        waits_s = (GRACE_S if grace_s is None else grace_s), KILL_AFTER_S
+        threading.Thread(target=self._end, args=waits_s, daemon=True).start()
 
-    def pause(self, is_paused: bool) -> None:
-        """Asks the worker to wait at its next safe point, or to go on."""
-        self._write(PAUSE if is_paused else RESUME)
+    def pause(self) -> None:
+        """Asks the worker to wait for a moment at its next safe point."""
+        self._write(PAUSE)
 
-    def _later(self, seconds: float, number: signal.Signals) -> None:
-        timer = threading.Timer(seconds, self._signal, (number,))
-        timer.daemon = True
-        self._timers.append(timer)
-        timer.start()
-
-    def _signal(self, number: signal.Signals) -> None:
-        with suppress(ProcessLookupError):
-            # the worker's session includes its child processes
-            if self._process.poll() is None:
-                os.killpg(self._process.pid, number)
+    def _end(self, *waits_s: float) -> None:
+        for wait_s, number in zip(waits_s, (signal.SIGTERM, signal.SIGKILL), strict=True):
+            try:
+                self._process.wait(wait_s)
+                return
+            except subprocess.TimeoutExpired:
+                with suppress(ProcessLookupError):
+                    # the worker's session includes its child processes
+                    os.killpg(self._process.pid, number)
 
     def _write(self, text: str) -> None:
         assert self._process.stdin is not None
@@ -133,8 +122,8 @@ class WorkerProcess:
 # Number of listed jobs, of downloads kept per project, and of jobs that may wait.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
 WORK_LOG = "worker.log"
-# A job in the background goes on this long after the last request that it made room for.
-PAUSE_AFTER_S = 2.0
+# A job in the background is told so often, at most, that somebody works on a frame.
+PAUSE_EVERY_S = 0.5
 # Shorter than GRACE_S, so that the server ends quickly.
 CLOSING_GRACE_S = 3.0
 
@@ -145,10 +134,19 @@ PublicMessage = Callable[[str], str]
 """Converts a message into one for browsers (see `Context.public_message`)."""
 
 
-class _Task(NamedTuple):
+@dataclass(eq=False)
+class _Task:
+    """A job that waits or runs.
+
+    Attributes:
+        end: why the running job was asked to stop; "aside": for another job, after which it begins again.
+    """
+
     job_id: str
     path: Path
     request: JobRequest
+    worker: WorkerProcess | None = None
+    end: Literal["stopped", "aside"] | None = None
 
     @property
     def is_heavy(self) -> bool:
@@ -174,15 +172,9 @@ class JobRunner:
         self._on_change, self._public_message, self._readable = on_change, public_message, readable
         self._lock = threading.Condition()
         self._jobs: dict[str, Job] = {job.id: job for job in read_journal(folder)}
-        self._waiting: list[_Task] = []
-        self._current: list[_Task] = []
-        self._workers: dict[str, WorkerProcess] = {}
-        self._stopping: set[str] = set()
+        self._tasks: list[_Task] = []
         self._closed = False
-        # requests that a job in the background makes room for: how many there are, and how many there were
-        self._drawing, self._pauses = 0, 0
-        # jobs in the background that stop for another one, and then wait again
-        self._aside: set[str] = set()
+        self._paused_s = 0.0
         self._threads = [threading.Thread(target=self._run, args=(heavy,), daemon=True) for heavy in (True, False)]
 
     def start(self) -> None:
@@ -203,17 +195,14 @@ class JobRunner:
         )
         task = _Task(job.id, path, request)
         with self._lock:
-            if len(self._waiting) >= MOST_WAITING:
+            if sum(self._waits(each) for each in self._tasks) >= MOST_WAITING:
                 raise ConfigError(f"{MOST_WAITING} jobs are waiting already; stop some, or wait until they are done")
             self._jobs[job.id] = job
-            self._waiting.append(task)
+            self._tasks.append(task)
             self._publish(job)
             self._lock.notify_all()
-            aside = self._background() if task.is_heavy and not job.background else None
-            if aside is not None and aside.id not in self._aside:
-                self._aside.add(aside.id)
-                if aside.id in self._workers:
-                    self._workers[aside.id].stop()
+            for other in self._background() if task.is_heavy and not job.background else []:
+                self._stop(other, "aside")
         return job
 
     def stores_boxes(self, project: str, operator: str) -> bool:
@@ -227,36 +216,23 @@ class JobRunner:
     def is_idle(self) -> bool:
         return all(job.state.ended for job in self.all())
 
-    @contextmanager
-    def stepping_aside(self) -> Iterator[None]:
-        """Pauses a running job in the background, until `PAUSE_AFTER_S` after the last of these contexts has ended."""
+    def step_aside(self) -> None:
+        """Lets a job in the background wait for a moment, since somebody works on a frame."""
+        now_s = time.monotonic()
+        if now_s - self._paused_s < PAUSE_EVERY_S:
+            return
         with self._lock:
-            self._drawing += 1
-            self._pause(True)
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._drawing -= 1
-                if self._background() is not None:
-                    timer = threading.Timer(PAUSE_AFTER_S, self._resume, (self._pauses,))
-                    timer.daemon = True
-                    timer.start()
+            self._paused_s = now_s
+            for task in self._background():
+                if task.worker is not None:
+                    task.worker.pause()
 
-    def _resume(self, pauses: int) -> None:
-        with self._lock:
-            if pauses == self._pauses and self._drawing == 0:
-                self._pause(False)
+    def _background(self) -> list[_Task]:
+        """The running jobs in the background."""
+        return [task for task in self._tasks if in_background(task.request) and not self._waits(task)]
 
-    def _pause(self, is_paused: bool) -> None:
-        self._pauses += is_paused
-        job = self._background()
-        if job is not None and job.id in self._workers:
-            self._workers[job.id].pause(is_paused)
-
-    def _background(self) -> Job | None:
-        """The running job in the background, if any."""
-        return next((job for job in self._jobs.values() if job.background and job.state is JobState.RUNNING), None)
+    def _waits(self, task: _Task) -> bool:
+        return self._jobs[task.job_id].state is JobState.QUEUED
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -273,16 +249,21 @@ class JobRunner:
         """Stops a job: a waiting one at once, a running one at its next safe point."""
         with self._lock:
             job = self.get(job_id)
-            waiting = [task for task in self._waiting if task.job_id == job_id]
-            self._waiting = [task for task in self._waiting if task.job_id != job_id]
-            running = job.state is JobState.RUNNING
-            if running and job_id not in self._stopping:
-                self._stopping.add(job_id)
-                if job_id in self._workers:
-                    self._workers[job_id].stop()
-            if waiting:
+            task = next((task for task in self._tasks if task.job_id == job_id), None)
+            if task is None or job.state.ended:
+                return job
+            if self._waits(task):
+                self._tasks.remove(task)
                 return self._update(job_id, state=JobState.CANCELLED, message="stopped before it began")
-            return self._update(job_id, stage="stopping") if running else job
+            self._stop(task, "stopped")
+            return self._update(job_id, stage="stopping")
+
+    def _stop(self, task: _Task, why: Literal["stopped", "aside"]) -> None:
+        """Asks a running job to stop, once."""
+        if task.end is None and task.worker is not None:
+            task.worker.stop()
+        if task.end != "stopped":
+            task.end = why
 
     def require_none(self, project: str) -> None:
         """Checks that no job of a project runs or waits."""
@@ -319,12 +300,12 @@ class JobRunner:
         """Ends the threads: stops the running jobs, and fails the waiting ones."""
         with self._lock:
             self._closed = True
-            waiting, self._waiting = self._waiting, []
-            for worker in self._workers.values():
-                worker.stop(CLOSING_GRACE_S)
+            for task in self._tasks:
+                if self._waits(task):
+                    self._update(task.job_id, state=JobState.FAILED, message=SERVER_STOPPED)
+                elif task.worker is not None:
+                    task.worker.stop(CLOSING_GRACE_S)
             self._lock.notify_all()
-        for task in waiting:
-            self._update(task.job_id, state=JobState.FAILED, message=SERVER_STOPPED)
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
@@ -339,88 +320,75 @@ class JobRunner:
                 LOG.exception("job %s failed", task.job_id)
                 self._update(task.job_id, state=JobState.FAILED, message=INTERNAL)
             with self._lock:
-                self._current.remove(task)
-                self._stopping.discard(task.job_id)
-                self._aside.discard(task.job_id)
+                task.worker = task.end = None
+                if not self._waits(task):
+                    self._tasks.remove(task)
             self._tidy()
 
     def _next(self, heavy: bool) -> _Task | None:
         with self._lock:
             while not self._closed:
-                lane = [task for task in self._waiting if task.is_heavy == heavy]
+                lane = [task for task in self._tasks if task.is_heavy == heavy and self._waits(task)]
                 if lane:
-                    task = next((task for task in lane if not in_background(task.request)), lane[0])
-                    self._waiting.remove(task)
-                    self._current.append(task)
+                    # those in the background last
+                    task = min(lane, key=lambda each: in_background(each.request))
                     self._jobs[task.job_id] = self._jobs[task.job_id].model_copy(update={"state": JobState.RUNNING})
                     return task
                 self._lock.wait()
         return None
 
     def _run_job(self, task: _Task) -> None:
-        job_id, path, request = task
-        began = time.monotonic()
+        job_id, began_s = task.job_id, time.monotonic()
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
         private_folder(folder)
         order = Order(
-            target=WORK[request.kind],
-            project=path.resolve(),
+            target=WORK[task.request.kind],
+            project=task.path.resolve(),
             folder=folder.resolve(),
             readable=self._readable,
             operator=self.get(job_id).operator,
-            request=request,
+            request=task.request,
         )
         worker = WorkerProcess(order, folder / WORK_LOG)
         with self._lock:
-            self._workers[job_id] = worker
-            if self._closed or job_id in self._stopping | self._aside:
+            task.worker = worker
+            if self._closed or task.end:
                 worker.stop(CLOSING_GRACE_S)
-            elif self._drawing:
-                self._pause(True)
         last: WorkerMessage | None = None
         for last in worker.messages():
-            self._handle(job_id, last, began)
+            match last:
+                case Progress():
+                    stage = "stopping" if task.end == "stopped" else last.stage
+                    eta_s = _estimate(last, began_s)
+                    self._update(job_id, stage=stage, done=last.done, total=last.total, eta_s=eta_s)
+                case Measured():
+                    self._update(job_id, curves=(*self.get(job_id).curves, last.point))
         with self._lock:
-            del self._workers[job_id]
-        self._ended(task, last, worker.exit_code)
+            self._update(job_id, stage="", eta_s=None, **self._ended(task, last, worker.exit_code))
 
-    def _handle(self, job_id: str, message: WorkerMessage, began: float) -> None:
-        match message:
-            case Progress():
-                stage = "stopping" if job_id in self._stopping else message.stage
-                left_s = _estimate(message, began)
-                self._update(job_id, stage=stage, done=message.done, total=message.total, eta_s=left_s)
-            case Measured():
-                self._update(job_id, curves=(*self.get(job_id).curves, message.point))
-
-    def _ended(self, task: _Task, last: WorkerMessage | None, exit_code: int | None) -> None:
-        job_id = task.job_id
-        was_stopped = not isinstance(last, Ended) or last.state is JobState.CANCELLED
-        with self._lock:
-            if was_stopped and job_id in self._aside - self._stopping and not self._closed:
-                self._waiting.append(task)
-                self._update(job_id, state=JobState.QUEUED, stage="", done=0.0, total=0.0, eta_s=None, curves=())
-                return
-        end: dict[str, Any] = {"state": JobState.FAILED}
+    def _ended(self, task: _Task, last: WorkerMessage | None, exit_code: int | None) -> dict[str, Any]:
+        """What the record of a job gets at its end, with the last message of its worker."""
+        failed, job_id = {"state": JobState.FAILED}, task.job_id
+        is_complete = isinstance(last, Ended) and last.state is not JobState.CANCELLED
+        if task.end == "aside" and not is_complete and not self._closed:
+            return {"state": JobState.QUEUED, "done": 0.0, "total": 0.0, "curves": ()}
         match last:
             case Ended(state=JobState.DONE, message=message, result=result):
                 download = "kept" if result and "file" in result else None
-                end = {"state": JobState.DONE, "message": message, "result": result, "download": download}
-                end["done"] = self.get(job_id).total
+                facts = _public({"message": message, "result": result}, self._public_message)
+                return {"state": JobState.DONE, "download": download, "done": self.get(job_id).total, **facts}
             case _ if self._closed:
-                end["message"] = SERVER_STOPPED
+                return {**failed, "message": SERVER_STOPPED}
             case Ended(is_fault=True):
                 LOG.error("job %s failed:\n%s", job_id, last.message)
-                end["message"] = INTERNAL
+                return {**failed, "message": INTERNAL}
             case Ended(state=state, message=message):
-                end = {"state": state, "message": message}
-            case _ if job_id in self._stopping:
-                end = {"state": JobState.CANCELLED, "message": "stopped"}
-            case _:
-                LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, self._log_end(job_id))
-                end["message"] = f"the worker ended unexpectedly ({_reason(exit_code)})"
-        self._update(job_id, stage="", eta_s=None, **_public(end, self._public_message))
+                return {"state": state, "message": self._public_message(message)}
+            case _ if task.end:
+                return {"state": JobState.CANCELLED, "message": "stopped"}
+        LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, self._log_end(job_id))
+        return {**failed, "message": f"the worker ended unexpectedly ({_reason(exit_code)})"}
 
     def _log_end(self, job_id: str) -> str:
         path = self.folder / job_id / WORK_LOG
@@ -478,8 +446,6 @@ def _estimate(message: Progress, began: float) -> float | None:
 def _public(value: Any, public_message: PublicMessage) -> Any:
     """The same JSON with every text converted for browsers."""
     match value:
-        case JobState():
-            return value
         case str():
             return public_message(value)
         case dict():

@@ -1,6 +1,6 @@
 """`python -m annotator.web.jobs.worker`: the process of one job.
 
-The first line of standard input is the order. "pause" and "resume" hold a job in the background at its next safe point.
+The first line of standard input is the order. "pause" holds a job in the background for a moment, at a safe point.
 Another line, or the end of standard input, asks the worker to stop, so that it also ends when its server has died.
 Messages to the server go to standard output, one per line; the output of libraries goes to standard error.
 """
@@ -21,7 +21,6 @@ from annotator.project import open_project
 from annotator.types.errors import AnnotatorError
 from annotator.web.jobs.records import (
     PAUSE,
-    RESUME,
     Ended,
     JobContext,
     JobState,
@@ -40,6 +39,8 @@ AUTOGROUP = Path("/proc/self/autogroup")
 PROGRESS_EVERY_S = 0.2
 # A worker exits if it has not stopped this long after its server died.
 GIVE_UP_AFTER_S = 20.0
+# A job in the background goes on this long after the last "pause".
+PAUSE_S = 4.0
 
 
 class MessageWriter:
@@ -121,21 +122,19 @@ class Orders:
     """The server's orders to the running job. Thread-safe."""
 
     def __init__(self) -> None:
-        self._stop, self._go_on = threading.Event(), threading.Event()
-        self._go_on.set()
+        self._stop, self._paused_until_s = threading.Event(), 0.0
 
     def take(self, line: str) -> None:
         """Takes an order; the end of the input is an order to stop."""
         if line == PAUSE:
-            self._go_on.clear()
-            return
-        if line != RESUME:
+            self._paused_until_s = time.monotonic() + PAUSE_S
+        else:
             self._stop.set()
-        self._go_on.set()
 
     def stopped(self) -> bool:
         """True once a stop was ordered; waits while the job is paused."""
-        self._go_on.wait()
+        while (left_s := self._paused_until_s - time.monotonic()) > 0 and not self._stop.is_set():
+            self._stop.wait(left_s)
         return self._stop.is_set()
 
 
@@ -147,11 +146,9 @@ def _own_output() -> TextIO:
 
 
 def _read_orders(orders: Orders) -> None:
-    while True:
-        line = sys.stdin.readline()
+    while (line := sys.stdin.readline()) == PAUSE:
         orders.take(line)
-        if line not in (PAUSE, RESUME):
-            break
+    orders.take(line)
     if not line:
         time.sleep(GIVE_UP_AFTER_S)
         os._exit(1)

@@ -145,9 +145,8 @@ def correct(at: AtProject, recording: RowId, body: CorrectionIn) -> AlignmentJso
 
 
 def _adjusted(at: InProject, frame_id: int) -> AlignmentJson:
-    shown = _alignment(at, frame_id)
-    at.ctx.hub.recording_adjusted(at.project, shown.recording, shown.adjusted, at.operator)
-    return shown
+    at.announce()
+    return _alignment(at, frame_id)
 
 
 def _alignment(at: InProject, frame_id: int) -> AlignmentJson:

@@ -32,12 +32,11 @@ from annotator.web.frame_json import STALE, AtFrame, InFrame, ModelResponse
 from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
-    Box3DJson,
-    ClassName,
     FrameChange,
     FrameListJson,
     FrameRowJson,
     FrameStateJson,
+    LabelValues,
     RowId,
     Schema,
     Uid,
@@ -62,14 +61,11 @@ class Decide(Schema):
         return DECIDED[self.kind](uid=self.uid)
 
 
-class Edit(Schema):
+class Edit(LabelValues):
     """Changes a label's class, box and track; with `box_kind`, also what its box encloses."""
 
     kind: Literal["edit"]
     uid: Uid
-    label: ClassName
-    box: Box3DJson
-    track_id: TrackId | None = None
     box_kind: BoxKind | None = None
 
     def payload(self) -> Payload:
@@ -88,16 +84,13 @@ class Track(Schema):
         return LabelTracked(uid=self.uid, track_id=self.track_id)
 
 
-class Create(Schema):
+class Create(LabelValues):
     """Creates an accepted label.
 
     `image_box` is the box on the image that it was fitted to, if any; `suggestion` the detector that fitted it.
     """
 
     kind: Literal["create"]
-    label: ClassName
-    box: Box3DJson
-    track_id: TrackId | None = None
     image_box: Box2DJson | None = None
     suggestion: Suggestion | None = None
 
@@ -188,11 +181,10 @@ def frame(at: AtFrame) -> JSONResponse:
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
 def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
     """Change one frame: all changes or none, as one undo step."""
-    with at.change(body) as changed:
-        known = at.ctx.caches.frames.known_page(at.project, at.frame_id)
+    with at.change(body):
         context = body.context(at.operator, body.subject)
         payloads = [entry.payload() for entry in body.changes]
-        changed.append((at.frame_id, apply_changes(at.project, at.frame_id, payloads, context, at.open, known)))
+        apply_changes(at.project, at.frame_id, payloads, context, at.open)
     return ModelResponse(at.state())
 
 
@@ -226,7 +218,7 @@ def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepO
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
-    at.told(((reverted.frame_id, reverted.receipt), *reverted.others))
+    at.announce()
     state = InFrame(ctx, at.name, operator, reverted.frame_id).state()
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 
@@ -248,5 +240,5 @@ def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Respons
 def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
     """The image of a pseudo-view, from the cache or the project."""
     project = ctx.project(name)
-    content = ctx.caches.view_images.get(view_id) or project.views.content(view_id)
+    content = ctx.caches.view_images.known(view_id) or project.views.content(view_id)
     return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

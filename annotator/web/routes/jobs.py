@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
 from annotator.detection.pretrained import has_base
-from annotator.project import Project
+from annotator.project import Project, StoredModel
 from annotator.project.config import free_path
 from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import NotFoundError
@@ -197,7 +197,7 @@ def models(at: AtProject) -> ModelList:
     labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
     to_lift = len(at.project.boxes.frames_without_labels())
     return ModelList(
-        models=[_details(at, model.id) for model in at.project.models.all()],
+        models=[_details(at, model) for model in at.project.models.all()],
         base=base if has_base() else None,
         learn_every=at.project.config.settings.learn_every,
         material=TrainingData(
@@ -237,7 +237,7 @@ def use_base(at: AtProject) -> None:
 def activate(at: AtProject, model: RowId) -> ModelDetails:
     """Make a detector the active one of its role."""
     at.project.models.activate(model)
-    return _details(at, model)
+    return _details(at, at.project.models.get(model))
 
 
 @router.get("/api/projects/{name}/models/{model}/pictures/{number}.jpg", response_class=FileResponse)
@@ -249,8 +249,7 @@ def picture(at: AtProject, model: RowId, number: PictureNumber) -> FileResponse:
     return FileResponse(pictures[number], media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
 
 
-def _details(at: InProject, model_id: int) -> ModelDetails:
-    model = at.project.models.get(model_id)
+def _details(at: InProject, model: StoredModel) -> ModelDetails:
     facts = model_facts(model)
     return ModelDetails(
         **dict(model_info(model)),

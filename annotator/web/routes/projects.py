@@ -71,7 +71,6 @@ class RecordingInfo(Schema):
     name: str
     format: str
     frames: int
-    is_sequence: bool
     missing: bool
 
 
@@ -193,11 +192,10 @@ class NewProject(Schema):
     rotation: BoxRotation = BoxRotation.AUTO
 
 
-class ProjectChange(Schema):
-    """Changes of a project; null = unchanged."""
+class ProjectClasses(Schema):
+    """The classes of a project, in order."""
 
-    classes: Classes | None = None
-    rotation: BoxRotation | None = None
+    classes: Classes
 
 
 class NewName(Schema):
@@ -240,11 +238,9 @@ def project(at: AtProject) -> ProjectInfo:
 
 
 @router.patch("/api/projects/{name}")
-def change(at: AtProject, body: ProjectChange) -> ProjectInfo:
-    """Change the classes or the rotation of boxes."""
-    old = at.project.config.settings
-    settings = None if body.rotation is None else old.model_copy(update={"rotation": body.rotation})
-    at.project.configure(classes=body.classes, settings=settings, author=at.operator)
+def change(at: AtProject, body: ProjectClasses) -> ProjectInfo:
+    """Change the classes."""
+    at.project.configure(classes=body.classes, author=at.operator)
     return project_info(at)
 
 
@@ -402,9 +398,9 @@ def change_classes_of(at: AtProject, body: ClassChange) -> ProjectInfo:
 def set_values(at: AtFrame, body: ValuesIn) -> FrameStateJson:
     """Set values of a label, or of the frame; those of a track in all its labels, as one action."""
     context, project = body.context(at.operator, body.uid), at.project
-    with at.change(body) as changed:
+    with at.change(body):
         if body.uid is None:
-            changed.append((at.frame_id, project.frames.set_attributes(at.frame_id, body.values, context)))
+            project.frames.set_attributes(at.frame_id, body.values, context)
         else:
-            changed += project.labels.set_attributes(at.frame_id, body.uid, body.values, context)
+            project.labels.set_attributes(at.frame_id, body.uid, body.values, context)
     return at.state()

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
 from annotator.recordings import ReaderOptions
 from annotator.recordings.recording import parse_options
-from annotator.types.errors import InputError, MovedError
+from annotator.types.errors import InputError
 from annotator.web.context import AtProject, Ctx, InProject, Operator
-from annotator.web.errors import error_response, status_of
 from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
@@ -111,7 +107,6 @@ class AddedRecording(Schema):
     recording: RecordingInfo
     is_new: bool
     new_frames: int
-    missing_frames: int
     notes: tuple[str, ...]
     broken: list[str]
     left_out: int
@@ -148,18 +143,14 @@ def recordings(at: AtProject) -> list[ListedRecording]:
     ]
 
 
-@router.post("/api/projects/{name}/recordings", response_model=AddedRecordings, responses=MOVED)
-def add(at: AtProject, body: NewRecording) -> AddedRecordings | JSONResponse:
+@router.post("/api/projects/{name}/recordings", responses=MOVED)
+def add(at: AtProject, body: NewRecording) -> AddedRecordings:
     """Add a recording below one of the server's folders to a project; its files are not copied."""
     ctx, opened = at.ctx, at.project
     path = ctx.folders.find(body.path)
-    try:
-        results = add_recordings(
-            opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
-        )
-    except MovedError as error:
-        message, moved = ctx.public_message(str(error)), {"id": error.recording_id, "name": error.name}
-        return error_response(type(error).__name__, message, status_of(error), moved=moved)
+    results = add_recordings(
+        opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
+    )
     ctx.caches.frames.forget(opened)
     added = [
         AddedRecording.of(
@@ -195,24 +186,18 @@ def move(at: AtProject, recording: RowId, body: RecordingPath) -> RecordingInfo:
 @router.delete("/api/projects/{name}/recordings/{recording}")
 def remove(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
-    with _told(at):
-        at.project.recordings.remove(recording, at.operator)
-    return recordings(at)
+    at.project.recordings.remove(recording, at.operator)
+    return _changed(at)
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/restore")
 def restore(at: AtProject, recording: RowId) -> list[ListedRecording]:
     """Bring a removed recording back, with its labels."""
-    with _told(at):
-        bring_back(at.project, recording)
-    return recordings(at)
+    bring_back(at.project, recording)
+    return _changed(at)
 
 
-@contextmanager
-def _told(at: InProject) -> Iterator[None]:
-    """Tells the pages which recordings were removed or have come back within the `with` block."""
-    hub, stored = at.ctx.hub, at.project.recordings
-    hub.recordings_are(at.project, stored.removed_by())
-    yield
+def _changed(at: InProject) -> list[ListedRecording]:
     at.ctx.caches.frames.forget(at.project)
-    hub.recordings_are(at.project, stored.removed_by(), at.operator)
+    at.announce()
+    return recordings(at)

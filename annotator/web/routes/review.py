@@ -29,7 +29,6 @@ from annotator.web.schemas import (
     ImageBoxIn,
     Outline,
     QualityJson,
-    RowId,
     Schema,
     Uid,
     ViewJson,
@@ -87,12 +86,6 @@ class FitOut(Schema):
     too_few_points: bool
 
 
-class CopyIn(FrameChange):
-    """The frame to copy from; null = the previous one."""
-
-    source: Annotated[RowId | None, Field(alias="from")] = None
-
-
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
 def ortho(at: AtFrame, body: OrthoIn) -> list[OrthoView]:
     """Three views along the box's axes; points outside the box are dimmed."""
@@ -138,11 +131,10 @@ def _ready(at: InFrame) -> tuple[OpenFrame, RcvConfig, Readiness]:
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", responses=STALE)
-def copy(at: AtFrame, body: CopyIn) -> FrameStateJson:
-    """Copy the reviewed boxes of another frame, except those that this frame already has."""
-    with at.change(body) as changed:
-        receipt = copy_boxes(at.project, at.frame_id, body.source, body.context(at.operator))
-        changed.append((at.frame_id, receipt))
+def copy(at: AtFrame, body: FrameChange) -> FrameStateJson:
+    """Copy the reviewed boxes of the previous frame, except those that this frame already has."""
+    with at.change(body):
+        copy_boxes(at.project, at.frame_id, None, body.context(at.operator))
     return at.state()
 
 
@@ -176,7 +168,6 @@ class QueueOut(Schema):
 def queue(
     at: AtProject,
     order: Order = Order.WORST,
-    recording: RowId | None = None,
     label: ClassName | None = None,
     attribute: ClassName | None = None,
     value: ValueText = None,
@@ -185,7 +176,6 @@ def queue(
     high: Bound = None,
     known: bool = False,
     source: SourceName | None = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_ITEMS)] = MOST_ITEMS,
 ) -> QueueOut:
     """Proposals to review, or the frames whose labels would improve the detectors most.
 
@@ -200,7 +190,7 @@ def queue(
         )
         usual = None if of_frame is None else of_frame.default
         wanted = ValueFilter(attribute, of_frame is not None, usual, known, value, contains, low, high)
-    queued = all_items(at.project, order, recording, label, wanted, source, limit)
+    queued = all_items(at.project, order, label, wanted, source, MOST_ITEMS)
     items = [
         ItemJson.of(item, frame=item.frame.id, key=item.frame.key, recording=item.frame.recording_id)
         for item in queued.items
@@ -225,9 +215,9 @@ def statistics(at: AtProject) -> ReportedStatistics:
 
 
 @router.get("/api/projects/{name}/checks")
-def checks(at: AtProject, frame: RowId | None = None) -> CheckReport:
-    """Warnings about labels, of one frame or of all."""
-    report = check_project(at.project, frame, READING_S)
+def checks(at: AtProject) -> CheckReport:
+    """Warnings about labels."""
+    report = check_project(at.project, budget_s=READING_S)
     return report.model_copy(update={"unreadable": tuple(map(at.ctx.public_message, report.unreadable))})
 
 
@@ -398,9 +388,7 @@ def save(at: AtFrame, body: SaveIn) -> SaveOut:
         labelling, ready = _labelled(at, opened, given, body.box_kind)
         drawn = ObjectDrawn(given.image_box.box(), given.drawn(), labelling, given.uid, given.suggestion)
         answer = _steps_json(at, opened, labelling, ready)
-    with at.change(body) as changed:
+    with at.change(body):
         image_boxes, context = [box.box() for box in body.image_boxes], body.context(at.operator, body.subject)
-        saved = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
-        if saved.receipt is not None:
-            changed.append((at.frame_id, saved.receipt))
-    return SaveOut.model_construct(state=at.state(), uid=saved.uid, drawn=answer)
+        uid = save_object(at.project, at.frame_id, opened, image_boxes, body.box_kind, drawn, context)
+    return SaveOut.model_construct(state=at.state(), uid=uid, drawn=answer)

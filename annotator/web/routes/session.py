@@ -22,7 +22,7 @@ from annotator.web.context import (
     operator_or_none,
 )
 from annotator.web.hub import Client
-from annotator.web.schemas import ClassName, RowId, Schema
+from annotator.web.schemas import RowId, Schema
 
 router = APIRouter(tags=["session"])
 
@@ -36,35 +36,30 @@ class SignIn(Schema):
 
 
 class Session(BaseModel):
-    """The signed-in operator, and the server's version and protection."""
+    """The signed-in operator, and the server's version."""
 
     operator: str | None
     version: str
-    token_required: bool
 
 
 @router.get("/api/session")
-def session(request: Request, ctx: Ctx) -> Session:
+def session(request: Request) -> Session:
     """The operator who is signed in on this browser."""
-    return _session(ctx, operator_or_none(request))
+    return Session(operator=operator_or_none(request), version=__version__)
 
 
 @router.post("/api/session")
-def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
+def sign_in(body: SignIn, response: Response) -> Session:
     """Sign in with a name, which becomes the author of all changes."""
     response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
-    return _session(ctx, body.operator)
+    return Session(operator=body.operator, version=__version__)
 
 
 @router.delete("/api/session")
-def sign_out(response: Response, ctx: Ctx) -> Session:
+def sign_out(response: Response) -> Session:
     """Sign out."""
     response.delete_cookie(OPERATOR_COOKIE, httponly=True, samesite="strict")
-    return _session(ctx, None)
-
-
-def _session(ctx: Ctx, name: str | None) -> Session:
-    return Session(operator=name, version=__version__, token_required=ctx.settings.token is not None)
+    return Session(operator=None, version=__version__)
 
 
 # Time limit for sending an event to a page; after that the page is disconnected.
@@ -78,7 +73,6 @@ class Opened(Schema):
     """The page shows a frame."""
 
     type: Literal["open"]
-    project: ClassName
     frame: RowId
 
 
@@ -96,9 +90,10 @@ async def events(
     socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
     """Sends events to a page, and receives which frame it shows."""
-    since = 0 if project is None else await run_in_threadpool(_newest_event, ctx, project)
+    if project is not None:
+        await run_in_threadpool(_begin, ctx, project)
     # joined before the page knows that it is connected: what it reads from then on is followed by every later event
-    client = Client(project, operator, since)
+    client = Client(project, operator)
     ctx.hub.join(client)
     tasks = []
     try:
@@ -112,10 +107,10 @@ async def events(
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def _newest_event(ctx: Context, project: str) -> int:
+def _begin(ctx: Context, project: str) -> None:
     # pages that connect again and again to a locked project must not occupy all threads
     with waiting_at_most(CONNECT_WITHIN_S):
-        return ctx.project(project).log.last()
+        ctx.announcer.begin(ctx.project(project))
 
 
 async def _send(socket: WebSocket, client: Client) -> None:
@@ -142,7 +137,7 @@ async def _receive(socket: WebSocket, ctx: Context, client: Client) -> None:
 
 def _handle(ctx: Context, client: Client, text: str) -> None:
     match PageMessage.validate_json(text):
-        case Opened(project=project, frame=frame):
-            ctx.hub.set_frame(client, project, frame)
+        case Opened(frame=frame):
+            ctx.hub.set_frame(client, frame)
         case Closed():
-            ctx.hub.set_frame(client, None, None)
+            ctx.hub.set_frame(client, None)

@@ -100,33 +100,33 @@ class InterpolateOut(Schema):
 def track(at: AtProject, recording_id: RowId, track_id: TrackId) -> list[TrackBox]:
     """All boxes of an object, in the order of the recording. Its contact sheet is drawn in the meantime."""
     boxes = boxes_of(at.project, recording_id, track_id)
-    at.ctx.caches.sheets.prepare(at.project, recording_id, boxes)
+    at.ctx.caches.sheets.prepare(at.project, boxes)
     return [TrackBox.of(frame, frame=frame.id, uid=label.uid, state=label.state) for frame, label in boxes]
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
 def copy_to_next(at: AtFrame, body: CopyNextIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
-    with at.change(body) as changed:
+    frames = at.ctx.caches.frames
+    with at.change(body):
         done = copy_next(
             at.project,
             at.frame_id,
             body.uid,
             body.revision,
             at.operator,
-            read=lambda frame: at.of(frame.id).open().frame,
+            read=lambda frame: frames.read(at.project, frame.id),
             effort=body.stored_effort(),
         )
-        changed += done.changed
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
 def carry(at: AtFrame, body: CarryIn) -> CarryOut:
     """Correct the later proposals of a track like this box; one undo step."""
-    with at.change(body) as changed:
+    with at.change(body):
         was, effort = body.was.box(), body.stored_effort()
-        changed += carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
+        changed = carry_correction(at.project, at.frame_id, body.uid, body.revision, was, at.operator, effort=effort)
     return CarryOut(changed=len(changed))
 
 
@@ -167,11 +167,10 @@ def interpolate(at: AtFrame, body: InterpolateIn) -> InterpolateOut:
     fit = None
     if body.refit:
         view = at.ctx.caches.detectors.get(at.project, DetectorKind.VIEW)
-        fit = box_fitter(at.project, lambda frame: at.of(frame.id).open(), view)
-    with at.change(body) as changed:
+        fit = box_fitter(at.project, lambda frame: at.ctx.caches.frames.open(at.project, frame.id), view)
+    with at.change(body):
         effort = body.stored_effort()
         done = interpolate_back(at.project, at.frame_id, body.uid, body.revision, at.operator, fit=fit, effort=effort)
-        changed += done.filled
     return InterpolateOut.of(done, filled=len(done.filled), state=at.state())
 
 
@@ -211,12 +210,6 @@ class AcceptIn(WithEffort):
     boxes: Annotated[list[SeenJson], Field(max_length=MOST_BOXES)]
 
 
-class AcceptOut(Schema):
-    """Number of accepted proposals."""
-
-    accepted: int
-
-
 STREAM: dict[int | str, dict[str, Any]] = {200: {"model": TileJson}}
 
 
@@ -254,9 +247,9 @@ def _tiles(at: InProject, boxes: Sequence[tuple[StoredFrame, Label]]) -> Streami
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 
 
-@router.post("/api/projects/{name}/sheet/accept")
-def accept(at: AtProject, body: AcceptIn) -> AcceptOut:
+@router.post("/api/projects/{name}/sheet/accept", status_code=204)
+def accept(at: AtProject, body: AcceptIn) -> None:
     """Accept proposals in several frames, all or none, as one undo step."""
     boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
-    at.told(accept_boxes(at.project, boxes, at.operator, body.stored_effort()))
-    return AcceptOut(accepted=len(boxes))
+    accept_boxes(at.project, boxes, at.operator, body.stored_effort())
+    at.announce()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -57,29 +56,6 @@ CLOUD, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/boxes", "/selected", "/sele
 FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 
 
-@dataclass(frozen=True)
-class PointCounts:
-    """The number of shown points, and of all points of the cloud."""
-
-    shown_points: int
-    points: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Cloud:
-    """The shown points of one frame."""
-
-    frame: Frame
-    most_points: int
-    points: PointCloud
-    point_size_m: float
-
-
-def _cloud(frame: Frame, most_points: int) -> _Cloud:
-    points = shown_points(frame, most_points)
-    return _Cloud(frame, most_points, points, point_size_m(points, len(frame.cloud)))
-
-
 class Scene:
     """The scene of one viser server. Not thread-safe."""
 
@@ -87,7 +63,7 @@ class Scene:
         self._server = server
         self._api = server.scene
         self._on_gizmo = on_gizmo
-        self._cloud: _Cloud | None = None
+        self._points, self._point_size_m = PointCloud(np.zeros((0, 3), np.float32)), 0.0
         self.content = SceneContent(None, None)
         self._api.configure_default_lights(False)
         self._api.configure_environment_map(None)
@@ -109,8 +85,8 @@ class Scene:
         """The selected box, which the gizmo moves."""
         return next((b for b in self.content.boxes if b.uid is not None and b.uid == self.content.selected), None)
 
-    def show(self, content: SceneContent, hold_gizmo: bool = False) -> PointCounts:
-        """Updates the scene in one atomic message.
+    def show(self, content: SceneContent, hold_gizmo: bool = False) -> tuple[int, int]:
+        """Updates the scene in one atomic message; returns the number of shown points, and of all.
 
         Args:
             hold_gizmo: keep the gizmo and the selected box where they are, during a drag.
@@ -129,42 +105,30 @@ class Scene:
 
     # --- the cloud -------------------------------------------------------------------------------------------------
 
-    def _show_cloud(self, before: SceneContent) -> PointCounts:
-        frame, most_points = self.content.frame, self.content.most_points
+    def _show_cloud(self, before: SceneContent) -> tuple[int, int]:
+        content, frame = self.content, self.content.frame
         if frame is None:
-            self._cloud = None
             self._remove(CLOUD)
-            return PointCounts(0, 0)
-        cloud = self._cloud
-        if cloud is None or cloud.frame is not frame or cloud.most_points != most_points:
-            cloud = self._cloud = _cloud(frame, most_points)
-            self._send_cloud(cloud)
-        elif self.content.color is not before.color:
-            self._api_cloud().colors = self._colors(cloud)
-        self._api_cloud().point_size = cloud.point_size_m * self.content.point_size
-        return PointCounts(len(cloud.points), len(frame.cloud))
-
-    def _send_cloud(self, cloud: _Cloud) -> None:
-        # a new cloud is sent as one message, since the browser creates new buffers for it anyway
-        self._api.add_point_cloud(
-            CLOUD,
-            cloud.points.xyz_m,
-            self._colors(cloud),
-            point_size=cloud.point_size_m * self.content.point_size,
-            point_shape="square",
-            point_shading="flat",
-            precision="float32",
-        )
-
-    def _api_cloud(self) -> viser.PointCloudHandle:
-        import viser
-
-        handle = self._api.get_handle_by_name(CLOUD)
-        assert isinstance(handle, viser.PointCloudHandle)
-        return handle
-
-    def _colors(self, cloud: _Cloud) -> UInt8[np.ndarray, "n 3"]:
-        return point_colors(cloud.points, self.content.color, scene_up(cloud.frame))
+            return 0, 0
+        if frame is not before.frame or content.most_points != before.most_points:
+            # sent as one message, since the browser creates new buffers for it anyway
+            points = self._points = shown_points(frame, content.most_points)
+            self._point_size_m = point_size_m(points, len(frame.cloud))
+            self._api.add_point_cloud(
+                CLOUD,
+                points.xyz_m,
+                point_colors(points, content.color, scene_up(frame)),
+                point_size=self._point_size_m * content.point_size,
+                point_shape="square",
+                point_shading="flat",
+                precision="float32",
+            )
+        else:
+            cloud: Any = self._api.get_handle_by_name(CLOUD)
+            if content.color is not before.color:
+                cloud.colors = point_colors(self._points, content.color, scene_up(frame))
+            cloud.point_size = self._point_size_m * content.point_size
+        return len(self._points), len(frame.cloud)
 
     # --- boxes -----------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, WebSocket
@@ -17,13 +17,13 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response
 
 from annotator.project import Project
-from annotator.types import BoxKind, Label, OrientedBox, ReviewState
+from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.web.background import Periodic
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox, pick
-from annotator.web.viewport.scene import PointCounts, Scene
+from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.viser_page import ViserPage, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
@@ -65,8 +65,8 @@ class Viewport(ViserPage):
         self._scene = Scene(self._server, self._gizmo_moved)
         self._server.scene.on_click()(self._clicked)
 
-    def show(self, content: SceneContent) -> PointCounts:
-        """Shows a scene. While an operator drags the gizmo, the selected box stays at the gizmo."""
+    def show(self, content: SceneContent) -> tuple[int, int]:
+        """As `Scene.show`. While an operator drags the gizmo, the selected box stays at the gizmo."""
         with self._lock:
             self.used_s = time.monotonic()
             dragged = self._dragged_s is not None and time.monotonic() - self._dragged_s < DRAG_ENDS_S
@@ -216,27 +216,25 @@ class DraftJson(Schema):
 
 
 class PreviewJson(Schema):
-    """An unstored box: it replaces that of the label `uid`, or is additional (null, or an unknown uid)."""
+    """An unstored box: it replaces that of the label `uid`, or is additional (an unknown uid)."""
 
-    uid: Uid | None
+    uid: Uid
     box: Box3DJson
 
 
 class SceneRequest(Schema):
     """The content of a viewport. Omitted fields take their defaults, so each request is complete.
 
-    `added` are unstored boxes; `preview` is the box that is being changed. `point_size` is a factor of the default
-    size, which depends on the cloud's distance. `reset_view` resets the viewport's camera.
+    `previews` are unstored boxes. `point_size` is a factor of the default size, which depends on the cloud's distance.
+    `reset_view` resets the viewport's camera.
     """
 
     frame: RowId | None
     selected: Uid | None = None
     gizmo: Gizmo = Gizmo.OFF
-    labels: Literal["all", "none"] = "all"
     draft: DraftJson | None = None
-    preview: PreviewJson | None = None
-    added: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
-    point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] | None = None
+    previews: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
+    point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] = 1.0
     color: PointColor = PointColor.RGB
     most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
     reset_view: bool = False
@@ -268,11 +266,9 @@ def show_scene(
     viewport = viewports.get(id, operator)
     project = ctx.project(viewport.project)
     content = SceneContent(None, None) if body.frame is None else _content(ctx, project, body, body.frame)
-    counts = viewport.show(content)
+    shown_points, points = viewport.show(content)
     took_ms = (time.perf_counter() - began) * 1000
-    return SceneAnswer(
-        shown_points=counts.shown_points, points=counts.points, ms=round(took_ms, 1), connected=viewport.sockets > 0
-    )
+    return SceneAnswer(shown_points=shown_points, points=points, ms=round(took_ms, 1), connected=viewport.sockets > 0)
 
 
 @router.delete("/api/workbench/{id}", status_code=204)
@@ -301,31 +297,28 @@ async def viser_socket(id: str, socket: WebSocket, operator: Operator, viewports
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.caches.frames.open(project, frame_id)
     shown = show_frame(project, frame_id, opened)
-    labels = [each.stored.label for each in shown.labels] if body.labels == "all" else []
-    previews = [*body.added, *([] if body.preview is None else [body.preview])]
+    labels = [each.stored.label for each in shown.labels]
     return SceneContent(
         key=(project.path.name, shown.page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, [(preview.uid, preview.box.box()) for preview in previews]),
+        boxes=_boxes(labels, body.previews),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
         most_points=body.most_points,
-        point_size=1.0 if body.point_size is None else body.point_size,
+        point_size=body.point_size,
         reset_camera=body.reset_view,
     )
 
 
-def _boxes(labels: Sequence[Label], previews: Sequence[tuple[str | None, OrientedBox]]) -> tuple[ShownBox, ...]:
-    """The stored boxes and the previews. A preview replaces the box with its uid; of several, the last one is used."""
-    states = {label.uid: label.state for label in labels}
+def _boxes(labels: Sequence[Label], previews: Sequence[PreviewJson]) -> tuple[ShownBox, ...]:
+    """The stored boxes and the previews, which replace the boxes with their uids."""
     shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
-    without_uid = [ShownBox(None, box, ReviewState.PROPOSED) for uid, box in previews if uid is None]
-    for uid, box in previews:
-        if uid is not None:
-            shown[uid] = ShownBox(uid, box, states.get(uid, ReviewState.PROPOSED))
-    return (*shown.values(), *without_uid)
+    for preview in previews:
+        state = shown[preview.uid].state if preview.uid in shown else ReviewState.PROPOSED
+        shown[preview.uid] = ShownBox(preview.uid, preview.box.box(), state)
+    return tuple(shown.values())
 
 
 def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:

@@ -7,11 +7,10 @@ are drawn ahead for the selected track, and kept.
 
 from __future__ import annotations
 
-import logging
 import threading
-from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from jaxtyping import Bool, Float, Int64, UInt8
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import every_nth, thin
 from annotator.image_bytes import encoded_image
-from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
+from annotator.project import Effort, FramePart, Project, StoredFrame, WriteContext
 from annotator.project.changes import LabelAccepted
 from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
@@ -176,10 +175,8 @@ class SeenBox:
     uid: str
 
 
-def accept_boxes(
-    project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None
-) -> tuple[tuple[int, Receipt], ...]:
-    """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt."""
+def accept_boxes(project: Project, boxes: Sequence[SeenBox], author: str, effort: Effort | None = None) -> None:
+    """Accepts proposals in several frames, all or none, as one action."""
     if not boxes:
         raise ConfigError("no box is chosen, so there is nothing to accept; click on those that are right")
     by_frame: dict[int, list[SeenBox]] = {}
@@ -196,11 +193,8 @@ def accept_boxes(
         )
         for number, (frame_id, chosen) in enumerate(by_frame.items())
     ]
-    receipts = project.log.append_to_frames(parts)
-    return tuple(zip(by_frame, receipts, strict=True))
+    project.log.append_to_frames(parts)
 
-
-LOG = logging.getLogger("annotator.web")
 
 # A picture takes some 15 kB.
 MOST_PICTURES = 4000
@@ -213,10 +207,9 @@ class SheetPictures:
 
     def __init__(self, frames: FrameCache) -> None:
         self._frames, self._pictures = frames, Memo(MOST_PICTURES)
-        self._lock = threading.Lock()
         self._executor = ThreadPoolExecutor(1, "sheets")
-        # what is drawn ahead of each recording: the boxes of its track that was asked for last
-        self._ahead: dict[tuple[Project, int], deque[tuple[StoredFrame, Label]]] = {}
+        # what is drawn ahead: the boxes of the track that was asked for last
+        self._ahead: Sequence[tuple[StoredFrame, Label]] = ()
         self._closed = threading.Event()
 
     def close(self) -> None:
@@ -231,24 +224,16 @@ class SheetPictures:
         key = project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
         return self._pictures.get(key, lambda: encoded_image(picture(self._frames.look(project, stored), box)))
 
-    def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]]) -> None:
-        """Draws pictures of a track in the background, in place of those of the recording's former one."""
-        job = project, recording_id
-        with self._lock:
-            is_drawing = job in self._ahead
-            self._ahead[job] = deque(each for each in track if each[0].index is not None)
-        if not is_drawing and not self._closed.is_set():
-            self._executor.submit(self._draw_ahead, job)
+    def prepare(self, project: Project, track: Sequence[tuple[StoredFrame, Label]]) -> None:
+        """Draws pictures of a track in the background, in place of those of the former one."""
+        self._ahead = track
+        with suppress(RuntimeError):  # it was closed
+            self._executor.submit(self._draw_ahead, project, track)
 
-    def _draw_ahead(self, job: tuple[Project, int]) -> None:
-        while not self._closed.is_set():
-            with self._lock:
-                if not self._ahead[job]:
-                    del self._ahead[job]
-                    return
-                stored, label = self._ahead[job].popleft()
-            try:
-                self.get(job[0], stored, label.box)
-            except AnnotatorError as error:  # shown on the sheet
-                LOG.info("%s", error)
-            self._closed.wait(PAUSE_S)
+    def _draw_ahead(self, project: Project, track: Sequence[tuple[StoredFrame, Label]]) -> None:
+        for stored, label in track:
+            if self._ahead is not track or self._closed.wait(PAUSE_S):
+                return
+            if stored.index is not None:
+                with suppress(AnnotatorError):  # shown on the sheet
+                    self.get(project, stored, label.box)

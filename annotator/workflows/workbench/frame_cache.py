@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +19,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import in_frustum
 from annotator.image_bytes import encoded_image
 from annotator.project import Project, StoredFrame
-from annotator.project.overview import FramePage, neighbours
+from annotator.project.overview import neighbours
 from annotator.recordings import Recording
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
@@ -58,24 +57,25 @@ class Memo:
         found: T = result[0]
         return found
 
+    def known(self, key: Hashable) -> Any:
+        """Returns a result that was computed; None if there is none."""
+        with self._lock:
+            _, result = self._results.get(key, (None, ()))
+        return result[0] if result else None
+
 
 class OpenFrame:
     """An open frame. Thread-safe.
 
     Attributes:
         adjusted: id of the event that adjusted its recording last, when the frame was read; 0 = none.
-        is_prepared: its results were computed ahead, and its neighbours read ahead.
-        page: the stored state as read last; None before the first read.
     """
 
     def __init__(self, frame: Frame, adjusted: int = 0) -> None:
         self.frame = frame
         self.adjusted = adjusted
-        self.is_prepared = False
-        self.page: FramePage | None = None
         self._whole, self._results = Memo(2), Memo(MAX_RESULTS)
         self._counts: dict[bytes, int] = {}
-        self._newest: dict[str, tuple[int, Any]] = {}
 
     @property
     def memory_bytes(self) -> int:
@@ -123,18 +123,6 @@ class OpenFrame:
         """Returns a detector's boxes on the image; detected once."""
         return self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
 
-    def newest(self, name: str, revision: int, compute: Callable[[], T]) -> T:
-        """Returns a result that depends on the revision of the frame's labels; only the newest is kept."""
-        cached = self._newest.get(name)
-        if cached is None or cached[0] != revision:
-            cached = self._newest[name] = (revision, compute())
-        result: T = cached[1]
-        return result
-
-    def latest(self, name: str) -> Any:
-        """Returns the result of the last call of `newest`, of any revision; None if there was none."""
-        return self._newest.get(name, (0, None))[1]
-
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
         return self._results.get(key, compute)
@@ -168,10 +156,6 @@ KEPT_BYTES = 512 * 2**20
 PAUSE_S = 0.4
 
 
-_ReadAhead = tuple[float, Project, StoredFrame]
-"""When the neighbours of the frame that an operator has open may be read (`time.monotonic`), and the frame."""
-
-
 class FrameCache:
     """Caches the most recently used frames and reads the neighbours of open frames ahead. Thread-safe."""
 
@@ -181,9 +165,8 @@ class FrameCache:
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
         self._executor = ThreadPoolExecutor(1, "read-ahead")
-        # by operator, the newest request only; a request does not keep its frame in the cache
-        self._waiting: dict[str, _ReadAhead] = {}
-        self._is_reading_ahead = False
+        # the frame that each operator has opened last
+        self._open_by: dict[str, tuple[Project, int]] = {}
         self._closed = threading.Event()
 
     def read(self, project: Project, frame_id: int) -> Frame:
@@ -199,17 +182,16 @@ class FrameCache:
         """Returns a frame with its cached results, and schedules reading ahead. Raises as `read`.
 
         Args:
-            operator: who opens it; replaces the operator's earlier read-ahead.
+            operator: who opens it; what was to be read ahead for the operator's former frame is left out.
         """
         stored = project.frames.get(frame_id)
         opened = self._open(project, stored)
-        self._read_ahead((time.monotonic() + PAUSE_S, project, stored), operator)
+        if self._open_by.get(operator) != (project, frame_id):
+            self._open_by[operator] = project, frame_id
+            # the executor refuses jobs after `close`
+            with suppress(RuntimeError):
+                self._executor.submit(self._prepare, project, stored, operator)
         return opened
-
-    def known_page(self, project: Project, frame_id: int) -> FramePage | None:
-        """The page of an open frame as it was last read; None for a frame that is not open."""
-        opened = self._cached((project, frame_id))
-        return None if opened is None else opened.page
 
     def look(self, project: Project, stored: StoredFrame) -> Frame:
         """Returns a frame that is not opened: it is not cached, and nothing is read ahead. Raises as `read`."""
@@ -249,6 +231,7 @@ class FrameCache:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
             self._sources.pop(project, None)
+            self._open_by = {who: key for who, key in self._open_by.items() if key[0] is not project}
             for key in [key for key in self._frames if key[0] is project]:
                 del self._frames[key]
 
@@ -300,53 +283,20 @@ class FrameCache:
                 self._sources[project] = (threading.Lock(), FrameSource(project))
             return self._sources[project]
 
-    def _read_ahead(self, request: _ReadAhead, operator: str) -> None:
-        with self._lock:
-            waiting = self._waiting.get(operator)
-            if waiting is None or _frame_of(waiting) != _frame_of(request):
-                self._waiting[operator] = request
-            if self._is_reading_ahead:
-                return
-            # the executor refuses jobs after `close`
-            with suppress(RuntimeError):
-                self._executor.submit(self._prepare_all)
-                self._is_reading_ahead = True
-
-    def _prepare_all(self) -> None:
-        """Prepares one frame after the other, each once its operator has kept it open for `PAUSE_S`."""
-        while not self._closed.is_set():
-            with self._lock:
-                if not self._waiting:
-                    self._is_reading_ahead = False
-                    return
-                operator, request = min(self._waiting.items(), key=lambda entry: entry[1][0])
-                pause_s = request[0] - time.monotonic()
-                if pause_s <= 0:
-                    del self._waiting[operator]
-            if pause_s > 0:
-                self._closed.wait(pause_s)
-            else:
-                self._prepare(request, operator)
-
-    def _is_current(self, request: _ReadAhead, operator: str) -> bool:
-        """Returns False once the operator has opened another frame."""
-        with self._lock:
-            newest = self._waiting.get(operator, request)
-        return _frame_of(newest) == _frame_of(request) and not self._closed.is_set()
-
-    def _prepare(self, request: _ReadAhead, operator: str) -> None:
+    def _prepare(self, project: Project, stored: StoredFrame, operator: str) -> None:
         """Computes the results the page asks for next: of this frame, then of the next and the previous one."""
-        (_, project, stored), opened = request, self._cached(_frame_of(request))
-        if opened is None or opened.is_prepared:
+
+        def is_left() -> bool:
+            return self._closed.is_set() or self._open_by.get(operator) != (project, stored.id)
+
+        if is_left() or self._closed.wait(PAUSE_S) or is_left():
             return
-        # set first, so that a frame with a broken neighbour is prepared only once
-        opened.is_prepared = True
         try:
+            opened = self._open(project, stored)
             _ = opened.jpeg, opened.with_normals
             previous_id, next_id = neighbours(project, stored)
             for neighbour_id in (next_id, previous_id):
-                if not self._is_current(request, operator):
-                    opened.is_prepared = False
+                if is_left():
                     return
                 if neighbour_id is not None and self._cached((project, neighbour_id)) is None:
                     self._prepare_neighbour(project, neighbour_id)
@@ -361,7 +311,3 @@ class FrameCache:
         _ = opened.jpeg
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)
-
-
-def _frame_of(request: _ReadAhead) -> tuple[Project, int]:
-    return request[1], request[2].id

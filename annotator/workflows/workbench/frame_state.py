@@ -5,10 +5,8 @@ added: its topics, and the cloud of its first frame over the image.
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -65,32 +63,17 @@ class ShownFrame:
     objects: tuple[ShownObject, ...]
 
 
-def present_page(project: Project, frame_id: int, opened: OpenFrame) -> FramePage:
-    """Returns the stored state of a frame; only what changed since the last call is read."""
-    opened.page = page = read_page(project, frame_id, opened.page)
-    return page
-
-
 def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed."""
-    page = present_page(project, frame_id, opened)
-    labels, objects = opened.newest(
-        "shown", page.frame.revision, lambda: (_shown_labels(page, opened), shown_objects(page))
+    """Returns the present state of a frame."""
+    page = read_page(project, frame_id)
+    outlines = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
+    labels = tuple(
+        ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
+        for stored, outline in zip(page.labels, outlines, strict=True)
+        # of the other cameras of the moment, those that the image shows
+        if stored.is_own or len(outline)
     )
-    return ShownFrame(page, labels, objects)
-
-
-def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
-    before: tuple[Sequence[ShownLabel], Any] = opened.latest("shown") or ((), ())
-    shown = {each.stored: each for each in before[0]}
-    new = [stored for stored in page.labels if stored not in shown]
-    edges = visible_edges(opened.frame.camera, [stored.label.box for stored in new])
-    for stored, outline in zip(new, edges, strict=True):
-        points, label = opened.points_in(stored.label.box), stored.label
-        shown[stored] = ShownLabel(stored, outline, points, doubt(stored.quality, label.score))
-    every = [shown[stored] for stored in page.labels]
-    # of the other cameras of the moment, those that the image shows
-    return tuple(each for each in every if each.stored.is_own or len(each.outline))
+    return ShownFrame(page, labels, shown_objects(page))
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:

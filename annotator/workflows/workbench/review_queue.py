@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import defaultdict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
@@ -70,7 +70,6 @@ _BY = {Order.WORST: By.DOUBT, Order.TIME: By.FRAME, Order.CLASS: By.CLASS, Order
 def queue(
     project: Project,
     order: Order,
-    recording: int | None = None,
     label: str | None = None,
     attribute: ValueFilter | None = None,
     source: str | None = None,
@@ -84,19 +83,13 @@ def queue(
         attribute: only proposals with these values of an attribute; ignored by TEACH.
         source: only proposals of objects that this source sees; ignored by TEACH.
     """
-    if recording is not None:
-        project.recordings.get(recording)
-    chosen = None if recording is None else [recording]
     if order is Order.TEACH:
-        present = [frame for frame in project.frames.of(chosen) if frame.index is not None]
-        frames = {frame.id: frame for frame in present if not frame.finalised}
-        items = _to_teach(project, frames, present, chosen)
+        items = _to_teach(project)
         return Queue(tuple(items[:most]), len(items))
     classes = None if label is None else [label]
     found, total = waiting(
         project.store,
         _BY[order],
-        recordings=chosen,
         classes=classes,
         attribute=attribute,
         source=source,
@@ -105,11 +98,11 @@ def queue(
     return Queue(found, total)
 
 
-def _to_teach(
-    project: Project, frames: Mapping[int, StoredFrame], present: Sequence[StoredFrame], chosen: list[int] | None
-) -> list[QueueItem]:
-    known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED, recordings=chosen)
-    worst = worst_of_frames(project.store, chosen)
+def _to_teach(project: Project) -> list[QueueItem]:
+    present = [frame for frame in project.frames.of() if frame.index is not None]
+    frames = {frame.id: frame for frame in present if not frame.finalised}
+    known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED)
+    worst = worst_of_frames(project.store, None)
     untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
     seen = [frame for frame in present if frame.id in known]
     ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]

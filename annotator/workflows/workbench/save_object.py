@@ -27,7 +27,7 @@ from annotator.workflows.workbench.drawing_steps import (
     label_steps,
 )
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.frame_state import ShownObject, present_page, shown_objects
+from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
@@ -90,14 +90,6 @@ class ObjectDrawn:
     suggestion: Suggestion | None = None
 
 
-@dataclass(frozen=True)
-class Saved:
-    """The receipt (None if nothing changed), and the uid of the object's label, if it has one."""
-
-    receipt: Receipt | None
-    uid: str | None
-
-
 def save_object(
     project: Project,
     frame_id: int,
@@ -106,8 +98,10 @@ def save_object(
     kind: BoxKind,
     drawn: ObjectDrawn | None,
     context: WriteContext,
-) -> Saved:
+) -> str | None:
     """Stores the boxes on the image and on an object's views and, once all four are drawn, its 3D label: all or none.
+
+    Returns the uid of the object's label, if it has one.
 
     Boxes on a view are removed if their image box is gone, or if an earlier box of the object has changed, which gives
     the object another view: the old view is no longer a step of any object.
@@ -122,7 +116,7 @@ def save_object(
         ConfigError: the object's image box is not in `image_boxes`, or it has more than four boxes.
         ProjectError: unknown class.
     """
-    page = present_page(project, frame_id, opened)
+    page = read_page(project, frame_id)
     if page.frame.revision != context.revision:
         raise StaleRevisionError(f"frame {page.frame.key}", context.revision, page.frame.revision)
     if drawn is not None and drawn.image_box not in image_boxes:
@@ -143,10 +137,10 @@ def save_object(
     if changes_kind(page, on_image):
         others = remeasured(page, opened, label_config(project, opened.frame), on_image)
         payloads += [entry for entry in others if entry.uid != uid]
-    if not payloads:
-        return Saved(None, uid)
-    target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
-    return Saved(project.log.append(frame_id, payloads, replace(context, effort_target=target)), uid)
+    if payloads:
+        target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
+        project.log.append(frame_id, payloads, replace(context, effort_target=target))
+    return uid
 
 
 def _view_boxes(
@@ -248,13 +242,11 @@ def apply_changes(
     payloads: Sequence[Payload],
     context: WriteContext,
     open_frame: Callable[[], OpenFrame],
-    known: FramePage | None = None,
 ) -> Receipt:
     """Stores changes to one frame and the changes they imply, as one action: all or none.
 
     Args:
         open_frame: returns the frame; called only if finished objects must be remeasured.
-        known: an earlier page of the frame, which need not be read again if it is still the present one.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
@@ -265,7 +257,7 @@ def apply_changes(
     if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
         return project.log.append(frame_id, payloads, context)
     # if another change comes between this read and the append, the append refuses the stale revision
-    page = read_page(project, frame_id, known)
+    page = read_page(project, frame_id)
     parts = [FramePart(frame_id, [*payloads, *_implied(project, page, payloads, open_frame)], context)]
     for other_id, implied in _on_other_images(project, page, payloads):
         revision = parts[-1].context.revision + len(parts[-1].payloads)

@@ -165,7 +165,7 @@ def test_what_is_unknown_unreadable_or_changed_by_others_is_explained(
     expect(page.get_by_text("Bob has changed this recording's calibration")).to_be_visible()
     expect(image).not_to_have_attribute("src", str(before))
     # made while there was no connection: before it is lost, so that the page cannot be back before it
-    monkeypatch.setattr(hub, "recording_adjusted", lambda *_: None)
+    monkeypatch.setattr(shop.live.context.announcer, "announce", lambda *_: None)
     before = image.get_attribute("src")
     room.adjustments.correct(1, Correction((0.0, 0.04, 0.0)), "Bob")
     hub.close()

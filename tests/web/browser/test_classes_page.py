@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from browser_page import FRAME, Bench, Desk
+from browser_page import FRAME, Bench, Desk, middle
 
 from annotator.project import Project
 from annotator.project.classes import edit
@@ -26,6 +26,16 @@ def test_classes_are_changed_in_a_dialog_of_the_start_page(room: Project, start:
     page.get_by_test_id(f"edit-classes-{name}").click()
     page.get_by_test_id("new-class").fill("dog")
     page.keyboard.press("Enter")
+    # what is typed is stored by the press of a button, and the click counts although the rows are drawn again
+    row(page, "dog").get_by_label("Key of dog").fill("e")
+    page.mouse.move(*middle(row(page, "dog").get_by_role("button", name="Rename")))
+    with page.expect_response(lambda answer: answer.request.method == "GET" and answer.url.endswith("/classes")):
+        page.mouse.down()
+    page.wait_for_timeout(100)
+    page.mouse.up()
+    expect(page.get_by_test_id("ask-name")).to_have_value("dog")
+    page.get_by_test_id("dialog-cancel").click()
+    expect(row(page, "dog").get_by_label("Key of dog")).to_have_value("e")
     row(page, "dog").get_by_label("Key of dog").fill("d")
     page.keyboard.press("Enter")
     row(page, "dog").get_by_label("Colour of dog").fill("#3366ff")

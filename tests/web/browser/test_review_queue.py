@@ -6,17 +6,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import FRAMES, Desk, refuse
+from browser_page import FRAMES, Desk, middle, refuse
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types import ReviewState
 from annotator.types.errors import FrameError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
@@ -304,6 +307,55 @@ def test_what_is_typed_is_stored_on_its_box_however_it_is_left(desk: Desk, wait_
         desk.settled()
         expect(mass).to_have_value(shown)
     expect(page.get_by_test_id("toast-error")).to_contain_text("mass")
+
+
+def test_a_click_counts_though_the_page_is_drawn_again_while_the_button_is_down(desk: Desk, wait_for) -> None:
+    with_attributes(desk)
+    page, project = desk.page, desk.project
+    here, tracked = desk.frame, desk.uid
+    desk.press("Alt+r")
+    page.get_by_test_id("field-track").fill("7")
+    desk.press("Tab")
+    wait_for(lambda: desk.label.track_id == 7)
+    there = next(one for one in project.labels.select() if one.frame_id != here).label.uid
+    elsewhere = project.frames.get(project.labels.get(there).frame_id)
+    body = {"revision": elsewhere.revision, "changes": [{"kind": "track", "uid": there, "track_id": 7}]}
+    assert desk.live.client.post(f"{desk.api}/frames/{elsewhere.id}/changes", json=body).status_code == 200
+    page.reload()
+    desk.settled()
+
+    def press(target: Locator) -> None:
+        """Clicks slowly: what was typed is stored, and another operator's change is shown, before the release."""
+        target.scroll_into_view_if_needed()
+        page.mouse.move(*middle(target))
+        page.mouse.down()
+        desk.settled()
+        rain = not project.frames.attributes().get(desk.frame, {}).get("rain", False)
+        body = {"revision": project.frames.get(desk.frame).revision, "uid": None, "values": {"rain": rain}}
+        assert desk.live.client.post(f"{desk.api}/frames/{desk.frame}/attributes", json=body).status_code == 200
+        expect(page.get_by_test_id("attribute-rain").locator("option:checked")).to_have_text("yes" if rain else "no")
+        page.mouse.up()
+
+    def select(target: Locator, uid: str) -> None:
+        before = desk.uid
+        page.get_by_test_id("attribute-note").fill(f"of {before}")
+        press(target)
+        page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][aria-current="true"]').wait_for()
+        desk.settled()
+        assert values_of(desk, before) == {"note": f"of {before}"}
+
+    item = lambda uid: page.locator(f'[data-testid="queue-item"][data-uid="{uid}"]')  # noqa: E731
+    other = next(label.uid for label in project.labels.of_frame(here) if label.uid != tracked)
+    assert desk.uid == tracked
+    select(page.locator(f'[data-testid="frame-box"][data-uid="{other}"]'), other)
+    select(item(tracked), tracked)
+    select(page.locator(f'[data-testid="track-tick"][data-uid="{there}"]'), there)
+    select(item(other), other)
+    press(page.get_by_test_id("act-reject"))
+    wait_for(lambda: project.labels.get(other).label.state is ReviewState.REJECTED)
+    desk.settled()
+    press(page.get_by_test_id("mode-train"))
+    page.get_by_test_id("train-form").wait_for()
 
 
 def test_frames_are_changed_finalised_and_shown_with_their_problem(

@@ -90,7 +90,7 @@ class Desk:
 
     def save(self, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, revision: int | None = None) -> str | None:
         context = WriteContext(self.revision if revision is None else revision, "ann", effort=Effort(1, 2.0))
-        return save_object(self.project, self.frame_id, self.opened, image_boxes, self.kind, drawn, context).uid
+        return save_object(self.project, self.frame_id, self.opened, image_boxes, self.kind, drawn, context)
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from annotator.project.changes import LinkedLabel, TracksLinked
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
-from annotator.types.errors import NotFoundError
 from annotator.workflows.checking.project_labels import Kind, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.workbench.review_queue import Order, Queue, doubt, queue
@@ -79,9 +78,6 @@ def test_proposals_are_in_the_selected_order(people: Project) -> None:
     )
     assert shown(Order.TRACK) == [(1, "person"), (0, "person"), (0, "dog")]
     assert shown(Order.WORST, label="person") == [(1, "person"), (0, "person")]
-    assert shown(Order.WORST, recording=1) == shown(Order.WORST)
-    with pytest.raises(NotFoundError, match="no recording with id 9"):
-        queue(people, Order.WORST, recording=9)
     for uid in [item.uid for item in queue(people, Order.WORST).items]:
         assert uid is not None
         frame = people.labels.get(uid).frame_id

@@ -1,6 +1,6 @@
 /** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
 
-import { button, count, h } from "../dom.js";
+import { button, count, h, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 
@@ -43,7 +43,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) body.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!ended) patch(body, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     } finally {
       again.disabled = false;
     }
@@ -62,8 +62,9 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
         labels === 0
           ? ["No boxes yet", "Label objects, or let the detectors propose some."]
           : ["Nothing looks wrong", "Sizes, points, headings and overlaps of all boxes were checked."];
-      body.replaceChildren(
-        ...failed,
+      patch(
+        body,
+        failed,
         h(
           "div",
           { class: "empty panel", "data-testid": "no-warnings" },
@@ -80,7 +81,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
       const matching = warnings.filter((warning) => warning.kind === kind);
       return matching.length > 0 ? [group(kind, title, help, matching)] : [];
     });
-    body.replaceChildren(...failed, ...groups);
+    patch(body, failed, groups);
   }
 
   function group(

@@ -3,7 +3,7 @@
 import { projectPath } from "../api.js";
 import { classColor } from "../colors.js";
 import { openDialog } from "../dialogs.js";
-import { button, count, h, iconButton } from "../dom.js";
+import { button, count, h, iconButton, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { askMerge, askRemove, askRemoveAttribute, askRename, boxesOf } from "./asking.js";
 import { attributeForm, describe } from "./attribute_form.js";
@@ -29,12 +29,13 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     listed = await app.api.get(path);
     const focused = document.activeElement?.getAttribute("aria-label");
     const names = listed.classes.map((row) => row.name);
-    classes.replaceChildren(
-      ...listed.classes.map((row, index) => classRow(row, index, names)),
-      ...listed.unknown.map((row) => unknownRow(row, names)),
+    patch(
+      classes,
+      listed.classes.map((row, index) => classRow(row, index, names)),
+      listed.unknown.map((row) => unknownRow(row, names)),
     );
-    attributes.replaceChildren(...schema().map((attribute) => attributeRow(attribute, names)));
-    if (!schema().length) attributes.append(h("p", { class: "muted" }, "None yet."));
+    const rows = schema().map((attribute) => attributeRow(attribute, names));
+    patch(attributes, rows.length ? rows : h("p", { class: "muted" }, "None yet."));
     const again = focused ? classes.querySelector(`[aria-label="${CSS.escape(focused)}"]`) : null;
     if (again instanceof HTMLElement) again.focus();
   }
@@ -81,15 +82,13 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       put({ do: "style", name: label, style: changes });
     const move = (/** @type {number} */ to) =>
       put({ do: "order", names: names.toSpliced(index, 1).toSpliced(to, 0, label) });
-    /** @type {HTMLInputElement} */
     const picked = h("input", {
       type: "color",
       value: shown,
       title: "Colour",
       "aria-label": `Colour of ${label}`,
-      onchange: () => style({ colour: picked.value }),
+      onchange: (event) => style({ colour: fieldOf(event).value }),
     });
-    /** @type {HTMLInputElement} */
     const typed = h("input", {
       class: "key",
       value: key ?? "",
@@ -97,12 +96,12 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       placeholder: "–",
       title: "Key, pressed with Alt: 0 to 9, a to z",
       "aria-label": `Key of ${label}`,
-      onkeydown: onEnter(() => typed.blur()),
-      onchange: () => style({ key: typed.value.trim().toLowerCase() || null }),
+      onkeydown: onEnter((event) => fieldOf(event).blur()),
+      onchange: (event) => style({ key: fieldOf(event).value.trim().toLowerCase() || null }),
     });
     return h(
       "div",
-      { class: "class-row", "data-testid": "class-row", "data-name": label },
+      { class: "class-row", "data-testid": "class-row", "data-name": label, "data-key": label },
       h("span", { class: "row" }, index < 9 ? h("kbd", {}, String(index + 1)) : null),
       picked,
       colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span", {}),
@@ -138,7 +137,12 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     const values = listed.values[attribute.name] ?? 0;
     return h(
       "div",
-      { class: "attribute-row", "data-testid": "attribute-row", "data-name": attribute.name },
+      {
+        class: "attribute-row",
+        "data-testid": "attribute-row",
+        "data-name": attribute.name,
+        "data-key": attribute.name,
+      },
       h("span", { class: "grow" }, h("strong", {}, attribute.name), ` ${describe(attribute)}`),
       h("span", { class: "muted number" }, count(values, "value")),
       h(
@@ -192,16 +196,18 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
   }
 }
 
+const fieldOf = (/** @type {Event} */ { currentTarget }) => /** @type {HTMLInputElement} */ (currentTarget);
+
 /**
  * Enter in a field would close the dialog.
  *
  * @returns {(event: KeyboardEvent) => void}
  */
-function onEnter(/** @type {() => void} */ fn) {
+function onEnter(/** @type {(event: KeyboardEvent) => void} */ fn) {
   return (event) => {
     if (event.key !== "Enter") return;
     event.preventDefault();
     event.stopPropagation();
-    fn();
+    fn(event);
   };
 }

@@ -1,6 +1,6 @@
 /** Export: which boxes, in which format; then the download, with a list of what the format cannot store. */
 
-import { count, h } from "../dom.js";
+import { count, h, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
@@ -78,18 +78,9 @@ async function begin(
     }
   });
 
-  /** The job whose result is shown, as text. */
-  let shown = "";
-
-  /**
-   * Builds the result again only if the job has changed: replacing a link while it is pressed would lose the click.
-   */
   function showResult(/** @type {Api.Job | undefined} */ job) {
     result.hidden = !job;
-    const next = JSON.stringify(job ?? null);
-    if (next === shown) return;
-    shown = next;
-    if (job) result.replaceChildren(...describe(job));
+    if (job) patch(result, describe(job));
   }
 
   function show() {

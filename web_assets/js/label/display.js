@@ -93,7 +93,6 @@ export function createDisplay(app, work, parts) {
       frame: state.frame.id,
       selected: draft?.item.uid ?? null,
       gizmo: "off",
-      labels: "all",
       draft: sceneDraft(),
       point_size,
     };

@@ -5,7 +5,7 @@
  * cache.
  */
 
-import { button, h } from "../dom.js";
+import { button, h, patch } from "../dom.js";
 import { ApiError, isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
@@ -175,21 +175,21 @@ export function createSaveProblem(app, saver, { onRelabel, onDiscard }) {
 
   function choice(/** @type {string} */ gone) {
     const options = app.state.project.classes.map((name) => h("option", {}, name));
-    const select = h(
+    const onchange = (/** @type {Event} */ { currentTarget }) =>
+      onRelabel({ [gone]: /** @type {HTMLSelectElement} */ (currentTarget).value });
+    return h(
       "select",
-      { "aria-label": `Class in place of ${gone}`, "data-testid": "save-as" },
+      { "aria-label": `Class in place of ${gone}`, "data-testid": "save-as", onchange },
       h("option", { value: "", disabled: true, selected: true }, "save it as …"),
       options,
     );
-    select.addEventListener("change", () => onRelabel({ [gone]: select.value }));
-    return select;
   }
 
   function show() {
-    root.replaceChildren();
-    if (!saver.problem) return;
+    if (!saver.problem) return patch(root);
     const gone = [...saver.labels()].find((label) => !app.state.project.classes.includes(label));
-    root.append(
+    patch(
+      root,
       `Not saved: ${saver.problem.message} `,
       gone === undefined ? button("Try again", () => saver.retry()) : choice(gone),
       " ",

@@ -3,7 +3,7 @@
 import { valuesText } from "../attributes.js";
 import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
-import { button, count, glyph, h, iconButton } from "../dom.js";
+import { button, count, glyph, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { DRAGS, progressOf } from "./items.js";
@@ -28,8 +28,9 @@ export function createClassPicker(/** @type {ModeApp} */ app, /** @type {(name: 
   return {
     root,
     show(/** @type {string} */ current) {
-      root.replaceChildren(
-        ...app.state.project.classes.map((label, index) => {
+      patch(
+        root,
+        app.state.project.classes.map((label, index) => {
           const swatch = h("span", { class: "swatch" });
           swatch.style.background = classColor(app.state.project, label);
           const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
@@ -96,8 +97,8 @@ export function createObjectList(
       const others = state.labels.filter(({ uid, state: review }) => !drawn.has(uid) && review !== "rejected");
       total.textContent = items.length ? `${items.filter((item) => item.uid).length} of ${items.length} finished` : "";
       const rows = items.map((item) => objectRow(app, item, item === current, isReadonly, { onOpen, onDelete }));
-      list.replaceChildren(...rows, ...others.map((label) => labelRow(app, label, onReview)));
-      if (!rows.length && !others.length) list.append(h("li", { class: "empty" }, "No objects in this frame yet."));
+      rows.push(...others.map((label) => labelRow(app, label, onReview)));
+      patch(list, rows.length ? rows : h("li", { class: "empty" }, "No objects in this frame yet."));
     },
     clear() {
       total.textContent = "";
@@ -140,7 +141,13 @@ function objectRow(
   const remove = iconButton("trash", `Delete this ${label}`, () => onDelete(item), { disabled: isReadonly });
   return h(
     "li",
-    { class: isCurrent ? "current" : "", "data-testid": "object", "data-uid": item.uid, "data-boxes": done },
+    {
+      class: isCurrent ? "current" : "",
+      "data-testid": "object",
+      "data-uid": item.uid,
+      "data-key": item.uid,
+      "data-boxes": done,
+    },
     open,
     remove,
   );
@@ -159,7 +166,7 @@ function labelRow(
   const score = label.state === "proposed" && label.score !== null ? ` ${label.score.toFixed(2)}` : "";
   return h(
     "li",
-    {},
+    { "data-key": label.uid },
     button(
       [
         swatch,
@@ -225,7 +232,7 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
       note.textContent = left === null ? "" : `${left} left`;
       note.title = left === null ? "" : `${count(left, "frame")} to label`;
       finalise.hidden = false;
-      finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen" : "Finalise");
+      patch(finalise, glyph("lock"), state.frame.finalised ? "Reopen" : "Finalise");
       finalise.title = state.frame.finalised
         ? "Allow changes to this frame again"
         : "Lock the frame: no drawing here, no changes by automatic passes (Ctrl+Enter)";

@@ -1,7 +1,7 @@
 /** The selected box as numbers: centre and size in metres, angles in degrees, class and track; and facts about it. */
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
-import { button, count, h, leaveField } from "../dom.js";
+import { button, count, h, leaveField, patch } from "../dom.js";
 import { OWN } from "./queue.js";
 
 const CENTER = [
@@ -186,7 +186,10 @@ export function createFields(
   /** Offers the project's classes. */
   function fill() {
     const { value } = choice;
-    choice.replaceChildren(...classes().map((name) => h("option", { value: name }, name)));
+    patch(
+      choice,
+      classes().map((name) => h("option", { value: name }, name)),
+    );
     choice.value = value;
   }
 
@@ -201,7 +204,8 @@ export function createFields(
     const why = desk.problemOf();
     problem.hidden = !why;
     if (!why) return;
-    problem.replaceChildren(
+    patch(
+      problem,
       h("p", {}, `Not saved. ${why}`),
       h(
         "div",
@@ -237,7 +241,7 @@ export function createFields(
       choice.append(h("option", { value: label.label }, label.label));
     choice.value = label.label;
     if (typed !== track) track.value = String(label.track_id ?? "");
-    facts.replaceChildren(...describe(label));
+    patch(facts, describe(label));
   }
 
   return { show, fill, attributes };

@@ -4,7 +4,7 @@
  */
 
 import { trackColor } from "../colors.js";
-import { button, count, h, iconButton } from "../dom.js";
+import { button, count, h, iconButton, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 
 /** Numbers of the runs that the operator has closed. */
@@ -103,9 +103,10 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     stop.hidden = bar.hidden = !isRunning;
     close.hidden = isRunning;
     bar.value = run.total > 0 ? run.done / run.total : 1;
-    list.replaceChildren(
-      ...(run.message ? [h("li", { class: "bad" }, run.message)] : []),
-      ...run.tracks.map((track) => trackRow(track, reached(present, track), open)),
+    patch(
+      list,
+      run.message ? h("li", { class: "bad" }, run.message) : null,
+      run.tracks.map((track) => trackRow(track, reached(present, track), open)),
     );
   }
 

@@ -83,11 +83,11 @@ export function createScene(/** @type {HTMLElement} */ host, /** @type {ModeApp}
     const id = app.state.frame?.frame.id ?? broken;
     const revision = app.state.frame?.frame.revision ?? null;
     const { shown } = desk;
-    const preview = shown && (desk.hasDraft || shown.isNew) ? { uid: shown.uid, box: shown.box } : null;
     const others = desk.labels().filter(({ uid, isNew }) => isNew && uid !== desk.uid);
-    const added = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
+    const previews = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
+    if (shown && (desk.hasDraft || shown.isNew)) previews.push({ uid: shown.uid, box: shown.box });
     /** @type {Scene3D} */
-    const scene = { frame: id, selected: desk.uid, labels: "all", preview, added, ...chosen, ...more };
+    const scene = { frame: id, selected: desk.uid, previews, ...chosen, ...more };
     const text = JSON.stringify(scene);
     if (text === sent.scene && revision === sent.revision) return;
     const waitMs = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;

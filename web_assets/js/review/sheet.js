@@ -7,7 +7,7 @@
  */
 
 import { openDialog } from "../dialogs.js";
-import { button, count, h } from "../dom.js";
+import { button, count, h, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
@@ -121,6 +121,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
             : `${box.state} already`,
           "data-testid": "sheet-box",
           "data-uid": box.uid,
+          // a tile of another state is another one: `tiles` has it
+          "data-key": `${box.uid} ${box.state}`,
         },
       );
     }
@@ -141,7 +143,10 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
         tiles.set(box.uid, tile(box));
         if (firstOut >= 0 && at > firstOut && isOpen(box)) mark(box.uid, false, true);
       }
-      grid.replaceChildren(...shown.flatMap(({ uid }) => tiles.get(uid) ?? []));
+      patch(
+        grid,
+        shown.map(({ uid }) => tiles.get(uid)),
+      );
       note.textContent = `${count(proposals.length, "proposal")} of ${count(shown.length, "box", "boxes")}. ${
         isFollowed(track) ? "The object is still being followed; new boxes appear here." : HELP
       }`;

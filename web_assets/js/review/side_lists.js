@@ -1,7 +1,7 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
 import { valuesText } from "../attributes.js";
-import { button, count, h } from "../dom.js";
+import { button, count, h, patch } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
@@ -43,6 +43,8 @@ export function createQueueList(
   });
   const left = h("span", { class: "number muted", "data-testid": "queue-remaining" });
   const list = h("ol", { class: "rows", "data-testid": "queue" });
+  /** @type {string | null} */
+  let current = null;
   fill();
   order.value = queue.order;
   host.replaceChildren(
@@ -75,7 +77,8 @@ export function createQueueList(
     const chosen = source.value;
     const names = Object.keys(queue.sources);
     if (chosen && !names.includes(chosen)) names.push(chosen);
-    source.replaceChildren(
+    patch(
+      source,
       h("option", { value: "" }, "All sources"),
       ...names.map((name) => h("option", { value: name }, `${name} (${queue.sources[name] ?? 0})`)),
     );
@@ -108,11 +111,13 @@ export function createQueueList(
       );
       const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
       const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
-      list.replaceChildren(
-        ...queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, item.uid === uid, open)),
-      );
-      if (queue.items.length === 0) list.append(h("li", { class: "muted pad" }, ...nothing()));
-      list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+      const rows = queue.items
+        .slice(from, from + ROWS)
+        .map((item) => queueRow(item, recordings, item.uid === uid, open));
+      patch(list, rows.length > 0 ? rows : h("li", { class: "muted pad" }, ...nothing()));
+      // not again, so that an operator who looks elsewhere in the list is left there
+      if (uid !== current) list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+      current = uid;
     },
   };
 }
@@ -127,7 +132,7 @@ function queueRow(
   const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
   return h(
     "li",
-    {},
+    { "data-key": item.uid },
     button(
       [
         h("span", { class: "ellipsis grow" }, item.label),
@@ -180,8 +185,9 @@ export function createBoxList(/** @type {HTMLElement} */ host, /** @type {ModeAp
   function draw() {
     const labels = desk.labels();
     const hasPictures = labels.filter(isOpen).length > 1;
-    list.replaceChildren(
-      ...labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+    patch(
+      list,
+      labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
     );
   }
 
@@ -226,7 +232,7 @@ function boxRow(app, label, desk, picture) {
   const state = problem ? "not saved" : label.isNew ? "new" : label.state;
   return h(
     "li",
-    {},
+    { "data-key": label.uid },
     button(
       [
         h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),

@@ -4,7 +4,7 @@
  */
 
 import { trackColor } from "../colors.js";
-import { button, count, h } from "../dom.js";
+import { button, count, h, patch } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 
 /** A copy with fewer points inside stands on nothing. */
@@ -103,8 +103,9 @@ export function createTracks(
     title.style.color = trackColor(id);
     alike.disabled = desk.formerBox(label.uid) === null;
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
-    strip.replaceChildren(
-      ...known.boxes.slice(from, from + SHOWN).map((box) =>
+    patch(
+      strip,
+      known.boxes.slice(from, from + SHOWN).map((box) =>
         button([], () => open({ frame: box.frame, uid: box.uid }), {
           class: `tick state-${box.state}`,
           title: `${box.key}, ${box.state}`,
@@ -112,6 +113,7 @@ export function createTracks(
           "aria-current": box.uid === label.uid ? "true" : null,
           "data-testid": "track-tick",
           "data-uid": box.uid,
+          "data-key": box.uid,
         }),
       ),
     );

@@ -1,7 +1,7 @@
 /** The filter of the queue by the values of an attribute: of boxes, of tracks, or of frames. */
 
 import { nameOf, schemaOf, steps } from "../attributes.js";
-import { h } from "../dom.js";
+import { h, patch } from "../dom.js";
 
 /** `onChange` is called with what the server is to be asked. */
 export function createValueFilter(
@@ -124,9 +124,10 @@ export function createValueFilter(
  */
 export function refill(select, all, texts) {
   const chosen = select.value;
-  select.replaceChildren(
+  patch(
+    select,
     h("option", { value: "" }, all),
-    ...[...texts].map(([value, text]) => h("option", { value }, text)),
+    [...texts].map(([value, text]) => h("option", { value }, text)),
   );
   select.value = texts.has(chosen) ? chosen : "";
   return select.value !== chosen;

@@ -2,7 +2,7 @@
 
 import { projectPath } from "../api.js";
 import { confirm, openDialog } from "../dialogs.js";
-import { button, count, glyph, h } from "../dom.js";
+import { button, count, glyph, h, patch } from "../dom.js";
 import { ApiError, messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
 import { chooseTopics } from "./topics.js";
@@ -223,8 +223,7 @@ export async function manageRecordings(/** @type {App} */ app, /** @type {string
   async function show(/** @type {Promise<Api.ListedRecording[]>} */ answer) {
     try {
       const recordings = await answer;
-      list.replaceChildren(...recordings.map(row));
-      if (!recordings.length) list.append(h("li", { class: "muted" }, "No recording yet"));
+      patch(list, recordings.length ? recordings.map(row) : h("li", { class: "muted" }, "No recording yet"));
     } catch (error) {
       app.toast(error);
     }

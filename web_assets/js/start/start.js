@@ -15,6 +15,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
   /** @type {JobLine[]} */
   let lines = [];
+  /** The projects whose cards are shown, as text. */
+  let shown = "";
   /**
    * Ids of the jobs that import boxes or copy a project and were started here: their outcome stays on the page.
    *
@@ -79,8 +81,11 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       /** @type {Api.ProjectList} */
       const { projects } = await app.api.get("/api/projects");
       const menu = list.querySelector(":popover-open");
-      // new cards would take an open menu away
+      const text = JSON.stringify(projects);
+      // new cards would take an open menu away, and a click whose button is down
+      if (text === shown) return showLines();
       if (menu) return menu.addEventListener("toggle", refresh, { once: true });
+      shown = text;
       lines = projects.map(({ name }) => importLine(app, name, started));
       list.replaceChildren(
         ...(projects.length
@@ -98,6 +103,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {App} */ app) {
       );
       showLines();
     } catch (error) {
+      shown = "";
       const retry = button("Try again", refresh);
       list.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)), h("div", {}, retry));
     }

@@ -4,7 +4,7 @@
  */
 
 import { createChart, duration, number, percent, section, table } from "../charts.js";
-import { count, h } from "../dom.js";
+import { count, h, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
@@ -74,7 +74,7 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     try {
       fresh = await app.api.get(app.path("statistics"));
     } catch (error) {
-      if (!ended) tiles.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+      if (!ended) patch(tiles, h("p", { class: "error-box", role: "alert" }, messageOf(error)));
       return;
     } finally {
       restsUntilMs = performance.now() + REST * (performance.now() - beganMs);
@@ -82,9 +82,8 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     if (ended) return;
     known = fresh;
     const isEmpty = fresh.labels.total === 0;
-    tiles.replaceChildren(...tilesOf(fresh));
-    if (isEmpty) tables.replaceChildren(nothingYet(app));
-    else tables.replaceChildren(...tablesOf(fresh));
+    patch(tiles, tilesOf(fresh));
+    patch(tables, isEmpty ? nothingYet(app) : tablesOf(fresh));
     chartsPanel.hidden = isEmpty;
     work.show(fresh.progress);
     for (const chart of charts) void chart.draw();

@@ -1,7 +1,7 @@
 /** The trained models: training data, quality, which one is in use, and validation pictures. */
 
 import { openDialog } from "../dialogs.js";
-import { button, count, h } from "../dom.js";
+import { button, count, h, patch } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const HELD_OUT_HELP =
@@ -75,6 +75,7 @@ export function createModelList(
       {
         "data-testid": "model-row",
         "data-id": model.id,
+        "data-key": model.id,
         "data-active": String(model.active),
         class: model.active ? "active" : "",
       },
@@ -110,7 +111,8 @@ export function createModelList(
     const isHidden = !model || model.pictures.length === 0;
     pictures.hidden = isHidden;
     if (isHidden) return;
-    pictures.replaceChildren(
+    patch(
+      pictures,
       h(
         "p",
         { class: "muted" },
@@ -134,7 +136,7 @@ export function createModelList(
     show(/** @type {Api.ModelList} */ { models, base }) {
       if (models.length === 0 && !base) {
         pictures.hidden = true;
-        table.replaceChildren(h("p", { class: "muted" }, "No model has been trained yet."));
+        patch(table, h("p", { class: "muted" }, "No model has been trained yet."));
         return;
       }
       const newest = models.toSorted((a, b) => b.created_ns - a.created_ns);
@@ -148,7 +150,8 @@ export function createModelList(
         "",
         "",
       ];
-      table.replaceChildren(
+      patch(
+        table,
         h(
           "table",
           { class: "dense models" },

@@ -1,6 +1,6 @@
 /** Train and propose: the training data, the running training, the models, and proposals. */
 
-import { count, h } from "../dom.js";
+import { count, h, patch } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { createCurves } from "./curves.js";
@@ -72,12 +72,15 @@ export function mount(/** @type {HTMLElement} */ root, /** @type {ModeApp} */ ap
     start.disabled = Boolean(job && isActive(job) && !job.background);
     if (!known) return;
     const list = known;
-    material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
     models.show(known);
     propose.setToLift(known.material.to_lift);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
-    if (nothing) material.append(nothingYet(app));
+    patch(
+      material,
+      ROLES.map((role) => materialCard(role, list)),
+      nothing && nothingYet(app),
+    );
   }
 
   const states = () => app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
