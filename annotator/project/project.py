@@ -32,6 +32,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
+from annotator.project.database.file import has_wal, wal_of
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
@@ -42,7 +43,7 @@ from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 AUTHOR = "annotator"
 
@@ -227,6 +228,7 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
     """
     read_config(path)
     require_own_files(path)
+    _require_fitting_wal(path / DATABASE_FILE)
     store = open_store(path / DATABASE_FILE, clock=clock, before_upgrade=lambda: back_up_before_upgrade(path))
     project = Project(path, store, readable)
     try:
@@ -242,6 +244,20 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
             raise ProjectError(f"{path}: a subfolder cannot be created: {error}") from error
         raise
     return project
+
+
+def _require_fitting_wal(database: Path) -> None:
+    """Refuses a database that is not sound together with the `-wal` beside it.
+
+    A kill leaves one. SQLite applies it to the database that it finds there, also to an older copy that somebody has
+    put there since.
+    """
+    if database.is_file() and has_wal(database) and (problems := database_problems(database)):
+        raise ProjectError(
+            f"{database}: with the file {wal_of(database).name} beside it, {problems[0]}; if the database was put "
+            "there by hand, that file is of another state. Nothing was changed. `annotator project repair` makes a "
+            f"new project of what can be read; or {RESTORE}"
+        )
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

@@ -44,7 +44,7 @@ from annotator.project.backup.snapshot import (
     write_snapshot,
 )
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.file import has_foreign_wal, wal_of
+from annotator.project.database.file import wal_of
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained
@@ -100,10 +100,10 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         # SQLite works on a copy: opening a damaged database may write to it
         folder = stack.enter_context(unfinished_folder(Path(gettempdir()), "annotator-repair"))
         copy = folder / DATABASE_FILE
-        is_foreign = has_foreign_wal(database)
-        if is_foreign or database_problems(database):
+        if database_problems(database):
             shutil.copyfile(database, copy)
-            if is_regular(project, wal_of(database).name) and not is_foreign:
+            # a sound database with a `-wal` of another state is one that somebody has put there
+            if is_regular(project, wal_of(database).name) and database_problems(copy):
                 shutil.copyfile(wal_of(database), wal_of(copy))
         else:  # others may be writing to it
             write_snapshot(database, copy)

@@ -342,10 +342,6 @@ CREATE TABLE models (
     sha256 TEXT NOT NULL
 )
 """
-# The chain of write transactions (`file.py`). One row of fixed length: a mark, the token of the transaction
-# before the last, and that of the last one.
-_GENERATION = "CREATE TABLE generation (id INTEGER PRIMARY KEY CHECK (id = 1), chain TEXT NOT NULL)"
-_FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 32} {'0' * 32}')"
 
 _INDEXES = (
     "CREATE INDEX frames_in_order ON frames (recording_id, position)",
@@ -388,8 +384,6 @@ MIGRATIONS: tuple[Migration, ...] = (
         _RUNS,
         _FRAME_RESULTS,
         _MODELS,
-        _GENERATION,
-        _FIRST_TOKEN,
         *_append_only("events"),
         *_append_only("class_changes"),
         *_INDEXES,

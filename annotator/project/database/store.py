@@ -18,7 +18,7 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 from sqlalchemy.util import LRUCache
 
-from annotator.project.database.file import DatabaseFile, advance, require_own_wal, stamp_of
+from annotator.project.database.file import DatabaseFile
 from annotator.project.database.migrations import (
     APPLICATION_ID,
     newest_version,
@@ -165,9 +165,7 @@ class Store:
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
-                token = advance(connection)
                 yield connection
-            self.file.written(token)
             # the file may have been replaced since; only now it is sure that the change is in it
             self.file.require_current()
         finally:
@@ -186,15 +184,10 @@ class Store:
         self._require_writable("is upgraded before it is used, but ")
         with self._transaction("BEGIN IMMEDIATE", BUSY_TIMEOUT_S) as connection:
             upgrade(driver_of(connection))
-            advance(connection)
 
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
         with explained(self.path, self.file), self.engine.connect() as connection:
-            if connection.info.get("stamp") != (stamp := stamp_of(self.file.place)):
-                # a newer copy may have been written over the file; its pages must not be mixed with those in the cache
-                driver_of(connection).execute("PRAGMA shrink_memory")
-                connection.info["stamp"] = stamp
             connection = connection.execution_options(**{_BEGIN: (begin, round(wait_s * 1000))})
             with connection.begin():
                 # after it has begun: it may have waited long for the lock
@@ -203,7 +196,6 @@ class Store:
 
     def close(self) -> None:
         """Closes all connections."""
-        self.file.closing()
         self.engine.dispose()
 
 
@@ -245,10 +237,9 @@ def open_store(path: Path, *, clock: Clock = time.time_ns, before_upgrade: Calla
     Raises:
         ReplacedError: it is missing.
         ProjectError: it is not a project database, damaged, locked, of a newer version, or has other tables, triggers
-            or views than its version; or the file `-wal` beside it belongs to another database.
+            or views than its version.
     """
     _require_file(path)
-    require_own_wal(path)
     store = Store(path, clock)
     with _closed_on_error(store):
         with store.read() as connection:
