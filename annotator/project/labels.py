@@ -75,16 +75,6 @@ class Created:
 
 
 @dataclass(frozen=True, eq=False)
-class ReviewedBox:
-    """A reviewed 3D box, with its frame, recording, and track if known."""
-
-    box: OrientedBox
-    frame_id: int
-    recording_id: int
-    track_id: int | None
-
-
-@dataclass(frozen=True, eq=False)
 class Labels:
     """Reads and reviews 3D labels.
 
@@ -152,10 +142,8 @@ class Labels:
         with self.writer.store.read() as connection:
             return max(0, connection.execute(query.where(of_rig(recording_id))).scalar() or 0) + 1
 
-    def recent_boxes(
-        self, most: int, *, label: str | None = None, recording: int | None = None
-    ) -> tuple[ReviewedBox, ...]:
-        """The latest reviewed boxes that enclose whole objects (of a class, of a recording), the newest first."""
+    def recent(self, most: int, *, label: str | None = None, recording: int | None = None) -> tuple[StoredLabel, ...]:
+        """The latest reviewed labels of whole objects (of a class, of a recording), the newest first."""
         whole = select(labels.c.id).where(labels.c.box_kind == BoxKind.BOX.value)
         if label is not None:
             whole = whole.where(labels.c.label == label)
@@ -167,13 +155,8 @@ class Labels:
         ]
         with self.writer.store.read() as connection:
             ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]
-            query = select(labels.c.box, labels.c.frame_id, frames.c.recording_id, labels.c.track_id)
-            query = query.join_from(labels, frames, frames.c.id == labels.c.frame_id).where(labels.c.id.in_(ids))
-            terms, rows = Terms(connection), connection.execute(query.order_by(labels.c.id.desc())).all()
-            return tuple(
-                ReviewedBox(terms.box(row.box, row.frame_id), row.frame_id, row.recording_id, row.track_id)
-                for row in rows
-            )
+            query = select(labels).where(labels.c.id.in_(ids)).order_by(labels.c.id.desc())
+            return stored_labels(connection, connection.execute(query).all())
 
     def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
         """Number of labels; None = no condition."""
