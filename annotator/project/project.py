@@ -32,8 +32,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
-from annotator.project.database.file import has_wal, wal_of
-from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, has_wal, open_store, wal_of
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels

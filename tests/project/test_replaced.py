@@ -106,7 +106,7 @@ def test_a_project_that_cannot_be_written_can_be_read(
     _label(project, frame)
     project.close()
     before = {path.name: path.stat().st_mtime_ns for path in project.path.iterdir()}
-    monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+    monkeypatch.setattr("annotator.project.database.store.os.access", lambda *_: False)
     with open_project(project.path) as reading:
         assert len(reading.labels.of_frame(frame)) == 1
         assert reading.statistics().frames == 5
@@ -117,11 +117,11 @@ def test_a_project_that_cannot_be_written_can_be_read(
     with open_project(project.path) as writing, monkeypatch.context() as patch:
         # another user, with more rights, has it open: the latest changes are beside the database
         _label(writing, frame)
-        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        patch.setattr("annotator.project.database.store.os.access", lambda *_: False)
         with open_project(project.path) as reading:
             assert len(reading.labels.of_frame(frame)) == 2
     with monkeypatch.context() as patch:
-        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        patch.setattr("annotator.project.database.store.os.access", lambda *_: False)
         reading = open_project(project.path)
     with reading, open_project(project.path) as writing:
         # it was read without locks, and is written now

@@ -44,10 +44,9 @@ from annotator.project.backup.snapshot import (
     write_snapshot,
 )
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.file import wal_of
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, wal_of
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 

@@ -13,9 +13,8 @@ from pathlib import Path
 from annotator.files import CHUNK_BYTES, sync_folder, unfinished_folder
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, Progress, folder_files, stored_files
 from annotator.project.config import TAKEN, free_path, read_config, write_config
-from annotator.project.database.file import DatabaseFile
 from annotator.project.database.migrations import schema_problems, version_problem
-from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, is_lock
+from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, DatabaseFile, explained, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
 

@@ -26,8 +26,7 @@ from annotator.project.backup.snapshot import (
 )
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, read_config
-from annotator.project.database.file import wal_of
-from annotator.project.database.store import DATABASE_FILE
+from annotator.project.database.store import DATABASE_FILE, wal_of
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
 
