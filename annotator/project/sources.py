@@ -11,17 +11,15 @@ import numpy as np
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.audit.making import said_row
-from annotator.project.audit.writing import Write, WriteContext
+from annotator.project.audit.writing import Write
 from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
-from annotator.project.config import read_config
 from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
-from annotator.project.log import Writer
-from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
-from annotator.project.rows import Row, Terms, said_in, said_with, values_json
-from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source
+from annotator.project.records import OWN, BoxRecord, SaidRecord
+from annotator.project.rows import Row, said_in, said_with, values_json
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
@@ -130,62 +128,11 @@ class Brought:
     conflicts: int
 
 
-def bring(
-    writer: Writer,
-    source: str,
-    frames_boxes: Mapping[int, Sequence[NewLabel]],
-    author: str | None = None,
-    action: str | None = None,
-) -> dict[int, Brought]:
-    """Makes boxes of one source the proposals of some frames; they replace what the same source has said there before.
-
-    A box is not proposed if a label of its class covers it (exact 3D IoU 0.5 or more) that is reviewed, a proposal of
-    which a person has set values, or one that another camera of the moment has. Of boxes of several sources, and of
-    ours, that overlap as much, one is shown (`merged`).
-
-    Args:
-        frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
-            used again. All are stored in one transaction, so give a few frames at once.
-        author: who brings them; None = the source itself.
-        action: id of the action (`new_action`) that undoes them; None = they cannot be undone.
-
-    Returns:
-        The results by frame id; finalised frames are left out, and stay as they are.
-    """
-    author, done = author or source, dict[int, Brought]()
-    with writer.store.write() as connection:
-        config, terms = read_config(writer.folder), Terms(connection)
-        places = ", ".join(map(str, map(int, frames_boxes)))
-        query = f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
-        left = [row for row in driver_of(connection).execute(query) if not row[3]]
-        newest = dict[int, int]()
-        while left:
-            # one camera of a moment at a time, since it changes what the others have
-            now = list({moment_id: row for row in reversed(left) for moment_id in (row[1],)}.values())[::-1]
-            left = [row for row in left if row not in now]
-            parts = []
-            for frame_id, moment_id, revision, _ in now:
-                context = WriteContext(newest.get(moment_id, revision), author, Source.IMPORTED, effort_target=source)
-                where = f"frame with id {frame_id}"
-                write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
-                with storable(f"a box of {source}"):
-                    parts.append((write, *_told(write, source, frames_boxes[frame_id])))
-            for (write, found, is_open), groups in zip(
-                parts, merged([[said for _, said in found] for _, found, _ in parts]), strict=True
-            ):
-                objects = _show(write, [[found[place] for place in group] for group in groups])
-                write.event(KIND)
-                assert write.frame_id is not None and write.moment_id is not None
-                done[write.frame_id] = Brought(is_open, *_agreement(write, source, objects))
-                newest[write.moment_id] = write.finish().revision
-        return done
-
-
-_Told = tuple[Row, SaidRecord]
+Told = tuple[Row, SaidRecord]
 """The row of an open proposal, and what its source says in its own words."""
 
 
-def _told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[_Told], tuple[bool, ...]]:
+def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Told], tuple[bool, ...]]:
     """All open proposals of a frame, with new ones of a source in place of its earlier ones; which boxes are such."""
     terms, waiting = write.terms, write.open_proposals()
     staying = [
@@ -202,7 +149,7 @@ def _told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[_T
     return [*left, *((said_row(write, each), each) for each in new)], is_open
 
 
-def _agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]) -> tuple[int, int]:
+def agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]) -> tuple[int, int]:
     """The number of a source's boxes that others see as well, and of its values that another one says otherwise."""
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in objects)
     differing = 0
@@ -221,10 +168,10 @@ def regroup(write: Write, waiting: Sequence[Row]) -> None:
     """
     found = [(row, _words(write, row)) for row in waiting]
     (groups,) = merged([[said for _, said in found]])
-    _show(write, [[found[place] for place in group] for group in groups])
+    show(write, [[found[place] for place in group] for group in groups])
 
 
-def _show(write: Write, groups: Sequence[Sequence[_Told]]) -> list[list[SaidRecord]]:
+def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[SaidRecord]]:
     """Stores the objects of a frame, each with the box to show first; returns them, each source in its own words."""
     tracks = _tracks(write, groups)
     attributes = write.config.attributes
@@ -248,7 +195,7 @@ def _others(write: Write, uids: Collection[str]) -> list[Row]:
     return [row for row in write.labels() if row["uid"] not in uids]
 
 
-def _tracks(write: Write, groups: Sequence[Sequence[_Told]]) -> list[int | None]:
+def _tracks(write: Write, groups: Sequence[Sequence[Told]]) -> list[int | None]:
     """The track of each object: that of ours, else the first one of its sources that has no box in the frame."""
     if all(said.track_id is None for group in groups for _, said in group):
         return [None] * len(groups)
