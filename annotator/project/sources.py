@@ -161,11 +161,7 @@ def agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]
 
 
 def regroup(write: Write, waiting: Sequence[Row]) -> None:
-    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it.
-
-    Args:
-        waiting: all open ones (`Write.open_proposals`).
-    """
+    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it."""
     found = [(row, _words(write, row)) for row in waiting]
     (groups,) = merged([[said for _, said in found]])
     show(write, [[found[place] for place in group] for group in groups])

@@ -57,12 +57,6 @@ def back_up(
 
     The file appears complete or not at all. Views and finished detectors never change, so they are copied after the
     database.
-
-    Args:
-        models: the detectors to include.
-
-    Raises:
-        ProjectError: no project, a damaged or locked one; `out` exists already, or cannot be written.
     """
     read_config(project)
     out = out.resolve()

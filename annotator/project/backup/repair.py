@@ -81,13 +81,6 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     """Makes a new project, beside the one in a folder, of all that can be read of it.
 
     Its state is made anew from the events, and where events are lost, from the tables.
-
-    Args:
-        new_name: default: the old name with `-repaired`.
-
-    Raises:
-        ConfigError: an invalid name.
-        ProjectError: it is locked, nothing can be read, the new name is taken, or it cannot be written.
     """
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
@@ -142,10 +135,6 @@ def remove_labels(database: Path) -> None:
     """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
 
     Removed recordings and frames that are no longer there are left out. Ids stay.
-
-    Raises:
-        ProjectError: it is damaged, or the disk is full.
-        OSError: the file cannot be written.
     """
     empty = database.with_name(f"{database.name}.unlabelled")
     with explained(database), closing(create_store(empty)) as new, reading(database) as source:

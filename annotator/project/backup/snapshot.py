@@ -22,9 +22,6 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
-
-    Raises:
-        ProjectError: it is missing, locked or not sound.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
@@ -75,11 +72,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 @contextmanager
 def new_project(root: Path, name: str) -> Iterator[Path]:
-    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
-
-    Raises:
-        ProjectError: the name is taken, or the folder cannot be written.
-    """
+    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds."""
     path = free_path(root, name)
     try:
         with unfinished_folder(root, name) as place:

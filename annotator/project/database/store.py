@@ -77,11 +77,7 @@ class DatabaseFile:
         return self._what_changed() is None
 
     def require_current(self) -> None:
-        """Checks that the file is still the one on disk.
-
-        Raises:
-            ReplacedError: it is not.
-        """
+        """Checks that the file is still the one on disk."""
         if (path := self._what_changed()) is not None:
             what = "was replaced by another file" if path.exists() else "was removed"
             raise ReplacedError(
@@ -304,12 +300,7 @@ def driver_of(connection: Connection) -> sqlite3.Connection:
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
-    """Creates a database of the newest version at `path`, which only its owner may read.
-
-    Raises:
-        ProjectError: the file exists already, or cannot be written.
-        OSError: the file cannot be created.
-    """
+    """Creates a database of the newest version at `path`, which only its owner may read."""
     try:
         # SQLite gives the files beside it the same rights
         path.touch(mode=0o600, exist_ok=False)
