@@ -135,8 +135,6 @@ def _require_space(folder: Path, needed: int) -> None:
 # Only the last few of each kind are kept. They contain the active detectors, not all.
 
 LOG = logging.getLogger("annotator.project")
-# Files that a message lists.
-MOST_NAMED = 3
 _NS_PER_HOUR = 3600 * 10**9
 
 
@@ -161,7 +159,7 @@ def back_up_automatically(project: Path, reason: Reason) -> Backup:
     out = project.parent / BACKUPS / project.name / f"{moment}-{reason.value}.zip"
     backup = back_up(project, out, ModelChoice.ACTIVE)
     if backup.missing:
-        files = first_few(backup.missing, MOST_NAMED)
+        files = first_few(backup.missing, 3)
         LOG.warning("%s: files are missing, or no regular files, so its backup lacks them: %s", project, files)
     for old in automatic_backups(project, reason)[: -_settings(project).backups_kept]:
         old.unlink(missing_ok=True)

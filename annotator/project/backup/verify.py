@@ -20,7 +20,6 @@ from annotator.types.bases import Strict
 from annotator.types.errors import ProjectError
 from annotator.types.messages import first_few
 
-MOST_NAMED = 3
 Rows = dict[object, tuple[object, ...]]
 
 
@@ -124,4 +123,4 @@ def _has_hash(project: Path, name: str, sha256: str) -> bool:
 
 
 def _named(keys: Sequence[object]) -> str:
-    return first_few(list(map(str, keys)), MOST_NAMED)
+    return first_few(list(map(str, keys)), 3)
