@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
-from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, has_wal, open_store, wal_of
+from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store, wal_of
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -246,17 +247,20 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
 
 
 def _require_fitting_wal(database: Path) -> None:
-    """Refuses a database that is not sound together with the `-wal` beside it.
+    """Refuses a database that was put beside the `-wal` of another state, if they are not sound together.
 
-    A kill leaves one. SQLite applies it to the database that it finds there, also to an older copy that somebody has
-    put there since.
+    A kill leaves that file, and SQLite applies it to the database that it finds there, also to an older copy.
     """
-    if database.is_file() and has_wal(database) and (problems := database_problems(database)):
-        raise ProjectError(
-            f"{database}: with the file {wal_of(database).name} beside it, {problems[0]}; if the database was put "
-            "there by hand, that file is of another state. Nothing was changed. `annotator project repair` makes a "
-            f"new project of what can be read; or {RESTORE}"
-        )
+    with suppress(OSError):  # opening it says what is wrong
+        wal = wal_of(database).stat()
+        if wal.st_size == 0 or database.stat().st_ctime_ns < wal.st_ctime_ns:  # else a checkpoint, or somebody's copy
+            return
+        if problems := database_problems(database):
+            raise ProjectError(
+                f"{database}: with the file {wal_of(database).name} beside it, {problems[0]}; if the database was put "
+                "there by hand, that file is of another state. Nothing was changed. `annotator project repair` makes a "
+                f"new project of what can be read; or {RESTORE}"
+            )
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

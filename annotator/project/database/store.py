@@ -61,7 +61,7 @@ class DatabaseFile:
         self._require_regular()
         self.is_writable = os.access(self.place, os.W_OK) and os.access(self.place.parent, os.W_OK)
         # nothing but a replacement changes it
-        self._is_fixed = not self.is_writable and not has_wal(self.place)
+        self._is_fixed = not self.is_writable and not _has_wal(self.place)
         # An inode is not used again while a connection has it open. SQLite keeps the files beside it while one is
         # open; without them, processes would not see each other's changes, and lose them.
         self._identities = {self.place: self._identity(self.place)}
@@ -101,7 +101,7 @@ class DatabaseFile:
         except OSError:
             return None
         identity = (found.st_dev, found.st_ino)
-        return (*identity, found.st_size, found.st_mtime_ns, has_wal(path)) if self._is_fixed else identity
+        return (*identity, found.st_size, found.st_mtime_ns, _has_wal(path)) if self._is_fixed else identity
 
     def _require_regular(self) -> None:
         """Refuses pipes and devices in place of the database or of the files beside it: SQLite would wait."""
@@ -112,7 +112,7 @@ class DatabaseFile:
                     raise ProjectError(f"{path}: is not a regular file; remove it")
 
 
-def has_wal(path: Path) -> bool:
+def _has_wal(path: Path) -> bool:
     """True if there are changes beside the database, or another process has it open."""
     try:
         wal = wal_of(path).stat()
