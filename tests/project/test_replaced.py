@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
-import struct
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state
-from time_limit import time_limit
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.repair import repair
@@ -60,14 +56,6 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
         _label(anew, frame)
     with open_project(project.path) as again:
         assert len(again.labels.of_frame(frame)) == 2
-
-
-def test_an_open_project_survives_checkpoints_of_others(project: Project, frame: int) -> None:
-    with open_project(project.path) as other, closing(sqlite3.connect(project.path / "project.db")) as connection:
-        for number in range(12):
-            _label((project, other)[number % 2], frame)
-            connection.execute(f"PRAGMA wal_checkpoint({('PASSIVE', 'RESTART', 'TRUNCATE')[number % 3]})")
-        assert len(project.labels.of_frame(frame)) == len(other.labels.of_frame(frame)) == 12
 
 
 @pytest.mark.parametrize("suffix", ["", "-wal", "-shm"])
@@ -167,15 +155,3 @@ def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -
     with open_project(moved) as project:
         assert len(project.labels.of_frame(project.frames.of()[4].id)) == 6
     assert verify(moved, deep=True).problems == ()
-
-
-@pytest.mark.parametrize(
-    "header",
-    [struct.pack(">IIII", 0x377F0682, 3007000, 2**32 - 1, 0), struct.pack(">IIII", 0x377F0682, 3007000, 4096, 0)],
-)
-def test_a_huge_empty_wal_does_not_hold_up_an_open(full: Path, header: bytes) -> None:
-    with (full / "project.db-wal").open("wb") as file:
-        file.write(header)
-        file.truncate(2**33)
-    with time_limit(20), open_project(full) as project:
-        assert project.problems() == []
