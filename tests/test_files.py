@@ -154,7 +154,6 @@ EXCEPT = {
     "formats/rcv.py": "the example in a dataset's README",
     "project/backup/archive.py": "a backup's file is opened through the door; SQLite, on a copy of our own",
     "project/backup/snapshot.py": "SQLite, and copies: regular files only, and no links",
-    "project/database/file.py": "SQLite; a `-wal` is read through the door",
     "project/database/migrations.py": "SQLite, in memory",
     "web/security.py": "the token may come from a pipe",
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import struct
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -16,7 +15,7 @@ from jaxtyping import UInt8
 from sqlalchemy import Connection, bindparam, select
 
 from annotator.files import open_file, read_file, write_atomic
-from annotator.image_bytes import encoded_image
+from annotator.image_bytes import PNG_SIGNATURE, declared_size, encoded_image
 from annotator.project.audit.writing import Receipt, WriteContext
 from annotator.project.changes import ImageBoxesSet, ViewBoxesSet
 from annotator.project.database.schema import AnyRow, frames, image_labels, labels, view_labels
@@ -28,7 +27,8 @@ from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
 # --- images of pseudo-views -------------------------------------------------------------------------------------------
 
-_PNG = b"\x89PNG\r\n\x1a\n"
+# Of a PNG file, to the end of its size.
+HEADER_BYTES = 24
 _ID = re.compile(r"[0-9a-f]{64}")
 
 
@@ -45,7 +45,7 @@ class Views:
     def store(self, image: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
         """Stores an image, a PNG file or (H, W, 3) uint8 RGB, once; returns its id, the SHA-256 (hex) of its PNG."""
         content = image if isinstance(image, bytes) else encoded_image(image)
-        if not content.startswith(_PNG):
+        if not content.startswith(PNG_SIGNATURE):
             raise ProjectError(f"{self.folder}: only PNG images can be stored; convert the image first")
         view_id = hashlib.sha256(content).hexdigest()
         path = self._file(view_id)
@@ -100,14 +100,12 @@ def _size_of(views: Views, view_id: str) -> tuple[int, int]:
     path = views.path(view_id)
     try:
         with open_file(path) as file:
-            head = file.read(24)
+            size = declared_size(file.read(HEADER_BYTES))
     except OSError as error:
         raise ProjectError(f"{path}: cannot be read: {error}") from error
-    # the header chunk is the first one: its length and name, then width and height as big-endian words
-    if not head.startswith(_PNG) or len(head) < 24:
+    if size == (0, 0):
         raise ProjectError(f"{path}: is damaged; {RESTORE}")
-    width, height = struct.unpack(">II", head[16:24])
-    return width, height
+    return size
 
 
 @dataclass(frozen=True)

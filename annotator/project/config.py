@@ -267,7 +267,7 @@ def not_in_use(folder: Path) -> Iterator[None]:
 
 
 # Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
-# is no longer at its place (`database/file.py`).
+# is no longer at its place (`database/store.py`).
 REMOVED = ".removed"
 
 

@@ -63,11 +63,12 @@ class Frames:
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames of some recordings (default: all) in order; those without an index come last."""
-        query = select(frames).where(KEPT).order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
+        order = (frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
+        query = select(*FRAME_COLUMNS).where(KEPT).order_by(*order)
         if recordings is not None:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
-            return tuple(map(frame_of, connection.execute(query)))
+            return tuple(StoredFrame(*row) for row in connection.execute(query))
 
     def count_present(self, recordings: Sequence[int] | None = None) -> int:
         """Number of frames of some recordings (default: all) that the latest scan found."""
@@ -106,6 +107,9 @@ class Frames:
         return self.writer.append(frame_id, (FrameReopened(),), context)
 
 
+# Those of a `StoredFrame`, in its order.
+_OF_FRAME = ("id", "recording_id", "key", "position", "revision", "finalised", "moment_id")
+FRAME_COLUMNS = tuple(frames.c[name] for name in _OF_FRAME)
 # Built once, since building these frequent queries takes longer than running them.
 _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
 _VALUES = select(frames.c.attributes).where(frames.c.id == bindparam("frame"), KEPT)

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import Connection, Select, func, insert, select, update
 
 from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.project.database.store import Store
@@ -28,6 +28,7 @@ class Run:
     """One batch run.
 
     Attributes:
+        key: SHA-256 (hex) of the detectors' fingerprints and the settings.
         image_detector, view_detector: fingerprints.
         started_ns, finished_ns: UTC nanoseconds since the epoch; finished_ns is None for a running or killed run.
     """
@@ -41,13 +42,6 @@ class Run:
     finished_ns: int | None
 
 
-def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
-    """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields."""
-    content = [image_detector, view_detector, json.loads(config_json)]
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 @dataclass(frozen=True, eq=False)
 class Jobs:
     """Starts and finishes runs, and records the result of each frame."""
@@ -56,8 +50,12 @@ class Jobs:
 
     def start(self, *, image_detector: str, view_detector: str, config_json: str) -> Run:
         """Starts a run."""
+        # the same for the same settings, whatever the order of their fields
+        content = json.dumps(
+            [image_detector, view_detector, json.loads(config_json)], sort_keys=True, separators=(",", ":")
+        )
         row = {
-            "key": run_key(image_detector, view_detector, config_json),
+            "key": hashlib.sha256(content.encode()).hexdigest(),
             "image_detector": image_detector,
             "view_detector": view_detector,
             "config": config_json,
@@ -140,10 +138,6 @@ def record_result(
 ) -> None:
     """Records the result of a frame, replacing an earlier one under the same key; a `reason` marks a failure."""
     key = read_run(connection, run_id).key
-    if connection.execute(select(frames.c.id).where(frames.c.id == frame_id)).first() is None:
-        raise NotFoundError(f"the project has no frame with id {frame_id}")
-    same = (frame_results.c.frame_id == frame_id) & (frame_results.c.key == key)
-    connection.execute(delete(frame_results).where(same))
     row = {
         "frame_id": frame_id,
         "key": key,
@@ -154,7 +148,7 @@ def record_result(
         "proposals": proposals,
         "time_ns": time_ns,
     }
-    connection.execute(insert(frame_results), row)
+    connection.execute(insert(frame_results).prefix_with("OR REPLACE"), row)
 
 
 def read_run(connection: Connection, run_id: int) -> Run:

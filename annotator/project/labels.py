@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.values import is_kept, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, MOMENT, AnyRow, frames, labels
+from annotator.project.database.schema import ALL_LABELS, LABELS_OF_MOMENT, AnyRow, frames, labels
 from annotator.project.log import FramePart, Writer
 from annotator.project.recordings import of_rig
 from annotator.project.records import OWN, BoxRecord, SaidRecord, storable, suggestion_of
@@ -33,8 +34,6 @@ from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-# Labels whose boxes behind them are looked up one by one.
-FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +71,6 @@ class Created:
 
     uids: tuple[str, ...]
     receipt: Receipt
-
-
-@dataclass(frozen=True, eq=False)
-class ReviewedBox:
-    """A reviewed 3D box, with its frame, recording, and track if known."""
-
-    box: OrientedBox
-    frame_id: int
-    recording_id: int
-    track_id: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +141,8 @@ class Labels:
         with self.writer.store.read() as connection:
             return max(0, connection.execute(query.where(of_rig(recording_id))).scalar() or 0) + 1
 
-    def recent_boxes(
-        self, most: int, *, label: str | None = None, recording: int | None = None
-    ) -> tuple[ReviewedBox, ...]:
-        """The latest reviewed boxes that enclose whole objects (of a class, of a recording), the newest first."""
+    def recent(self, most: int, *, label: str | None = None, recording: int | None = None) -> tuple[StoredLabel, ...]:
+        """The latest reviewed labels of whole objects (of a class, of a recording), the newest first."""
         whole = select(labels.c.id).where(labels.c.box_kind == BoxKind.BOX.value)
         if label is not None:
             whole = whole.where(labels.c.label == label)
@@ -167,13 +154,8 @@ class Labels:
         ]
         with self.writer.store.read() as connection:
             ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]
-            query = select(labels.c.box, labels.c.frame_id, frames.c.recording_id, labels.c.track_id)
-            query = query.join_from(labels, frames, frames.c.id == labels.c.frame_id).where(labels.c.id.in_(ids))
-            terms, rows = Terms(connection), connection.execute(query.order_by(labels.c.id.desc())).all()
-            return tuple(
-                ReviewedBox(terms.box(row.box, row.frame_id), row.frame_id, row.recording_id, row.track_id)
-                for row in rows
-            )
+            query = select(labels).where(labels.c.id.in_(ids)).order_by(labels.c.id.desc())
+            return stored_labels(connection, connection.execute(query).all())
 
     def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
         """Number of labels; None = no condition."""
@@ -270,9 +252,12 @@ class Labels:
 
 
 # Built once, since building these frequent queries takes longer than running them.
-_BEHIND = select(ALL_LABELS).where(ALL_LABELS.c.behind.is_not(None)).order_by(ALL_LABELS.c.id)
-_BEHIND_SOME = _BEHIND.where(ALL_LABELS.c.behind.in_(bindparam("uids", expanding=True)))
-_BEHIND_IN_MOMENT = _BEHIND.where(ALL_LABELS.c.moment_id == MOMENT)
+_SHOWN = func.json_each(bindparam("uids")).table_valued("value")
+_BEHIND = (
+    select(ALL_LABELS)
+    .where(ALL_LABELS.c.behind.is_not(None), ALL_LABELS.c.behind.in_(select(_SHOWN.c.value)))
+    .order_by(ALL_LABELS.c.id)
+)
 _VALUES_SET = LABELS_OF_MOMENT.where(labels.c.values_set.is_(True))
 
 
@@ -292,13 +277,7 @@ def stored_labels(
     """
     terms, behind = Terms(connection), defaultdict[str, list[AnyRow]](list)
     frame_ids = [row.frame_id for row in rows] if frame_ids is None else frame_ids
-    if len(set(frame_ids)) == 1:
-        found = connection.execute(_BEHIND_IN_MOMENT, {"frame": frame_ids[0]})
-    elif len(rows) <= FEW:  # a project may have 100,000 boxes behind others
-        found = connection.execute(_BEHIND_SOME, {"uids": [row.uid for row in rows]})
-    else:
-        found = connection.execute(_BEHIND)
-    for row in found:
+    for row in connection.execute(_BEHIND, {"uids": json.dumps([row.uid for row in rows])}):
         behind[row.behind].append(row)
     return tuple(
         _stored_label(row, tuple(behind.get(row.uid, ())), frame_id, terms.key, terms.place(frame_id))

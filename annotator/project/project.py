@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from annotator.project.config import (
     take_config,
     write_config,
 )
-from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.database.store import DATABASE_FILE, Clock, Store, create_store, open_store, wal_of
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -42,7 +43,7 @@ from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 AUTHOR = "annotator"
 
@@ -227,6 +228,7 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
     """
     read_config(path)
     require_own_files(path)
+    _require_fitting_wal(path / DATABASE_FILE)
     store = open_store(path / DATABASE_FILE, clock=clock, before_upgrade=lambda: back_up_before_upgrade(path))
     project = Project(path, store, readable)
     try:
@@ -242,6 +244,23 @@ def open_project(path: Path, *, clock: Clock = time.time_ns, readable: Sequence[
             raise ProjectError(f"{path}: a subfolder cannot be created: {error}") from error
         raise
     return project
+
+
+def _require_fitting_wal(database: Path) -> None:
+    """Refuses a database that was put beside the `-wal` of another state, if they are not sound together.
+
+    A kill leaves that file, and SQLite applies it to the database that it finds there, also to an older copy.
+    """
+    with suppress(OSError):  # opening it says what is wrong
+        wal = wal_of(database).stat()
+        if wal.st_size == 0 or database.stat().st_ctime_ns < wal.st_ctime_ns:  # else a checkpoint, or somebody's copy
+            return
+        if problems := database_problems(database):
+            raise ProjectError(
+                f"{database}: with the file {wal_of(database).name} beside it, {problems[0]}; if the database was put "
+                "there by hand, that file is of another state. Nothing was changed. `annotator project repair` makes a "
+                f"new project of what can be read; or {RESTORE}"
+            )
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

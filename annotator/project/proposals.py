@@ -13,13 +13,15 @@ from annotator.project.adjusting import moved_box
 from annotator.project.audit.making import make
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.changes import NewLabel, ProposalsReplaced, ProposedObject
+from annotator.project.config import read_config
 from annotator.project.database.schema import frames, labels, passes
+from annotator.project.database.store import driver_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_stored
 from annotator.project.log import Writer, require_writable
 from annotator.project.records import ProposalRecord, parsed, storable
 from annotator.project.rows import Terms
-from annotator.project.sources import KIND, Brought, bring, covered_by, regroup
+from annotator.project.sources import KIND, Brought, agreement, covered_by, merged, regroup, show, told
 from annotator.types import BoxKind, LostObject, OrientedBox, Proposal, ReviewState, Source
 
 
@@ -126,8 +128,46 @@ class Proposals:
         author: str | None = None,
         action: str | None = None,
     ) -> dict[int, Brought]:
-        """Makes boxes of other software the proposals of some frames, as `sources.bring`."""
-        return bring(self.writer, source, boxes, author, action)
+        """Makes boxes of one source the proposals of some frames, in place of what the source has said there before.
+
+        A box is not proposed if a label of its class covers it (exact 3D IoU 0.5 or more) that is reviewed, a proposal
+        of which a person has set values, or one that another camera of the moment has. Of boxes of several sources,
+        and of ours, that overlap as much, one is shown (`sources.merged`).
+
+        Args:
+            boxes: by frame id; their states are ignored. A track id of a reviewed label of the frame is not used
+                again. All are stored in one transaction, so give a few frames at once.
+            author: who brings them; None = the source itself.
+            action: id of the action (`new_action`) that undoes them; None = they cannot be undone.
+
+        Returns:
+            The results by frame id; finalised frames are left out, and stay as they are.
+        """
+        store, folder, done, newest = self.writer.store, self.writer.folder, dict[int, Brought](), dict[int, int]()
+        with store.write() as connection:
+            config, terms = read_config(folder), Terms(connection)
+            places = ", ".join(map(str, map(int, boxes)))
+            query = f"SELECT moment_id, id, revision FROM frames WHERE id IN ({places}) AND NOT finalised ORDER BY id"
+            left = driver_of(connection).execute(query).fetchall()
+            while left:
+                # of each moment one camera at a time, since it changes what the others have
+                now = {row[0]: row for row in reversed(left)}
+                left = [row for row in left if row is not now[row[0]]]
+                parts = []
+                for moment_id, frame_id, revision in reversed(now.values()):
+                    based_on = newest.get(moment_id, revision)
+                    context = WriteContext(based_on, author or source, Source.IMPORTED, effort_target=source)
+                    where = f"frame with id {frame_id}"
+                    write = Write(store, folder, connection, frame_id, where, context, action, config, terms)
+                    with storable(f"a box of {source}"):
+                        parts.append((moment_id, frame_id, write, *told(write, source, boxes[frame_id])))
+                groups = merged([[said for _, said in found] for *_, found, _ in parts])
+                for (moment_id, frame_id, write, found, is_open), places_of in zip(parts, groups, strict=True):
+                    objects = show(write, [[found[place] for place in group] for group in places_of])
+                    write.event(KIND)
+                    done[frame_id] = Brought(is_open, *agreement(write, source, objects))
+                    newest[moment_id] = write.finish().revision
+        return done
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""

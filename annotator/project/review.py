@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Float, Select, Text, and_, case, cast, fun
 from annotator.project.classes.attributes import Value, value_text
 from annotator.project.database.schema import ALL_LABELS, AnyRow, frames, labels
 from annotator.project.database.store import Store
-from annotator.project.frames import StoredFrame, frame_of
+from annotator.project.frames import FRAME_COLUMNS, StoredFrame
 from annotator.project.records import OWN
 from annotator.types import ReviewState
 
@@ -134,10 +134,12 @@ def waiting(
     further = select(func.json_group_array(func.json_array(_BEHIND.c.score, func.coalesce(_BEHIND.c.of_source, OWN))))
     further_of = further.where(_BEHIND.c.behind == labels.c.uid).scalar_subquery().label("further")
     columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.of_source, further_of, doubt.label("doubt"))
-    query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
+    query = _of_frames(select(*FRAME_COLUMNS, *columns)).where(labels.c.id.in_(first)).order_by(*order)
     with store.read() as connection:
         found = tuple(
-            QueueItem(frame_of(row), row.uid, row.label, row.doubt, row.track_id, _sources(row))
+            QueueItem(
+                StoredFrame(*row[: len(FRAME_COLUMNS)]), row.uid, row.label, row.doubt, row.track_id, _sources(row)
+            )
             for row in connection.execute(query)
         )
         total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()

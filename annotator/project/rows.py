@@ -58,6 +58,7 @@ class Terms:
         shared = "SELECT 1 FROM frames WHERE cloud IS NOT NULL LIMIT 1"
         self._are_same = not self._corrections and self._driver.execute(shared).fetchone() is None
         self._of_frames: dict[int | None, Place] = {}
+        self._last_label: int | None = None
 
     # --- classes ------------------------------------------------------------------------------------------------------
 
@@ -68,6 +69,14 @@ class Terms:
         self.ids[name] = number
         self.key = tuple(self.names.items())
         return number
+
+    def next_label_id(self) -> int:
+        """An id that no label has ever had."""
+        if self._last_label is None:
+            given = self._driver.execute("SELECT seq FROM sqlite_sequence WHERE name = 'labels'").fetchone()
+            self._last_label = 0 if given is None else int(given[0])
+        self._last_label += 1
+        return self._last_label
 
     def _coded(self, box: Box2D) -> Box2D:
         return replace(box, label=str(self.ids[box.label]))
@@ -166,14 +175,13 @@ def record_of(content: str, place: Place) -> BoxRecord:
 
 def said_of(content: str, names: Names, place: Place) -> SaidRecord:
     """What a source says of an object."""
-    T = T_camera_cloud(place)
 
     def read(text: str) -> SaidRecord:
-        said = SaidRecord.model_validate_json(text)
-        moved = {} if T is None else {"box": moved_box(said.box, T)}
-        return said.model_copy(update={"label": _by_text(names)[said.label]} | moved)
+        stored = json.loads(text)
+        return SaidRecord.model_validate(stored | {"label": _by_text(names)[stored["label"]]})
 
-    return parsed(read, content)
+    said, T = parsed(read, content), T_camera_cloud(place)
+    return said if T is None else said.model_copy(update={"box": moved_box(said.box, T)})
 
 
 def said_with(content: str, attributes: Mapping[str, AttributeValue], given: Mapping[str, AttributeValue]) -> str:

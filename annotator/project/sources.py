@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,17 +11,15 @@ import numpy as np
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.audit.making import said_row
-from annotator.project.audit.writing import Write, WriteContext
+from annotator.project.audit.writing import Write
 from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
-from annotator.project.config import read_config
 from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
-from annotator.project.log import Writer
-from annotator.project.records import OWN, BoxRecord, SaidRecord, storable
-from annotator.project.rows import Row, Terms, said_in, said_with, values_json
-from annotator.types import Label, OrientedBox, Proposal, ReviewState, Source
+from annotator.project.records import OWN, BoxRecord, SaidRecord
+from annotator.project.rows import Row, said_in, said_with, values_json
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue
 
 # Minimum exact 3D IoU at which two boxes count as the same object.
@@ -54,44 +53,59 @@ def covered_by(
     return covering
 
 
-def merged(said: Sequence[SaidRecord]) -> list[list[int]]:
-    """Returns the places of the boxes of each object, that of the box to show first; two of a source stay apart.
+def merged(frames: Sequence[Sequence[SaidRecord]]) -> list[list[list[int]]]:
+    """Of each frame, the places of the boxes of each object, that to show first; two of a source stay apart.
 
     Boxes of two sources are one object if their exact 3D IoU is 0.5 or more, whatever their classes. The surest box is
     shown. A box without a score counts as sure. If two are equally sure, it is that of the other software, since
     somebody wants to see it; otherwise the earlier one.
     """
-    if len({each.source for each in said}) <= 1:
-        return [[place] for place in range(len(said))]
-    order = sorted(range(len(said)), key=lambda place: certainty(said[place]))
-    overlaps = _overlaps(said)
-    groups: list[list[int]] = []
-    for place in order:
-        free = [group for group in groups if said[place].source not in {said[other].source for other in group}]
-        best = max(free, key=lambda group: overlaps.get((group[0], place), 0.0), default=None)
-        if best is not None and overlaps.get((best[0], place), 0.0) >= SAME_OBJECT_IOU:
-            best.append(place)
+    return [_merged(said, same) for said, same in zip(frames, _same_objects(frames), strict=True)]
+
+
+def _merged(said: Sequence[SaidRecord], same: Mapping[int, Mapping[int, float]]) -> list[list[int]]:
+    groups: dict[int, list[int]] = {}
+    for place in sorted(range(len(said)), key=lambda place: certainty(said[place])):
+        source, overlaps = said[place].source, same.get(place, {})
+        free = [
+            shown
+            for shown in (groups if overlaps else ())
+            if shown in overlaps and all(said[other].source != source for other in groups[shown])
+        ]
+        if free:
+            groups[max(free, key=lambda shown: overlaps[shown])].append(place)
         else:
-            groups.append([place])
-    return groups
+            groups[place] = [place]
+    return list(groups.values())
 
 
-def _overlaps(said: Sequence[SaidRecord]) -> dict[tuple[int, int], float]:
-    """The IoU of the boxes of different sources that may touch, by the places of both, in either order."""
-    centers, sizes = np.array([each.box.center_m for each in said]), np.array([each.box.size_m for each in said])
-    rotations = np.array([each.box.rotation for each in said])
+def _same_objects(frames: Sequence[Sequence[SaidRecord]]) -> list[dict[int, dict[int, float]]]:
+    """Of each frame, by the place of a box, the IoU with the boxes of other sources that may see the same object."""
+    every = [each for said in frames for each in said]
+    found = [defaultdict[int, dict[int, float]](dict) for _ in frames]
+    if len({each.source for each in every}) <= 1:
+        return [dict(each) for each in found]
+    lengths = [len(said) for said in frames]
+    starts = np.cumsum([0, *lengths])
+    pairs = [np.add(np.triu_indices(length, 1), start) for length, start in zip(lengths, starts[:-1], strict=True)]
+    first, second = np.concatenate(pairs, axis=1)
+    centers, sizes, rotations = (
+        np.array([getattr(each.box, name) for each in every]) for name in ("center_m", "size_m", "rotation")
+    )
+    names = np.unique([each.source for each in every], return_inverse=True)[1]
     reach = np.linalg.norm(sizes, axis=1) / 2
-    apart = np.linalg.norm(centers[:, None] - centers, axis=2)
-    names = np.array([each.source for each in said])
-    near = (apart < reach[:, None] + reach) & (names[:, None] != names)
-    first, second = np.nonzero(np.triu(near))
-    if len(first) == 0:
-        return {}
+    apart = np.linalg.norm(centers[first] - centers[second], axis=1)
+    near = (apart < reach[first] + reach[second]) & (names[first] != names[second])
+    first, second = first[near], second[near]
     parts = (values[chosen] for chosen in (first, second) for values in (centers, rotations, sizes))
     shared, volumes = intersection_volume_pairs(*parts), sizes.prod(axis=1)
     iou = shared / (volumes[first] + volumes[second] - shared)
-    pairs = dict(zip(zip(first.tolist(), second.tolist(), strict=True), iou.tolist(), strict=True))
-    return pairs | {(b, a): value for (a, b), value in pairs.items()}
+    of_frame = np.searchsorted(starts, first, side="right") - 1
+    for a, b, frame, value in zip(first.tolist(), second.tolist(), of_frame.tolist(), iou.tolist(), strict=True):
+        if value >= SAME_OBJECT_IOU:
+            a, b = a - int(starts[frame]), b - int(starts[frame])
+            found[frame][a][b] = found[frame][b][a] = value
+    return [dict(each) for each in found]
 
 
 # --- storing what a source says ---------------------------------------------------------------------------------------
@@ -114,95 +128,48 @@ class Brought:
     conflicts: int
 
 
-def bring(
-    writer: Writer,
-    source: str,
-    frames_boxes: Mapping[int, Sequence[NewLabel]],
-    author: str | None = None,
-    action: str | None = None,
-) -> dict[int, Brought]:
-    """Makes boxes of one source the proposals of some frames; they replace what the same source has said there before.
-
-    A box is not proposed if a label of its class covers it (exact 3D IoU 0.5 or more) that is reviewed, a proposal of
-    which a person has set values, or one that another camera of the moment has. Of boxes of several sources, and of
-    ours, that overlap as much, one is shown (`merged`).
-
-    Args:
-        frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
-            used again. All are stored in one transaction, so give a few frames at once.
-        author: who brings them; None = the source itself.
-        action: id of the action (`new_action`) that undoes them; None = they cannot be undone.
-
-    Returns:
-        The results by frame id; finalised frames are left out, and stay as they are.
-    """
-    author, done = author or source, dict[int, Brought]()
-    with writer.store.write() as connection:
-        config, terms = read_config(writer.folder), Terms(connection)
-        places = ", ".join(map(str, map(int, frames_boxes)))
-        query = f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
-        newest = dict[int, int]()
-        for frame_id, moment_id, revision, finalised in driver_of(connection).execute(query).fetchall():
-            if not finalised:
-                # another camera of the moment may have changed it in this transaction
-                based_on = newest.get(moment_id, revision)
-                context = WriteContext(based_on, author, Source.IMPORTED, effort_target=source)
-                where = f"frame with id {frame_id}"
-                write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
-                with storable(f"a box of {source}"):
-                    done[frame_id] = _bring(write, source, frames_boxes[frame_id])
-                newest[moment_id] = write.finish().revision
-        return done
+Told = tuple[Row, SaidRecord]
+"""The row of an open proposal, and what its source says in its own words."""
 
 
-def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
+def told(write: Write, source: str, boxes: Sequence[NewLabel]) -> tuple[list[Told], tuple[bool, ...]]:
+    """All open proposals of a frame, with new ones of a source in place of its earlier ones; which boxes are such."""
     terms, waiting = write.terms, write.open_proposals()
-    uids = {row["uid"] for row in waiting}
     staying = [
         Staying(row["uid"], terms.names[row["class_id"]], terms.box(row["box"], write.frame_id))
-        for row in write.labels()
-        if row["uid"] not in uids and row["behind"] is None
+        for row in _others(write, {row["uid"] for row in waiting})
+        if row["behind"] is None
     ]
     for row in waiting:
         if row["of_source"] == source:
             write.put("labels", row["uid"], None)
-    covering = covered_by(boxes, staying)
-    new = [_said(source, box) for box, uid in zip(boxes, covering, strict=True) if uid is None]
-    left = [row for row in waiting if row["of_source"] != source]
-    groups = regroup(write, left, [(said_row(write, each), each) for each in new])
-    write.event(KIND)
-    together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
+    is_open = tuple(uid is None for uid in covered_by(boxes, staying))
+    new = [_said(source, box) for box, is_new in zip(boxes, is_open, strict=True) if is_new]
+    left = [(row, _words(write, row)) for row in waiting if row["of_source"] != source]
+    return [*left, *((said_row(write, each), each) for each in new)], is_open
+
+
+def agreement(write: Write, source: str, objects: Sequence[Sequence[SaidRecord]]) -> tuple[int, int]:
+    """The number of a source's boxes that others see as well, and of its values that another one says otherwise."""
+    together = sum(len(group) > 1 and any(each.source == source for each in group) for group in objects)
     differing = 0
-    for group in groups if write.config.attributes else ():
+    for group in objects if write.config.attributes else ():
         its = [each.attributes for each in group if each.source == source]
         others = [each.attributes for each in group if each.source != source]
         differing += conflicts(write.config.attributes_of(group[0].label), its, others)
-    return Brought(tuple(uid is None for uid in covering), together, differing)
+    return together, differing
 
 
-def regroup(write: Write, waiting: Sequence[Row], new: Iterable[tuple[Row, SaidRecord]] = ()) -> list[list[SaidRecord]]:
-    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it.
+def regroup(write: Write, waiting: Sequence[Row]) -> None:
+    """Shows, of the proposals of a frame that see one object, the surest; the others get behind it."""
+    found = [(row, _words(write, row)) for row in waiting]
+    (groups,) = merged([[said for _, said in found]])
+    show(write, [[found[place] for place in group] for group in groups])
 
-    Args:
-        waiting: all open ones (`Write.open_proposals`).
-        new: further rows, with what their sources say.
 
-    Returns:
-        The objects, each source in its own words.
-    """
-    found = [*((row, _words(write, row)) for row in waiting), *new]
-    groups = [[found[place] for place in group] for group in merged([said for _, said in found])]
-    uids = {row["uid"] for row, _ in found}
-    stay = [row for row in write.labels() if row["uid"] not in uids and row["state"] != ReviewState.REJECTED.value]
-    # a track has one box in a frame
-    taken = {None, *write.hidden_tracks(), *(row["track_id"] for row in stay if row["behind"] is None)}
-    taken |= {row["track_id"] for (row, said), *_ in groups if said.source == OWN}
-    tracks = list[int | None]()
-    for group in groups:
-        row, said = group[0]
-        free = (each.track_id for _, each in group if each.track_id not in taken)
-        tracks.append(row["track_id"] if said.source == OWN else next(free, None))
-        taken.add(tracks[-1])
+def show(write: Write, groups: Sequence[Sequence[Told]]) -> list[list[SaidRecord]]:
+    """Stores the objects of a frame, each with the box to show first; returns them, each source in its own words."""
+    tracks = _tracks(write, groups)
     attributes = write.config.attributes
     of_track = of_tracks(write.connection, write.terms, attributes, write.frame_id, tracks) if attributes else {}
     for group, track_id in zip(groups, tracks, strict=True):
@@ -220,10 +187,33 @@ def regroup(write: Write, waiting: Sequence[Row], new: Iterable[tuple[Row, SaidR
     return [[said for _, said in group] for group in groups]
 
 
+def _others(write: Write, uids: Collection[str]) -> list[Row]:
+    return [row for row in write.labels() if row["uid"] not in uids]
+
+
+def _tracks(write: Write, groups: Sequence[Sequence[Told]]) -> list[int | None]:
+    """The track of each object: that of ours, else the first one of its sources that has no box in the frame."""
+    if all(said.track_id is None for group in groups for _, said in group):
+        return [None] * len(groups)
+    stay = _others(write, {row["uid"] for group in groups for row, _ in group})
+    taken: set[int | None] = {None, *write.hidden_tracks()}
+    taken |= {row["track_id"] for row in stay if row["state"] != ReviewState.REJECTED.value and row["behind"] is None}
+    taken |= {row["track_id"] for (row, said), *_ in groups if said.source == OWN}
+    tracks = list[int | None]()
+    for group in groups:
+        row, said = group[0]
+        free = (each.track_id for _, each in group if each.track_id not in taken)
+        tracks.append(row["track_id"] if said.source == OWN else next(free, None))
+        taken.add(tracks[-1])
+    return tracks
+
+
 def _words(write: Write, row: Row) -> SaidRecord:
     """What the source of an open proposal says, in its own words."""
     said = said_in(row, write.terms.key, write.terms.place(write.frame_id))
-    return said if row["said"] is None else said.model_copy(update={"attributes": own_values(row, write.terms)})
+    if row["said"] is None or (row["attributes"] == "{}" and not said.attributes):
+        return said
+    return said.model_copy(update={"attributes": own_values(row, write.terms)})
 
 
 def _with_values(
@@ -270,5 +260,13 @@ def source_tracks(store: Store, recording_id: int, source: str) -> tuple[set[int
 
 
 def _said(source: str, box: NewLabel) -> SaidRecord:
-    values = {name: value for name, value in vars(box).items() if name in SaidRecord.model_fields}
-    return SaidRecord(source=source, **values | {"box": BoxRecord.of(box.box)})
+    return SaidRecord(
+        source=source,
+        label=box.label,
+        score=box.score,
+        box=BoxRecord.of(box.box),
+        track_id=box.track_id,
+        box_kind=box.box_kind,
+        attributes=dict(box.attributes),
+        file_track_id=box.file_track_id,
+    )

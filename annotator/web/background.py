@@ -14,7 +14,7 @@ from importlib import import_module
 from weakref import WeakKeyDictionary
 
 from annotator.project import REVIEWED, Project
-from annotator.project.backup.make import BackupClock, Reason, back_up_automatically
+from annotator.project.backup.make import Reason, back_up_automatically, is_backup_due
 from annotator.project.database.store import waiting_at_most
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
@@ -124,7 +124,6 @@ class AutomaticBackups(Periodic):
     def __init__(self, context: Context, seconds: Callable[[], float] = time.monotonic) -> None:
         super().__init__("automatic backups", BACKUPS_EVERY_S, self.make_due)
         self._context, self._seconds = context, seconds
-        self._clocks = WeakKeyDictionary[Project, BackupClock]()
         # when to try again, by project whose last backup failed
         self._paused = WeakKeyDictionary[Project, float]()
 
@@ -133,10 +132,9 @@ class AutomaticBackups(Periodic):
         for name, project in self._context.all_open_projects():
             if self._seconds() < self._paused.get(project, 0.0):
                 continue
-            clock = self._clocks.setdefault(project, BackupClock(project.path, project.store))
             try:
-                if clock.is_due():
-                    clock.made(back_up_automatically(project.path, Reason.CHANGES))
+                if is_backup_due(project.path, project.store):
+                    back_up_automatically(project.path, Reason.CHANGES)
                 self._paused.pop(project, None)
             except AnnotatorError as error:
                 LOG.warning("%s: no automatic backup could be made; the next try is in an hour: %s", name, error)

@@ -41,13 +41,15 @@ REORDERED = 0.1
 def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tuple[TypicalSize, ...]:
     """The typical size of each class with reviewed boxes."""
     sizes = []
+    recordings = {frame.id: frame.recording_id for frame in project.frames.of()}
     for label in project.config.classes:
         # the latest box of each track, and all boxes without one
         boxes: dict[tuple[int, ...], OrientedBox] = {}
-        for number, item in enumerate(project.labels.recent_boxes(MOST_READ, label=label)):
+        for number, item in enumerate(project.labels.recent(MOST_READ, label=label)):
             if item.frame_id not in without_frames:
-                track = (number,) if item.track_id is None else (item.recording_id, item.track_id)
-                boxes.setdefault(track, item.box)
+                track_id = item.label.track_id
+                track = (number,) if track_id is None else (recordings[item.frame_id], track_id)
+                boxes.setdefault(track, item.label.box)
         if boxes:
             sizes.append(_typical(label, list(boxes.values())[:MOST_BOXES], project.config.settings.rotation))
     return tuple(sizes)

@@ -20,7 +20,7 @@ from store_samples import NOW, box_at, by_hand, files, stored_state, use_next, v
 from annotator.project import NewLabel, Project, create_project, open_project
 from annotator.project.backup import make, snapshot
 from annotator.project.backup.archive import ModelChoice, read_manifest
-from annotator.project.backup.make import BackupClock, Reason, automatic_backups, back_up, back_up_automatically
+from annotator.project.backup.make import Reason, automatic_backups, back_up, back_up_automatically, is_backup_due
 from annotator.project.backup.repair import repair
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import verify
@@ -63,20 +63,18 @@ def test_a_backup_is_due_some_hours_after_the_first_change(tmp_path: Path) -> No
     now = time.time_ns()
     with create_project(tmp_path, "hands", ("hand",), clock=lambda: now - int(hours[0] * 3600e9)) as project:
         project.recordings.add(tmp_path / "take", "rgbd", "take", ["0", "1"], True)
-        clock = BackupClock(project.path, project.store)
-        assert not clock.is_due()
+        assert not is_backup_due(project.path, project.store)
         project.boxes.set_on_image(1, [], BoxKind.BOX, by_hand())
-        assert clock.is_due()
-        clock.made(back_up_automatically(project.path, Reason.CHANGES))
-        assert not clock.is_due()
+        assert is_backup_due(project.path, project.store)
+        back_up_automatically(project.path, Reason.CHANGES)
+        assert not is_backup_due(project.path, project.store)
         hours[0] = 3.0
         project.boxes.set_on_image(2, [], BoxKind.BOX, by_hand())
-        for each in (clock, BackupClock(project.path, project.store)):  # a new server reads the newest backup
-            assert not each.is_due()
+        assert not is_backup_due(project.path, project.store)
         project.configure(settings=project.config.settings.model_copy(update={"backup_hours": 2.0}))
-        assert BackupClock(project.path, project.store).is_due()
+        assert is_backup_due(project.path, project.store)
         project.configure(settings=project.config.settings.model_copy(update={"backup_hours": None}))
-        assert not clock.is_due()
+        assert not is_backup_due(project.path, project.store)
 
 
 def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_path: Path) -> None:
@@ -90,7 +88,7 @@ def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_
     older.rename(project.path)
     with open_project(project.path, clock=lambda: time.time_ns() - int(5 * 3600e9)) as restored:
         restored.boxes.set_on_image(1, [], BoxKind.BOX, by_hand())
-        assert BackupClock(restored.path, restored.store).is_due()
+        assert is_backup_due(restored.path, restored.store)
 
 
 def test_a_backup_restores_everything_but_what_can_be_made_again(full: Path, tmp_path: Path) -> None:

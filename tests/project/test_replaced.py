@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
-import struct
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from store_samples import box_at, by_hand, replace_database, replace_folder, stored_state
-from time_limit import time_limit
 
 from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
-from annotator.project.database.file import has_foreign_wal
 from annotator.types.errors import ProjectError, ReplacedError
 
 
@@ -47,7 +42,7 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
     assert project.history.next("ann") == ("draw hand (frame 2)",) * 2
     replace(project.path, backup)
     assert not project.is_current
-    with pytest.raises(ReplacedError, match="was replaced by another file, or written over, while it was open"):
+    with pytest.raises(ReplacedError, match="was replaced by another file while it was open"):
         _label(project, frame)
     with pytest.raises(ReplacedError):
         project.history.next("ann")
@@ -61,71 +56,6 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
         _label(anew, frame)
     with open_project(project.path) as again:
         assert len(again.labels.of_frame(frame)) == 2
-
-
-def test_a_database_that_is_put_beside_the_wal_of_an_open_one_is_refused(
-    project: Project, frame: int, backup: Path
-) -> None:
-    with open_project(backup) as other:
-        _label(other, frame)
-    (backup / "project.db").replace(project.path / "project.db")
-    with pytest.raises(ReplacedError):
-        _label(project, frame)
-    project.close()
-    with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
-        open_project(project.path)
-
-
-@pytest.mark.parametrize(("checkpoint", "labels"), [("PASSIVE", 1), ("TRUNCATE", 1), ("TRUNCATE", 2)])
-def test_a_database_that_is_written_over_is_noticed(
-    project: Project, frame: int, backup: Path, checkpoint: str, labels: int
-) -> None:
-    with open_project(backup) as other:
-        if labels == 2:  # as many transactions as in the project, but another one
-            _label(other, frame)
-    reader = open_project(project.path)
-    with closing(sqlite3.connect(project.path / "project.db")) as connection:
-        connection.execute(f"PRAGMA wal_checkpoint({checkpoint})")
-    # as `cp` does: the file stays the same, and so does the `-wal` beside it
-    shutil.copyfile(backup / "project.db", project.path / "project.db")
-    with closing(reader), pytest.raises(ReplacedError, match="written over"):
-        reader.labels.of_frame(frame)
-    with pytest.raises(ReplacedError, match="written over"):
-        project.labels.create(frame, [NewLabel("hand", box_at())], by_hand(2))
-    assert not project.is_current
-    with pytest.raises(ReplacedError):
-        project.labels.of_frame(frame)
-    project.close()
-    with open_project(project.path) as anew:
-        assert anew.problems() == []
-        assert len(anew.labels.of_frame(frame)) == labels, "the copy's state, not mixed with what came after it"
-        _label(anew, frame)
-        assert len(anew.labels.of_frame(frame)) == labels + 1
-
-
-def test_a_newer_copy_that_is_written_over_is_not_mixed_with_what_was_read(
-    project: Project, frame: int, backup: Path
-) -> None:
-    with open_project(backup) as other:
-        for _ in range(3):
-            _label(other, frame)
-    with closing(sqlite3.connect(project.path / "project.db")) as connection:
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    project.labels.of_frame(frame)
-    shutil.copyfile(backup / "project.db", project.path / "project.db")
-    _label(project, frame)
-    project.close()
-    with open_project(project.path) as anew:
-        assert anew.problems() == []
-        assert len(anew.labels.of_frame(frame)) == 5
-
-
-def test_an_open_project_survives_checkpoints_of_others(project: Project, frame: int) -> None:
-    with open_project(project.path) as other, closing(sqlite3.connect(project.path / "project.db")) as connection:
-        for number in range(12):
-            _label((project, other)[number % 2], frame)
-            connection.execute(f"PRAGMA wal_checkpoint({('PASSIVE', 'RESTART', 'TRUNCATE')[number % 3]})")
-        assert len(project.labels.of_frame(frame)) == len(other.labels.of_frame(frame)) == 12
 
 
 @pytest.mark.parametrize("suffix", ["", "-wal", "-shm"])
@@ -164,7 +94,7 @@ def test_a_project_that_cannot_be_written_can_be_read(
     _label(project, frame)
     project.close()
     before = {path.name: path.stat().st_mtime_ns for path in project.path.iterdir()}
-    monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+    monkeypatch.setattr("annotator.project.database.store.os.access", lambda *_: False)
     with open_project(project.path) as reading:
         assert len(reading.labels.of_frame(frame)) == 1
         assert reading.statistics().frames == 5
@@ -175,11 +105,11 @@ def test_a_project_that_cannot_be_written_can_be_read(
     with open_project(project.path) as writing, monkeypatch.context() as patch:
         # another user, with more rights, has it open: the latest changes are beside the database
         _label(writing, frame)
-        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        patch.setattr("annotator.project.database.store.os.access", lambda *_: False)
         with open_project(project.path) as reading:
             assert len(reading.labels.of_frame(frame)) == 2
     with monkeypatch.context() as patch:
-        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        patch.setattr("annotator.project.database.store.os.access", lambda *_: False)
         reading = open_project(project.path)
     with reading, open_project(project.path) as writing:
         # it was read without locks, and is written now
@@ -208,9 +138,9 @@ def test_a_database_copied_beside_a_left_wal_is_not_mixed_with_it(full: Path, tm
     open_project(full).close()
     write_and_be_killed(full)
     shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
-    with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
+    with pytest.raises(ProjectError, match=r"with the file project\.db-wal beside it, .* by hand"):
         open_project(full)
-    assert "does not belong" in verify(full).problems[0]
+    assert verify(full).problems != ()
     repaired = repair(full)
     assert (repaired.path, repaired.lost) == (tmp_path / "hands-repaired", {})
     assert stored_state(repaired.path) == before
@@ -225,37 +155,3 @@ def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -
     with open_project(moved) as project:
         assert len(project.labels.of_frame(project.frames.of()[4].id)) == 6
     assert verify(moved, deep=True).problems == ()
-
-
-def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full: Path) -> None:
-    # A reader holds the checkpoint up: it moves the first page, but not the last ones, which have changed since. So the
-    # file is shorter than its first page says.
-    with open_project(full) as project, closing(sqlite3.connect(full / "project.db")) as reader:
-        store = project.store
-        with store.write() as connection:
-            connection.exec_driver_sql("CREATE TABLE filler (x BLOB)")
-            connection.exec_driver_sql("INSERT INTO filler VALUES (zeroblob(400000))")
-        reader.execute("BEGIN")
-        reader.execute("SELECT count(*) FROM filler").fetchone()
-        with store.write() as connection:
-            connection.exec_driver_sql("UPDATE filler SET x = randomblob(400000)")
-        with closing(sqlite3.connect(full / "project.db")) as other:
-            other.execute("PRAGMA wal_checkpoint(PASSIVE)")
-        first_page = (full / "project.db").read_bytes()[:32]
-        assert int.from_bytes(first_page[28:32], "big") * 4096 > (full / "project.db").stat().st_size
-        assert not has_foreign_wal(full / "project.db")
-        assert store.file.is_current()
-        with store.write() as connection:
-            connection.exec_driver_sql("DROP TABLE filler")
-
-
-@pytest.mark.parametrize(
-    "header",
-    [struct.pack(">IIII", 0x377F0682, 3007000, 2**32 - 1, 0), struct.pack(">IIII", 0x377F0682, 3007000, 4096, 0)],
-)
-def test_a_huge_empty_wal_does_not_hold_up_an_open(full: Path, header: bytes) -> None:
-    with (full / "project.db-wal").open("wb") as file:
-        file.write(header)
-        file.truncate(2**33)
-    with time_limit(20), open_project(full) as project:
-        assert project.problems() == []

@@ -91,7 +91,7 @@ def test_a_view_that_is_a_link_is_missing_and_replaced(sent: Path, tmp_path: Pat
 
 
 STRANGE = {
-    "trigger": "CREATE TRIGGER spy AFTER UPDATE ON generation BEGIN DELETE FROM labels; END",
+    "trigger": "CREATE TRIGGER spy AFTER UPDATE ON frames BEGIN DELETE FROM labels; END",
     "view": "CREATE VIEW spy AS SELECT * FROM labels",
 }
 
@@ -105,12 +105,3 @@ def test_a_project_with_triggers_or_views_of_a_stranger_is_not_opened(sent: Path
     repaired = repair(sent)
     assert verify(repaired.path, deep=True).problems == ()
     open_project(repaired.path).close()
-
-
-def test_a_changed_trigger_is_not_trusted(sent: Path) -> None:
-    with closing(sqlite3.connect(sent / "project.db")) as connection:
-        (name,) = connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger' LIMIT 1").fetchone()
-        connection.execute(f"DROP TRIGGER {name}")
-        connection.execute(f"CREATE TRIGGER {name} AFTER UPDATE ON generation BEGIN DELETE FROM labels; END")
-    with pytest.raises(ProjectError, match=f"the trigger {name} is not that of a project, so it was not opened"):
-        open_project(sent)

@@ -116,7 +116,7 @@ def _in_order(table: str, row: Row) -> Row:
 def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
     """The row of a new label; columns that are not given have no value."""
     row: Row = dict.fromkeys(columns_of("labels"))
-    row |= {"id": write.next_label_id(), "uid": uid, "class_id": write.class_id(label)}
+    row |= {"id": write.terms.next_label_id(), "uid": uid, "class_id": write.class_id(label)}
     row |= {"frame_id": write.frame_id, "moment_id": write.moment_id}
     row |= {"source": write.context.source.value, "track_linked": 0, "values_set": 0, "attributes": "{}"}
     return row | write.author | values

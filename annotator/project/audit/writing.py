@@ -102,7 +102,6 @@ class Write:
         self._rows: list[RowChange] = []
         self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
         self._pass: tuple[int | None, str] | None = None
-        self._next_id: int | None = None
 
     @property
     def config(self) -> ProjectConfig:
@@ -204,16 +203,6 @@ class Write:
         uid = uuid.uuid4().hex
         self._now["labels", uid] = None
         return uid
-
-    def next_label_id(self) -> int:
-        """An id that no label has ever had."""
-        if self._next_id is None:
-            given = (
-                driver_of(self.connection).execute("SELECT seq FROM sqlite_sequence WHERE name = 'labels'").fetchone()
-            )
-            self._next_id = 0 if given is None else int(given[0])
-        self._next_id += 1
-        return self._next_id
 
     def class_id(self, name: str) -> int:
         """The id of a class of the project; one that no row has had yet gets one.

@@ -57,12 +57,6 @@ def back_up(
 
     The file appears complete or not at all. Views and finished detectors never change, so they are copied after the
     database.
-
-    Args:
-        models: the detectors to include.
-
-    Raises:
-        ProjectError: no project, a damaged or locked one; `out` exists already, or cannot be written.
     """
     read_config(project)
     out = out.resolve()
@@ -141,8 +135,6 @@ def _require_space(folder: Path, needed: int) -> None:
 # Only the last few of each kind are kept. They contain the active detectors, not all.
 
 LOG = logging.getLogger("annotator.project")
-# Files that a message lists.
-MOST_NAMED = 3
 _NS_PER_HOUR = 3600 * 10**9
 
 
@@ -167,7 +159,7 @@ def back_up_automatically(project: Path, reason: Reason) -> Backup:
     out = project.parent / BACKUPS / project.name / f"{moment}-{reason.value}.zip"
     backup = back_up(project, out, ModelChoice.ACTIVE)
     if backup.missing:
-        files = first_few(backup.missing, MOST_NAMED)
+        files = first_few(backup.missing, 3)
         LOG.warning("%s: files are missing, or no regular files, so its backup lacks them: %s", project, files)
     for old in automatic_backups(project, reason)[: -_settings(project).backups_kept]:
         old.unlink(missing_ok=True)
@@ -185,34 +177,17 @@ def back_up_before_upgrade(project: Path) -> None:
         ) from error
 
 
-class BackupClock:
-    """Says when a project's next automatic backup is due: some hours after the first change since the last backup.
-
-    It knows one open project; another one in the same folder has other events.
-    """
-
-    def __init__(self, project: Path, store: Store) -> None:
-        self._project, self._store = project, store
-        # the newest event of the last backup
-        self._backed_up: int | None = None
-
-    def is_due(self) -> bool:
-        """Whether the project should be backed up now."""
-        hours = _settings(self._project).backup_hours
-        if hours is None:
-            return False
-        if self._backed_up is None:
-            self._backed_up = _last_backed_up(self._project)
-        with self._store.read() as connection:
-            newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-            # a restored project has fewer events than its backups, which say nothing about it
-            after = self._backed_up if self._backed_up <= newest else 0
-            first = connection.execute(select(events.c.time_ns).where(events.c.id > after).limit(1)).scalar()
-        return first is not None and time.time_ns() - first >= hours * _NS_PER_HOUR
-
-    def made(self, backup: Backup) -> None:
-        """Records a backup of the project."""
-        self._backed_up = backup.manifest.last_event
+def is_backup_due(project: Path, store: Store) -> bool:
+    """Whether some hours have passed since the first change after the last automatic backup of an open project."""
+    hours = _settings(project).backup_hours
+    if hours is None:
+        return False
+    with store.read() as connection:
+        newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
+        # a restored project has fewer events than its backups, which say nothing about it
+        after = last if (last := _last_backed_up(project)) <= newest else 0
+        first = connection.execute(select(events.c.time_ns).where(events.c.id > after).limit(1)).scalar()
+    return first is not None and time.time_ns() - first >= hours * _NS_PER_HOUR
 
 
 def _settings(project: Path) -> ProjectSettings:

@@ -22,15 +22,14 @@ from annotator.project.audit.events import (
     CLASSES,
     UNFIT,
     Event,
-    RowChange,
+    Key,
     apply_events,
-    changed_row,
     event_of,
     hide_removed,
-    insert_event,
     read_row,
     without_track_index,
 )
+from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.backup.archive import is_content, is_regular
 from annotator.project.backup.make import automatic_backups
 from annotator.project.backup.snapshot import (
@@ -44,10 +43,9 @@ from annotator.project.backup.snapshot import (
     write_snapshot,
 )
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.database.file import has_foreign_wal, wal_of
 from annotator.project.database.migrations import UNRELEASED, version_problem
 from annotator.project.database.schema import AUDITED, columns_of, events, frames, unpacked
-from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, wal_of
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
@@ -83,13 +81,6 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     """Makes a new project, beside the one in a folder, of all that can be read of it.
 
     Its state is made anew from the events, and where events are lost, from the tables.
-
-    Args:
-        new_name: default: the old name with `-repaired`.
-
-    Raises:
-        ConfigError: an invalid name.
-        ProjectError: it is locked, nothing can be read, the new name is taken, or it cannot be written.
     """
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
@@ -100,10 +91,10 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         # SQLite works on a copy: opening a damaged database may write to it
         folder = stack.enter_context(unfinished_folder(Path(gettempdir()), "annotator-repair"))
         copy = folder / DATABASE_FILE
-        is_foreign = has_foreign_wal(database)
-        if is_foreign or database_problems(database):
+        if database_problems(database):
             shutil.copyfile(database, copy)
-            if is_regular(project, wal_of(database).name) and not is_foreign:
+            # a sound database with a `-wal` of another state is one that somebody has put there
+            if is_regular(project, wal_of(database).name) and database_problems(copy):
                 shutil.copyfile(wal_of(database), wal_of(copy))
         else:  # others may be writing to it
             write_snapshot(database, copy)
@@ -144,10 +135,6 @@ def remove_labels(database: Path) -> None:
     """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
 
     Removed recordings and frames that are no longer there are left out. Ids stay.
-
-    Raises:
-        ProjectError: it is damaged, or the disk is full.
-        OSError: the file cannot be written.
     """
     empty = database.with_name(f"{database.name}.unlabelled")
     with explained(database), closing(create_store(empty)) as new, reading(database) as source:
@@ -205,6 +192,7 @@ def _copy_plain(
 
 def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
     """Appends all events that can be read and applied; the others are left out."""
+    events_moment = frames.alias()
     with store.write() as connection:
         with without_track_index(connection):
             for row in _rows(source, "events", repaired.lost):
@@ -217,7 +205,9 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                         event = event_of(SimpleNamespace(**values))
                         _require_applicable(connection, event)
                         apply_events(connection, [event])
-                        _set_revision(connection, event.frame_id, event.revision)
+                        moment = select(events_moment.c.moment_id).where(events_moment.c.id == event.frame_id)
+                        newer = update(frames).where(frames.c.moment_id == moment.scalar_subquery())
+                        connection.execute(newer.values(revision=event.revision))
                 except (AnnotatorError, DBAPIError, sqlite3.Error, *UNFIT):
                     repaired.lost["events"] += 1
                 else:
@@ -240,18 +230,13 @@ def _free_tracks(connection: Connection, store: Store) -> None:
     """Takes second boxes off their tracks, where the events that did so are lost."""
     query = (
         "WITH of_tracks AS (SELECT * FROM labels WHERE state <> 'rejected' AND behind IS NULL) "
-        "SELECT uid, frame_id, track_id FROM of_tracks AS own WHERE EXISTS (SELECT 1 FROM of_tracks AS other "
+        "SELECT uid, frame_id FROM of_tracks AS own WHERE EXISTS (SELECT 1 FROM of_tracks AS other "
         "WHERE other.moment_id = own.moment_id AND other.track_id = own.track_id AND other.id < own.id)"
     )
-    for uid, frame_id, track_id in connection.exec_driver_sql(query).all():
-        change = RowChange("labels", uid, {"track_id": track_id}, {"track_id": None})
-        _append(connection, store, frame_id, change)
-
-
-def _set_revision(connection: Connection, frame_id: int | None, revision: int) -> None:
-    at = frames.alias()
-    moment = select(at.c.moment_id).where(at.c.id == frame_id).scalar_subquery()
-    connection.execute(update(frames).where(frames.c.moment_id == moment).values(revision=revision))
+    for uid, frame_id in connection.exec_driver_sql(query).all():
+        row = read_row(connection, "labels", uid)
+        assert row is not None  # it was selected
+        _put(connection, store, frame_id, "labels", uid, row | {"track_id": None})
 
 
 def _revision(connection: Connection, values: Row) -> int:
@@ -280,31 +265,32 @@ def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
 def _restore(connection: Connection, store: Store, table: str, row: Row) -> bool:
     """Puts one row of the damaged database in the place of the present one; False if they are equal."""
     after = {name: row[name] for name in columns_of(table)}
-    key, present = after[AUDITED[table]], read_row(connection, table, after[AUDITED[table]])
-    if table == "labels":  # the run that it refers to may be lost, and its id may have been given
-        after |= {"run_id": None if present is None else present["run_id"]}
-        after |= {"id": after["id"] if present is None else present["id"]}
-    change = changed_row(table, key, present, after)
-    if change is None or (table == "frames" and present is None):
-        return False
+    key = after[AUDITED[table]]
     frame_id = {"frames": row.get("id"), "classes": None, "adjustments": None}.get(table, row.get("frame_id"))
     if table == "adjustments":
         query = select(func.min(frames.c.id)).where(frames.c.recording_id == key)
         if (frame_id := connection.execute(query).scalar_one()) is None:
             return False
-    _append(connection, store, frame_id, change)
+    present = read_row(connection, table, key)
+    if table == "labels":  # the run that it refers to may be lost, and its id may have been given
+        after |= {"run_id": None if present is None else present["run_id"]}
+        after |= {"id": after["id"] if present is None else present["id"]}
+    if present == after or (table == "frames" and present is None):
+        return False
+    _put(connection, store, frame_id, table, key, after)
     return True
 
 
-def _append(connection: Connection, store: Store, frame_id: int | None, change: RowChange) -> None:
+def _put(connection: Connection, store: Store, frame_id: int | None, table: str, key: Key, after: Row) -> None:
     """Changes a row, with an event of its own."""
     view = CLASSES if frame_id is None else None
-    if change.table == "view_labels":
-        view = str(change.key).partition(":")[0]
-    revision = _revision(connection, {"frame_id": frame_id, "view_id": view}) + 1
-    event = Event(0, frame_id, view, revision, KIND, AUTHOR, store.clock(), Source.IMPORTED, (change,))
-    apply_events(connection, [insert_event(connection, event)])
-    _set_revision(connection, frame_id, revision)
+    if table == "view_labels":
+        view = str(key).partition(":")[0]
+    context = WriteContext(_revision(connection, {"frame_id": frame_id, "view_id": view}), AUTHOR, Source.IMPORTED)
+    write = Write(store, store.path.parent, connection, frame_id, KIND, context)
+    write.put(table, key, after)
+    write.event(KIND, view)
+    write.finish()
 
 
 def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:

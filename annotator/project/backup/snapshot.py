@@ -13,9 +13,8 @@ from pathlib import Path
 from annotator.files import CHUNK_BYTES, sync_folder, unfinished_folder
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, Progress, folder_files, stored_files
 from annotator.project.config import TAKEN, free_path, read_config, write_config
-from annotator.project.database.file import DatabaseFile, require_own_wal
 from annotator.project.database.migrations import schema_problems, version_problem
-from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, is_lock
+from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, DatabaseFile, explained, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
 
@@ -23,13 +22,9 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
-
-    Raises:
-        ProjectError: it is missing, locked or not sound.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
-    require_own_wal(path)
     with explained(path), reading(path) as source, explained(out), closing(sqlite3.connect(out)) as target:
         # all pages in one step: SQLite begins again if another process writes between two steps
         source.backup(target, pages=-1)
@@ -56,10 +51,12 @@ def copied_files(folder: Path, database: Path) -> tuple[list[str], tuple[str, ..
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A connection for one transaction that only reads, and that trusts nothing in the database's schema."""
-    with closing(
-        sqlite3.connect(DatabaseFile(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
-    ) as connection:
+    """A connection for one transaction that only reads, and that trusts nothing in the database's schema.
+
+    It moves nothing from a `-wal` into the database, which may be one of another state.
+    """
+    address = DatabaseFile(path).address.replace("?mode=rw", "?mode=ro")
+    with closing(sqlite3.connect(address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA cell_size_check = ON")
@@ -75,11 +72,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 @contextmanager
 def new_project(root: Path, name: str) -> Iterator[Path]:
-    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
-
-    Raises:
-        ProjectError: the name is taken, or the folder cannot be written.
-    """
+    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds."""
     path = free_path(root, name)
     try:
         with unfinished_folder(root, name) as place:

@@ -26,8 +26,7 @@ from annotator.project.backup.snapshot import (
 )
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, read_config
-from annotator.project.database.file import wal_of
-from annotator.project.database.store import DATABASE_FILE
+from annotator.project.database.store import DATABASE_FILE, wal_of
 from annotator.types.errors import FormatError, ProjectError
 from annotator.types.messages import amount
 
@@ -35,19 +34,7 @@ from annotator.types.messages import amount
 def restore(
     file: Path, root: Path, name: str | None = None, progress: Progress = lambda done, total: None
 ) -> tuple[Path, BackupManifest]:
-    """Makes the project `root/name` of a backup; the folder appears complete and checked, or not at all.
-
-    Args:
-        name: of the new project; default: that of the backup.
-
-    Returns:
-        The project's folder, and the backup's manifest.
-
-    Raises:
-        ConfigError: an invalid name.
-        FormatError: the file is damaged, or not a backup.
-        ProjectError: the name is taken, the database is damaged, or the folder cannot be written.
-    """
+    """Makes the project `root/name` of a backup; the folder appears complete and checked, or not at all."""
     with open_backup(file) as (archive, manifest):
         name = check_name(manifest.project if name is None else name)
         with new_project(root, name) as place:
@@ -76,10 +63,6 @@ def copy_project(
     Args:
         labels: False for a copy with the recordings and detectors only.
         sent: False for a project of one's own, which other processes may be writing to.
-
-    Raises:
-        ConfigError: an invalid name.
-        ProjectError: not a project, something is wrong with it, the name is taken, or the copy cannot be written.
     """
     check_name(name)
     for required in (CONFIG_FILE, DATABASE_FILE):

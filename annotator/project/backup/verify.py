@@ -14,14 +14,12 @@ from annotator.project.audit.events import rebuild
 from annotator.project.backup.archive import is_regular, require_own_files, stored_files
 from annotator.project.backup.snapshot import database_problems, reading, write_snapshot
 from annotator.project.config import CONFIG_FILE, read_config
-from annotator.project.database.file import require_own_wal
 from annotator.project.database.schema import AUDITED, columns_of
 from annotator.project.database.store import DATABASE_FILE, explained, open_store
 from annotator.types.bases import Strict
 from annotator.types.errors import ProjectError
 from annotator.types.messages import first_few
 
-MOST_NAMED = 3
 Rows = dict[object, tuple[object, ...]]
 
 
@@ -52,7 +50,6 @@ def _checked(project: Path, deep: bool) -> list[str]:
         if not is_regular(project, DATABASE_FILE):
             return [f"{DATABASE_FILE} is missing, or no regular file"]
         database = project / DATABASE_FILE
-        require_own_wal(database)
         if (problems := database_problems(database)) or not deep:
             return [f"{DATABASE_FILE}: {problem}" for problem in problems]
         # what a killed verification has left there is removed
@@ -126,4 +123,4 @@ def _has_hash(project: Path, name: str, sha256: str) -> bool:
 
 
 def _named(keys: Sequence[object]) -> str:
-    return first_few(list(map(str, keys)), MOST_NAMED)
+    return first_few(list(map(str, keys)), 3)

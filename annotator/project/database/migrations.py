@@ -289,12 +289,8 @@ CREATE TABLE passes (
 # What people see: without the labels and boxes of removed recordings, and without boxes behind others. A join with the
 # classes would be made for every query, and keep SQLite from choosing the order of others.
 _SHOWN_LABELS = """
-CREATE VIEW shown_labels AS SELECT labels.id, labels.uid, labels.frame_id, labels.moment_id, labels.class_id,
-    (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label, labels.state, labels.source,
-    labels.score, labels.track_id, labels.track_linked, labels.view_disagreement, labels.kept_share,
-    labels.last_change, labels.image_agreement, labels.expected_iou_loss, labels.box_kind, labels.values_set,
-    labels.run_id, labels.origin, labels.author, labels.time_ns, labels.box, labels.proposed_box, labels.attributes,
-    labels.image_box, labels.suggestion, labels.said, labels.of_source
+CREATE VIEW shown_labels AS
+SELECT labels.*, (SELECT classes.name FROM classes WHERE classes.id = labels.class_id) AS label
 FROM labels WHERE labels.hidden = 0 AND labels.behind IS NULL
 """
 _SHOWN_IMAGE_LABELS = "CREATE VIEW shown_image_labels AS SELECT * FROM image_labels WHERE hidden = 0"
@@ -342,10 +338,6 @@ CREATE TABLE models (
     sha256 TEXT NOT NULL
 )
 """
-# The chain of write transactions (`file.py`). One row of fixed length: a mark, the token of the transaction
-# before the last, and that of the last one.
-_GENERATION = "CREATE TABLE generation (id INTEGER PRIMARY KEY CHECK (id = 1), chain TEXT NOT NULL)"
-_FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 32} {'0' * 32}')"
 
 _INDEXES = (
     "CREATE INDEX frames_in_order ON frames (recording_id, position)",
@@ -388,8 +380,6 @@ MIGRATIONS: tuple[Migration, ...] = (
         _RUNS,
         _FRAME_RESULTS,
         _MODELS,
-        _GENERATION,
-        _FIRST_TOKEN,
         *_append_only("events"),
         *_append_only("class_changes"),
         *_INDEXES,

@@ -1,16 +1,23 @@
-"""The SQLite database of one project: connections, transactions, errors, and migrations when it is opened."""
+"""The SQLite database of one project: its file, connections, transactions, errors, and migrations when it is opened.
+
+Nothing here opens the database but SQLite: closing any other descriptor of it would drop SQLite's locks, which belong
+to the process.
+"""
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterator, MutableMapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
@@ -18,7 +25,6 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 from sqlalchemy.util import LRUCache
 
-from annotator.project.database.file import DatabaseFile, advance, require_own_wal, stamp_of
 from annotator.project.database.migrations import (
     APPLICATION_ID,
     newest_version,
@@ -27,6 +33,93 @@ from annotator.project.database.migrations import (
     version_problem,
 )
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
+
+WAL, SHARED_MEMORY, JOURNAL = "-wal", "-shm", "-journal"
+
+Identity = tuple[int, ...]
+
+
+def wal_of(path: Path) -> Path:
+    """The `-wal` file of a database."""
+    return path.with_name(path.name + WAL)
+
+
+class DatabaseFile:
+    """A database file, which exists, at the time when it was opened.
+
+    A database that cannot be written is read without locks, which need a writable folder, unless another process
+    with more rights has it open or has not closed it properly: then its latest changes are in the files beside it.
+
+    Attributes:
+        path: as given, for messages.
+        place: the same, absolute; links are followed at each look, since one may be set to another project.
+        is_writable: False on a read-only disk, or without the rights.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.place = path, path.absolute()
+        self._require_regular()
+        self.is_writable = os.access(self.place, os.W_OK) and os.access(self.place.parent, os.W_OK)
+        # nothing but a replacement changes it
+        self._is_fixed = not self.is_writable and not _has_wal(self.place)
+        # An inode is not used again while a connection has it open. SQLite keeps the files beside it while one is
+        # open; without them, processes would not see each other's changes, and lose them.
+        self._identities = {self.place: self._identity(self.place)}
+
+    @property
+    def address(self) -> str:
+        """The URI for SQLite."""
+        mode = "rw" if self.is_writable else "ro"
+        return f"file:{quote(str(self.path.resolve()))}?mode={mode}" + ("&immutable=1" if self._is_fixed else "")
+
+    def is_current(self) -> bool:
+        """False if the file, or one of SQLite's files beside it, has been removed or replaced since it was opened."""
+        return self._what_changed() is None
+
+    def require_current(self) -> None:
+        """Checks that the file is still the one on disk."""
+        if (path := self._what_changed()) is not None:
+            what = "was replaced by another file" if path.exists() else "was removed"
+            raise ReplacedError(
+                f"{self.path.with_name(path.name)}: {what} while it was open, and nothing was saved in it since; "
+                "reload the page, or start the command again, and repeat the latest change"
+            )
+
+    def remember(self) -> None:
+        """Remembers SQLite's files beside the database; called when a connection has used it."""
+        if self.is_writable:
+            beside = (self.place.with_name(self.place.name + suffix) for suffix in (WAL, SHARED_MEMORY))
+            self._identities |= {path: self._identity(path) for path in beside}
+
+    def _what_changed(self) -> Path | None:
+        return next((path for path, identity in self._identities.items() if self._identity(path) != identity), None)
+
+    def _identity(self, path: Path) -> Identity | None:
+        """Device and inode of a file, None if it is missing; of a fixed one, also what any writing changes."""
+        try:
+            found = path.stat()
+        except OSError:
+            return None
+        identity = (found.st_dev, found.st_ino)
+        return (*identity, found.st_size, found.st_mtime_ns, _has_wal(path)) if self._is_fixed else identity
+
+    def _require_regular(self) -> None:
+        """Refuses pipes and devices in place of the database or of the files beside it: SQLite would wait."""
+        for suffix in ("", WAL, SHARED_MEMORY, JOURNAL):
+            path = self.place.with_name(self.place.name + suffix)
+            with suppress(OSError):
+                if not stat.S_ISREG(path.stat().st_mode):
+                    raise ProjectError(f"{path}: is not a regular file; remove it")
+
+
+def _has_wal(path: Path) -> bool:
+    """True if there are changes beside the database, or another process has it open."""
+    try:
+        wal = wal_of(path).stat()
+    except OSError:
+        return False
+    return wal.st_size > 0 or path.with_name(path.name + SHARED_MEMORY).exists()
+
 
 _AT_MOST_S: ContextVar[float] = ContextVar("annotator_waits_at_most_s", default=float("inf"))
 
@@ -165,9 +258,7 @@ class Store:
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
-                token = advance(connection)
                 yield connection
-            self.file.written(token)
             # the file may have been replaced since; only now it is sure that the change is in it
             self.file.require_current()
         finally:
@@ -186,15 +277,10 @@ class Store:
         self._require_writable("is upgraded before it is used, but ")
         with self._transaction("BEGIN IMMEDIATE", BUSY_TIMEOUT_S) as connection:
             upgrade(driver_of(connection))
-            advance(connection)
 
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
         with explained(self.path, self.file), self.engine.connect() as connection:
-            if connection.info.get("stamp") != (stamp := stamp_of(self.file.place)):
-                # a newer copy may have been written over the file; its pages must not be mixed with those in the cache
-                driver_of(connection).execute("PRAGMA shrink_memory")
-                connection.info["stamp"] = stamp
             connection = connection.execution_options(**{_BEGIN: (begin, round(wait_s * 1000))})
             with connection.begin():
                 # after it has begun: it may have waited long for the lock
@@ -203,7 +289,6 @@ class Store:
 
     def close(self) -> None:
         """Closes all connections."""
-        self.file.closing()
         self.engine.dispose()
 
 
@@ -215,12 +300,7 @@ def driver_of(connection: Connection) -> sqlite3.Connection:
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
-    """Creates a database of the newest version at `path`, which only its owner may read.
-
-    Raises:
-        ProjectError: the file exists already, or cannot be written.
-        OSError: the file cannot be created.
-    """
+    """Creates a database of the newest version at `path`, which only its owner may read."""
     try:
         # SQLite gives the files beside it the same rights
         path.touch(mode=0o600, exist_ok=False)
@@ -245,10 +325,9 @@ def open_store(path: Path, *, clock: Clock = time.time_ns, before_upgrade: Calla
     Raises:
         ReplacedError: it is missing.
         ProjectError: it is not a project database, damaged, locked, of a newer version, or has other tables, triggers
-            or views than its version; or the file `-wal` beside it belongs to another database.
+            or views than its version.
     """
     _require_file(path)
-    require_own_wal(path)
     store = Store(path, clock)
     with _closed_on_error(store):
         with store.read() as connection:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect_right
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from datetime import UTC, date, datetime
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from pydantic import ConfigDict
 from sqlalchemy import Connection, case, func, select
 
+from annotator.project.audit.events import Effort
 from annotator.project.database.schema import events, frame_results, frames, image_labels, labels
 from annotator.project.jobs import Status, latest_results
 from annotator.project.progress.reviewed import ORIGINS, UNTOUCHED, Action, ReviewedBox, read_log, read_reviewed
@@ -72,8 +71,6 @@ class WorkOfDay(Strict):
         hours: at work, breaks left out.
     """
 
-    model_config = ConfigDict(frozen=False)  # summed up in place
-
     day: date
     person: str
     boxes: int
@@ -104,38 +101,27 @@ def work_by_day(
     People are those who have labelled or rejected a box, or whose actions the page counted; the other authors are
     commands, such as `annotator follow`.
     """
-    found: dict[tuple[date, str], WorkOfDay] = {}
+    sums: dict[tuple[date, str], Counter[str]] = defaultdict(Counter)
     changed: dict[tuple[date, str], set[int]] = defaultdict(set)
-
-    def work_of(person: str, time_ns: int) -> WorkOfDay:
-        day = _day_of_quarter(time_ns // (900 * 10**9))
-        if (day, person) not in found:
-            new = WorkOfDay(day=day, person=person, boxes=0, rejected=0, frames=0, actions=0, seconds=0.0, hours=0.0)
-            found[day, person] = new
-        return found[day, person]
-
     for action, seconds in zip(actions, at_work_s, strict=True):
-        work = work_of(action.author, action.time_ns)
-        work.hours += seconds / 3600
-        changed[work.day, work.person].update(action.frames)
-        if action.effort is not None:
-            work.actions += action.effort.actions
-            work.seconds += action.effort.seconds
+        key, effort = (_day(action.time_ns), action.author), action.effort or Effort(0, 0.0)
+        sums[key].update({"hours": seconds / 3600, "actions": effort.actions, "seconds": effort.seconds})
+        changed[key].update(action.frames)
     for box in boxes:
         if box.decided is not None:
-            work = work_of(*box.decided)
-            work.rejected += box.is_rejected
-            work.boxes += not box.is_rejected
-    people = {work.person for work in found.values() if work.boxes or work.rejected or work.actions}
-    for key, work in found.items():
-        work.frames = len(changed[key])
-    return tuple(found[key] for key in sorted(found) if key[1] in people)
+            person, time_ns = box.decided
+            sums[_day(time_ns), person]["rejected" if box.is_rejected else "boxes"] += 1
+    people = {person for (_, person), of in sums.items() if of["boxes"] or of["rejected"] or of["actions"]}
+    counted = ("boxes", "rejected", "actions", "seconds", "hours")
+    return tuple(
+        WorkOfDay(day=day, person=person, frames=len(changed[day, person]), **{name: of[name] for name in counted})
+        for (day, person), of in sorted(sums.items())
+        if person in people
+    )
 
 
-@lru_cache(maxsize=4096)
-def _day_of_quarter(quarter: int) -> date:
-    """The day of a quarter of an hour since the epoch; in every time zone, a day begins with one."""
-    return datetime.fromtimestamp(900 * quarter).date()
+def _day(time_ns: int) -> date:
+    return datetime.fromtimestamp(time_ns / 1e9).date()
 
 
 # --- pace: does the loop get faster? ----------------------------------------------------------------------------------

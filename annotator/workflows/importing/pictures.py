@@ -50,11 +50,7 @@ class PictureSet:
 def read_pictures(
     format: FlatFormat, path: Path, folder: Path | None = None, on_fault: OnFault = raise_fault
 ) -> PictureSet:
-    """Reads the labelled images at `path`.
-
-    Args:
-        folder: the image folder; None = the dataset's own.
-    """
+    """Reads the labelled images at `path`."""
     if format is FlatFormat.COCO:
         root, pictures = dataset_folder(path), read_coco_dataset(path, on_fault)
     else:

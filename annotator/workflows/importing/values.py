@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -35,34 +34,18 @@ MOST_CHOICES = 20
 LONGEST_CHOICE = 64
 
 
-class FoundValues:
-    """All values in a dataset, by attribute: of boxes, and of frames."""
-
-    def __init__(self) -> None:
-        self.of_boxes: dict[str, list[AttributeValue]] = defaultdict(list)
-        self.of_frames: dict[str, list[AttributeValue]] = defaultdict(list)
-
-    def add(self, of_frame: Given, of_boxes: Iterable[Given]) -> None:
-        """Adds those of a frame and of its boxes."""
-        for found, every in ((self.of_frames, (of_frame,)), (self.of_boxes, of_boxes)):
-            for name, value in chain.from_iterable(values.items() for values in every):
-                found[name].append(value)
+FoundValues = Iterable[tuple[Given, Iterable[Given]]]
+"""The values in a dataset: of each frame or image, and of each of its boxes."""
 
 
 def values_of_labels(dataset: LabelSet) -> FoundValues:
     """Returns the values of a dataset of 3D boxes."""
-    found = FoundValues()
-    for name in dataset.frames:
-        found.add(dataset.values_of(name), dataset.values_of_boxes(name))
-    return found
+    return [(dataset.values_of(name), dataset.values_of_boxes(name)) for name in dataset.frames]
 
 
 def values_of_pictures(format: FlatFormat, path: Path) -> FoundValues:
     """Returns the values of a dataset of 2D boxes."""
-    found = FoundValues()
-    for picture in read_pictures(format, path).pictures:
-        found.add(picture.attributes, picture.values)
-    return found
+    return [(picture.attributes, picture.values) for picture in read_pictures(format, path).pictures]
 
 
 def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -> tuple[Attribute, ...]:
@@ -72,9 +55,14 @@ def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -
     are left out; the import reports their values.
     """
     known = {each.name for each in project.config.attributes}
+    of_frames, of_boxes = defaultdict[str, list[AttributeValue]](list), defaultdict[str, list[AttributeValue]](list)
+    for of_frame, every in found:
+        for values, into in ((of_frame, of_frames), *((each, of_boxes) for each in every)):
+            for name, value in values.items():
+                into[name].append(value)
     new = [
-        *_attributes(found.of_boxes, known, AttributeOf.BOX),
-        *_attributes(found.of_frames, known | found.of_boxes.keys(), AttributeOf.FRAME),
+        *_attributes(of_boxes, known, AttributeOf.BOX),
+        *_attributes(of_frames, known | of_boxes.keys(), AttributeOf.FRAME),
     ]
     for attribute in new:
         project.change_classes(partial(edit.put_attribute, attribute=attribute), author)

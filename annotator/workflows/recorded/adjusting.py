@@ -16,7 +16,7 @@ from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.project import Basis, BoxRotation, Project, StoredFrame
 from annotator.project.adjusting import Up
-from annotator.project.labels import ReviewedBox
+from annotator.project.labels import StoredLabel
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
 from annotator.recordings.frame_times import has_times
 from annotator.types import NO_CORRECTION, Correction, Frame
@@ -94,9 +94,9 @@ def learn_up(
     for stored in project.recordings.all():
         if stored.up is not None or stored.adjusted or (recordings is not None and stored.id not in recordings):
             continue
-        boxes = _reviewed(project, stored.id)
-        found = up_of_boxes(boxes)
-        if found is None or found.up is None or _is_known(source, project.frames.get(boxes[0].frame_id)):
+        labels = _reviewed(project, stored.id)
+        found = up_of_boxes(labels)
+        if found is None or found.up is None or _is_known(source, project.frames.get(labels[0].frame_id)):
             continue
         project.adjustments.set_up(stored.id, found.up, AUTHOR)
         messages.append(
@@ -106,23 +106,23 @@ def learn_up(
     return tuple(messages)
 
 
-def up_of_boxes(boxes: Sequence[ReviewedBox]) -> RecordingUp | None:
+def up_of_boxes(labels: Sequence[StoredLabel]) -> RecordingUp | None:
     """The up direction that a recording's reviewed boxes share; None if they do not tell."""
-    frames = len({box.frame_id for box in boxes})
+    frames = len({each.frame_id for each in labels})
     if frames < LEAST_BOX_FRAMES:
         return None
-    shared = common_axis(np.stack([each.box.pose[:3, :3] for each in boxes]))
+    shared = common_axis(np.stack([each.label.box.pose[:3, :3] for each in labels]))
     up = shared.axis * (-1 if shared.axis[1] > 0 else 1)  # the image's y axis points down
     if shared.spread_rad > MOST_SPREAD_RAD or shared.alike > MOST_ALIKE or -up[1] < np.cos(MOST_TILT_RAD):
         return None
     x, y, z = up.tolist()
-    reason = f"{amount(len(boxes), 'reviewed box')} stand along it and are turned about it"
+    reason = f"{amount(len(labels), 'reviewed box')} stand along it and are turned about it"
     certainty = 1 - shared.spread_rad / WORTHLESS_SPREAD_RAD
     return RecordingUp((x, y, z), certainty, shared.spread_rad, frames, frames, reason)
 
 
-def _reviewed(project: Project, recording_id: int) -> tuple[ReviewedBox, ...]:
-    return project.labels.recent_boxes(MOST_BOXES, recording=recording_id)
+def _reviewed(project: Project, recording_id: int) -> tuple[StoredLabel, ...]:
+    return project.labels.recent(MOST_BOXES, recording=recording_id)
 
 
 def _is_known(source: FrameSource, frame: StoredFrame) -> bool:
