@@ -27,8 +27,8 @@ from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
 # --- images of pseudo-views -------------------------------------------------------------------------------------------
 
-# Of a PNG file, to the end of its size.
-HEADER_BYTES = 24
+# Of a PNG file of ours, to the first of its pixels.
+HEADER_BYTES = 64
 _ID = re.compile(r"[0-9a-f]{64}")
 
 
