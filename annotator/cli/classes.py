@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping
-from itertools import count
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, ProjectName, Projects, names_in, open_named, projects_root
+from annotator.cli.options import AsJson, ProjectName, Projects, names_in, open_named
 from annotator.cli.output import print_facts, print_json, print_line
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
+from annotator.project.classes.attributes import (
+    Attribute,
+    AttributeKind,
+    AttributeOf,
+    ClassStyle,
+    Relabelling,
+    value_text,
+)
 from annotator.project.classes.counts import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassRow, list_classes
-from annotator.project.project import change_classes
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount, first_problem
 
@@ -41,7 +45,6 @@ def show(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects
         print_json(listed)
         return
     print_facts([(row.name, _described(row)) for row in listed.classes])
-    print_facts([(f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown])
     for attribute in listed.attributes:
         print_line(_attribute_line(attribute))
 
@@ -115,24 +118,14 @@ def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = 
 def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects: Projects = None) -> None:
     """Give all boxes of some classes to another class, and remove these classes.
 
-    Undo does not take this back. A backup is made before.
-
     Args:
-        old: names of the classes, or of boxes whose class was removed from project.json by hand; with spaces or commas
-            between them.
+        old: names of the classes, with spaces or commas between them.
         into: class that gets the boxes.
     """
 
-    def merged(config: ProjectConfig) -> ClassEdit:
-        for name in names:
-            if name not in counts:
-                edit.require_class(config, name)
-        return edit.merge_classes(config, names, into)
-
     with open_named(project, projects) as opened:
-        counts = opened.class_counts()
-        names = names_in(old, {*counts, *opened.config.classes})
-    _change(project, projects, merged, *names)
+        names = names_in(old, opened.config.classes)
+    _change(project, projects, lambda config: edit.merge_classes(config, names, into), *names)
 
 
 def remove(
@@ -148,7 +141,7 @@ def remove(
 
     Args:
         into: class that gets the boxes.
-        with_boxes: also remove all boxes of the class; they remain only in a backup that is made just before.
+        with_boxes: also remove all boxes of the class.
     """
     if into is not None:
         if with_boxes:
@@ -158,7 +151,7 @@ def remove(
 
     def removed(config: ProjectConfig) -> ClassEdit:
         made = edit.remove_class(config, name)
-        return made if with_boxes else ClassEdit(made.config)
+        return made if with_boxes else replace(made, change=Relabelling())
 
     _change(project, projects, removed, *([name] if with_boxes else []), verb="removed with the class")
 
@@ -272,26 +265,12 @@ def _change(
     """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
     with open_named(name, projects) as opened:
         before = opened.class_counts()
-        config, backup = change_classes(opened, change, AUTHOR)
+        config = opened.change_classes(change, AUTHOR)
     for line in _followed(before, followed, verb):
         print_line(line)
-    if backup is not None:
-        print_line(f"backed up before: {backup}")
-        command = _restoring(name, backup, projects)
-        print_line(
-            f"undo does not take this back; to have the boxes and values of before in a second project: {command}"
-        )
     if show_classes:
         print_line(f"{name}: {', '.join(config.classes)}")
     return config
-
-
-def _restoring(name: str, backup: Path, projects: Path | None) -> str:
-    """The command that makes a second project of a backup."""
-    root = projects_root(projects)
-    other = next(free for n in count(1) if not (root / (free := f"{name[:40]}-before-{n}")).exists())
-    where = [] if projects is None else ["--projects", str(projects)]
-    return shlex.join(["annotator", "project", "restore", str(backup), other, *where])
 
 
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:

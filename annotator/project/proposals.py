@@ -61,6 +61,7 @@ class Proposals:
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
         box_kind: BoxKind = BoxKind.BOX,
+        action: str | None = None,
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
@@ -76,13 +77,14 @@ class Proposals:
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
+            action: id of the action (`new_action`) that undoes the pass; None = it cannot be undone.
         """
         with self.writer.store.write() as connection:
             # the cheap checks come before the IoU
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
-            write = Write(self.writer.store, self.writer.folder, connection, frame_id, where, context)
+            write = Write(self.writer.store, connection, frame_id, where, context, action)
             before = {row["uid"]: row for row in write.open_proposals()}
             staying = [each.label for each in read_stored(connection, frame_id) if each.label.uid not in before]
             covering = covered_by(proposals, staying)

@@ -14,7 +14,6 @@ from annotator.project.audit.writing import Write, WriteContext
 from annotator.project.changes import NewLabel
 from annotator.project.classes.attributes import fitting
 from annotator.project.classes.values import Values, conflicts, lent, new_values, of_tracks, own_values
-from annotator.project.config import read_config
 from annotator.project.database.store import Store, driver_of
 from annotator.project.labels import certainty
 from annotator.project.log import Writer
@@ -138,7 +137,7 @@ def bring(
     """
     author, done = author or source, dict[int, Brought]()
     with writer.store.write() as connection:
-        config, terms = read_config(writer.folder), Terms(connection)
+        terms = Terms(connection)
         places = ", ".join(map(str, map(int, frames_boxes)))
         query = f"SELECT id, moment_id, revision, finalised FROM frames WHERE id IN ({places}) ORDER BY id"
         newest = dict[int, int]()
@@ -148,7 +147,7 @@ def bring(
                 based_on = newest.get(moment_id, revision)
                 context = WriteContext(based_on, author, Source.IMPORTED, effort_target=source)
                 where = f"frame with id {frame_id}"
-                write = Write(writer.store, writer.folder, connection, frame_id, where, context, action, config, terms)
+                write = Write(writer.store, connection, frame_id, where, context, action, terms)
                 with storable(f"a box of {source}"):
                     done[frame_id] = _bring(write, source, frames_boxes[frame_id])
                 newest[moment_id] = write.finish().revision
@@ -173,10 +172,10 @@ def _bring(write: Write, source: str, boxes: Sequence[NewLabel]) -> Brought:
     write.event(KIND)
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in groups)
     differing = 0
-    for group in groups if write.config.attributes else ():
+    for group in groups if write.terms.attributes else ():
         its = [each.attributes for each in group if each.source == source]
         others = [each.attributes for each in group if each.source != source]
-        differing += conflicts(write.config.attributes_of(group[0].label), its, others)
+        differing += conflicts(write.terms.attributes_of(group[0].label), its, others)
     return Brought(tuple(uid is None for uid in covering), together, differing)
 
 
@@ -203,8 +202,8 @@ def regroup(write: Write, waiting: Sequence[Row], new: Iterable[tuple[Row, SaidR
         free = (each.track_id for _, each in group if each.track_id not in taken)
         tracks.append(row["track_id"] if said.source == OWN else next(free, None))
         taken.add(tracks[-1])
-    attributes = write.config.attributes
-    of_track = of_tracks(write.connection, write.terms, attributes, write.frame_id, tracks) if attributes else {}
+    attributes = write.terms.attributes
+    of_track = of_tracks(write.connection, write.terms, write.frame_id, tracks) if attributes else {}
     for group, track_id in zip(groups, tracks, strict=True):
         (shown, words), *others = group
         columns: Row = {"behind": None, "track_id": track_id}
@@ -233,7 +232,7 @@ def _with_values(
 
     A proposal of ours has them already, unless other sources lend it some.
     """
-    of_label = write.config.attributes_of(said.label)
+    of_label = write.terms.attributes_of(said.label)
     borrowed = lent(of_label, said.attributes, lenders)
     if said.source == OWN and not borrowed and row["said"] is None:
         return {}

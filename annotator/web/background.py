@@ -229,7 +229,7 @@ class Watch(Periodic):
             self._context.hub.recording_adjusted(project, recording, event, author)
         self._context.hub.recordings_are(project, project.recordings.removed_by())
         for made in classes:
-            self._context.hub.classes_changed(name, made.change.classes, made.author)
+            self._context.hub.classes_changed(name, made.renamed, made.author)
         self._learner.look(name, project)
 
     def _failed(self, name: str, problem: str) -> None:

@@ -1,8 +1,8 @@
-"""Undo and redo of each operator's own actions, over all frames.
+"""Undo and redo of each author's own actions, over all frames.
 
 An undo puts back the columns that an action has changed, where they are still as it left them, and is an action itself.
-So a redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the
-redo stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
+So a redo is the undo of an undo. The order of an author's actions determines both stacks: a new action empties the redo
+stack. A batch pass is one action of who has started it; a change of the classes is one with the rows that follow it.
 
 An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
 the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
@@ -12,14 +12,12 @@ parts of such an action are undone, and redone, one after the other from then on
 from __future__ import annotations
 
 import threading
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, func, select
+from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.adjusting import Adjustment, adjustment_row
 from annotator.project.adjustments import KIND as ADJUSTED
@@ -28,30 +26,30 @@ from annotator.project.audit.events import (
     CLASSES,
     Effort,
     Event,
-    Key,
     RowChange,
     as_one,
     event_of,
     hide_removed,
     in_moment_of,
+    read_events,
     read_row,
     rows_of,
     without_rows,
 )
 from annotator.project.audit.writing import Receipt, Write, WriteContext
-from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, fitting
-from annotator.project.classes.changing import made_changes, values_after
-from annotator.project.config import ProjectConfig, read_config
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
+from annotator.project.classes.changing import BATCH, FOLLOWED, require_consistent, write_classes
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
 from annotator.project.rows import Row, Terms, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Source
-from annotator.types.errors import HistoryError, TrackTakenError
+from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, TrackTakenError
 from annotator.types.label import AttributeValue
 
 KIND = "restored"
+SCHEMA = ("classes", "attributes")
 
 # Event kind -> verb for the page; the first kind that occurs in an action names the action.
 VERBS = (
@@ -68,23 +66,39 @@ VERBS = (
     ("frame_reopened", "reopen"),
     ("view_boxes_set", "draw on a view"),
     ("image_boxes_set", "draw on the image"),
+    ("proposals_replaced", "propose"),
+    ("tracks_linked", "link"),
 )
+CLASSES_RECORDING = 0
+"""Stands for the recording of what a change of the classes has changed in all of them; never removed."""
 
 
 # Built once: a save runs both, and building them takes longer than running them.
+_OF_ACTION = (
+    select(events.c.id, events.c.frame_id, func.coalesce(frames.c.recording_id, CLASSES_RECORDING))
+    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
+    .where(events.c.action == bindparam("action"))
+    .order_by(events.c.id)
+)
 _ACTIONS = (
-    select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
-    .join(frames, frames.c.id == events.c.frame_id)
+    select(
+        events.c.id,
+        events.c.action,
+        events.c.undoes,
+        func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"),
+    )
+    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
     .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
     .order_by(events.c.id)
 )
 _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
-_CHANGES, _NAMED = (
-    select(*columns, frames.c.recording_id, frames.c.key)
-    .join(frames, frames.c.id == events.c.frame_id)
+# The words for a pass, an import or a change of the classes need none of their rows.
+_NAMED = (
+    select(*without_rows((events.c.source != Source.MANUAL.value) | events.c.frame_id.is_(None)), frames.c.key)
+    .add_columns(func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"))
+    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
     .where(events.c.action == bindparam("action"))
     .order_by(events.c.id)
-    for columns in (events.c, without_rows(events.c.source == Source.IMPORTED.value))
 )
 
 
@@ -117,7 +131,7 @@ class Reverted:
     """The result of an undo or redo.
 
     Attributes:
-        frame_id: the frame; for several frames, the first one of the action.
+        frame_id: the frame; for several frames, the first one of the action; None for a change of the classes.
         receipt: of that frame.
         words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
             could not be restored, because the project no longer allows these.
@@ -125,11 +139,11 @@ class Reverted:
         others: the other changed frames, each with its receipt.
     """
 
-    frame_id: int
+    frame_id: int | None
     receipt: Receipt
     words: str
     original: str
-    others: tuple[tuple[int, Receipt], ...] = ()
+    others: tuple[tuple[int | None, Receipt], ...] = ()
 
 
 @dataclass
@@ -239,57 +253,83 @@ class History:
                 steps = list(_without(kept, removed_recordings(connection)))
             if not steps:
                 raise HistoryError(f"{author} has nothing to {name}")
-            config, some_left = read_config(self._writer.folder), False
+            some_left = False
             for step in steps:
-                restoring = _Restoring(connection, config, _changes_of(connection, step.action, step.recordings))
-                if not restoring.by_frame:
+                parts, left_out = _parts(connection, step), set[str]()
+                try:
+                    with connection.begin_nested():
+                        receipts = self._restore(connection, parts, author, step, effort, left_out)
+                except (HistoryError, TrackTakenError, FinalisedFrameError) as error:
+                    some_left = True
+                    if not skip:
+                        raise HistoryError(
+                            f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
+                            f"{error}; nothing was changed; both versions are in the log",
+                            frame_id=next((frame_id for frame_id in parts if frame_id is not None), None),
+                        ) from error
                     continue
-                conflict = restoring.conflict()
-                if conflict is None:
-                    try:
-                        with connection.begin_nested():
-                            receipts = self._restore(restoring, author, step, effort)
-                        break
-                    except TrackTakenError as error:
-                        conflict = f"{error}"
-                some_left = True
-                if not skip:
-                    raise HistoryError(
-                        f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
-                        f"{conflict}; nothing was changed; both versions are in the log",
-                        frame_id=next(iter(restoring.by_frame)),
-                    )
+                if receipts:
+                    break
             else:
                 why = ": others have changed the same data, or its class was removed" if some_left else ""
                 raise HistoryError(f"{author} has nothing {'left ' if some_left else ''}to {name}{why}")
             (first, receipt), *others = receipts.items()
             words = _description(connection, step)
-            if restoring.left_out:
-                left_out = ", ".join(sorted(restoring.left_out))
-                words += f"; without values that the project no longer allows: {left_out}"
+            if left_out:
+                words += f"; without values that the project no longer allows: {', '.join(sorted(left_out))}"
             return Reverted(first, receipt, words, step.original, tuple(others))
 
-    def _restore(self, restoring: _Restoring, author: str, step: Step, effort: Effort | None) -> dict[int, Receipt]:
-        """Puts the rows of each frame back."""
-        connection, action, receipts = restoring.connection, new_action(), dict[int, Receipt]()
-        for frame_id, rows in restoring.by_frame.items():
-            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
-            # counted once, on the first frame
-            context = WriteContext(revision, author, effort=None if receipts else effort, undoes=step.action)
-            where = require_writable(connection, frame_id, context)
-            write = Write(
-                self._writer.store, self._writer.folder, connection, frame_id, where, context, action, restoring.config
-            )
-            for row in rows:
-                write.put(row.table, row.key, restoring.target(row))
-            write.event(KIND)
-            receipts[frame_id] = write.finish()
-            for row in rows:
-                if row.table == "adjustments":
+    def _restore(
+        self,
+        connection: Connection,
+        parts: Mapping[int | None, Sequence[int]],
+        author: str,
+        step: Step,
+        effort: Effort | None,
+        left_out: set[str],
+    ) -> dict[int | None, Receipt]:
+        """Puts the rows of each part back, the last part first, one after the other: a pass may have 100,000.
+
+        Raises:
+            HistoryError: somebody has changed a row since, or what it needs is gone; says what.
+        """
+        store, action, receipts = self._writer.store, new_action(), dict[int | None, Receipt]()
+        for frame_id, ids in reversed(parts.items()):
+            part = _Part(connection, ids, left_out)
+            if not part.rows:
+                continue
+            part.require_as_left()
+            context = WriteContext(0, author, part.source, effort=None if receipts else effort, undoes=step.action)
+            if frame_id is None:
+                receipts[None] = self._restore_classes(connection, part, context, action)
+            else:
+                revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+                context = replace(context, revision=revision)
+                where = require_writable(connection, frame_id, context)
+                write = Write(store, connection, frame_id, where, context, action)
+                receipts[frame_id] = part.put_back(write, part.rows)
+            for row in part.rows:
+                if row.table == "adjustments" and frame_id is not None:
                     make_stale(connection, int(row.key), frame_id)
         if removed_recordings(connection):  # labels of other cameras of the moment may be there again
             hide_removed(connection)
-        return receipts
+        return dict(reversed(receipts.items()))
+
+    def _restore_classes(self, connection: Connection, part: _Part, context: WriteContext, action: str) -> Receipt:
+        """Puts the classes and attributes back, and then the rows that have followed."""
+        store, terms = self._writer.store, Terms(connection)
+        before = terms.classes, terms.attributes
+        of_classes = [row for row in part.rows if row.table in SCHEMA]
+        receipt = part.put_back(write_classes(store, connection, CLASSES, context, action), of_classes)
+        others = [row for row in part.rows if row.table not in SCHEMA]
+        for first in range(0, len(others), BATCH):
+            context = replace(context, effort=None)
+            part.put_back(write_classes(store, connection, FOLLOWED, context, action), others[first : first + BATCH])
+        try:
+            require_consistent(connection, *before)
+        except ProjectError as error:
+            raise HistoryError(f"{error}") from error
+        return receipt
 
     @contextmanager
     def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:
@@ -313,43 +353,46 @@ def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
             yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
 
 
-def _changes_of(
-    connection: Connection, action: str, recordings: Collection[int], query: Select[Any] = _CHANGES
-) -> list[_Change]:
-    """What an action has changed in some recordings."""
-    changed = connection.execute(query, {"action": action}).all()
-    return [_Change(event_of(row), row.recording_id, row.key) for row in changed if row.recording_id in recordings]
+def _parts(connection: Connection, step: Step) -> dict[int | None, list[int]]:
+    """Ids of the events of an action, in order, by frame; None: of the classes, and of what has followed them."""
+    found = dict[int | None, list[int]]()
+    for id, frame_id, recording_id in connection.execute(_OF_ACTION, {"action": step.action}):
+        if recording_id in step.recordings:
+            found.setdefault(frame_id, []).append(id)
+    return found
 
 
-class _Restoring:
-    """How an action is reverted.
+class _Part:
+    """What an action has changed in one frame, or of the classes.
 
-    States from before a change of the attributes are compared and put back as they would be today, without values that
-    the project no longer allows.
+    States are compared and put back without values that the project no longer allows.
 
     Attributes:
-        by_frame: the changed rows by frame, as one change each.
-        left_out: names of the attributes of which values were left out.
+        rows: the changed rows, as one change each.
+        source: of the undo; a pass that is undone leaves finalised frames alone, like the pass.
+        left_out: gets the names of the attributes of which values were left out.
     """
 
-    def __init__(self, connection: Connection, config: ProjectConfig, changes: Sequence[_Change]) -> None:
-        self.connection, self.config, self.left_out = connection, config, set[str]()
-        self.by_frame: dict[int, list[RowChange]] = {}
+    def __init__(self, connection: Connection, ids: Sequence[int], left_out: set[str]) -> None:
+        self.connection, self.left_out = connection, left_out
+        made = list(read_events(connection, select(events).where(events.c.id.in_(ids))))
+        self.source = Source.AUTO if made[0].source is Source.AUTO else Source.MANUAL
+        self.rows = as_one(row for event in made for row in event.rows)
+        self._last = {(row.table, row.key): event for event in made for row in event.rows}
         self._terms = Terms(connection)
-        self._made: dict[int, list[Relabelling]] = {}
-        self._last: dict[tuple[str, Key], Event] = {}
-        of_frames: dict[int, list[RowChange]] = defaultdict(list)
-        for change in changes:
-            assert change.event.frame_id is not None  # as every action
-            # classes get their ids once
-            rows = [row for row in change.event.rows if row.table != "classes"]
-            of_frames[change.event.frame_id] += [self._present(row, change.event.id) for row in rows]
-            self._last |= {(row.table, row.key): change.event for row in rows}
-        for frame_id, rows in of_frames.items():
-            if whole := as_one(rows):
-                self.by_frame[frame_id] = whole
 
-    def target(self, change: RowChange) -> Row | None:
+    def put_back(self, write: Write, rows: Sequence[RowChange]) -> Receipt:
+        """Puts rows back, with one event."""
+        self._terms = write.terms
+        for row in rows:
+            write.put(row.table, row.key, self._target(row))
+        write.event(KIND, None if write.frame_id is not None else CLASSES if rows[0].table in SCHEMA else FOLLOWED)
+        receipt, now = write.finish(), Terms(self.connection)
+        if gone := sorted(self._classes(rows) - set(now.classes)):
+            raise HistoryError(f"the class {gone[0]!r} was removed")
+        return receipt
+
+    def _target(self, change: RowChange) -> Row | None:
         """The row to put back."""
         present = read_row(self.connection, change.table, change.key)
         if change.table == "adjustments" and change.before is None:
@@ -357,22 +400,19 @@ class _Restoring:
             up = select(recordings.c.up).where(recordings.c.id == change.key)
             return adjustment_row(int(change.key), Adjustment(None)) | {"up": self.connection.execute(up).scalar_one()}
         if change.before is None:
-            return None
+            # rows and events may name a class by its id
+            is_class = change.table == "classes" and present is not None
+            return present | {"position": None, "colour": None, "shortcut": None} if is_class else None
         before = self._allowed(change, change.before, present)
         return before if present is None else present | before
 
-    def conflict(self) -> str | None:
-        """Describes what prevents it: a row that somebody has changed since, or a removed class."""
-        gone = sorted(self._classes() - set(self.config.classes))
-        if gone:
-            return f"the class {gone[0]!r} was removed"
-        for rows in self.by_frame.values():
-            for row in rows:
-                present = read_row(self.connection, row.table, row.key)
-                if not self._is_as_left(row, present):
-                    author, when = self._last_change(row)
-                    return f"{self._name(row)} was changed by {author} since{when}"
-        return None
+    def require_as_left(self) -> None:
+        """Refuses to put back a row that somebody has changed since."""
+        for row in self.rows:
+            present = read_row(self.connection, row.table, row.key)
+            if not self._is_as_left(row, present):
+                author, when = self._last_change(row)
+                raise HistoryError(f"{self._name(row)} was changed by {author} since{when}")
 
     def _is_as_left(self, row: RowChange, present: Row | None) -> bool:
         if row.after is None or present is None:
@@ -381,37 +421,15 @@ class _Restoring:
         seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
         return all(seen[name] == allowed[name] for name in row.after if name != "id")
 
-    def _classes(self) -> set[str]:
-        """The classes that the rows to put back need."""
+    def _classes(self, rows: Sequence[RowChange]) -> set[str]:
+        """The classes that rows need which were put back."""
         used = set[str]()
-        for before in (row.before for rows in self.by_frame.values() for row in rows):
+        for before in (row.before for row in rows):
             if before is not None and "class_id" in before:
                 used.add(self._terms.names[before["class_id"]])
             elif before is not None and "boxes" in before:
                 used |= {box.label for box in self._terms.boxes_2d(before["boxes"])}
         return used
-
-    def _present(self, row: RowChange, event_id: int) -> RowChange:
-        """A change with its values as changes of the attributes since would have left them."""
-        if row.table not in ("labels", "frames") or not (changes := self._changes_since(event_id)):
-            return row
-        both = []
-        for state in (row.before, row.after):
-            if state is not None and row.table == "labels":
-                state = state | values_after(self._terms, changes, self._label_of(row, state), state)
-            elif state is not None and "attributes" in state:
-                values = values_of(state["attributes"])
-                for change in changes:
-                    values = change.values(values)
-                state = state | {"attributes": values_json(values) if values else None}
-            both.append(state)
-        return RowChange(row.table, row.key, *both)
-
-    def _changes_since(self, event_id: int) -> list[Relabelling]:
-        if event_id not in self._made:
-            made = made_changes(self.connection, event_id)
-            self._made[event_id] = [each.change for each in made if each.change.changes_rows]
-        return self._made[event_id]
 
     def _label_of(self, row: RowChange, state: Row) -> str:
         """The class of a label in a state of it."""
@@ -420,17 +438,17 @@ class _Restoring:
 
     def _allowed(self, row: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
         """A state with such values only as the project allows now."""
-        attributes, allowed = self.config.attributes, dict(state)
+        attributes, allowed = self._terms.attributes, dict(state)
         if row.table == "frames" and "attributes" in state:
             of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
             values = self._fitting(of_frames, values_of(state["attributes"]), note)
             allowed["attributes"] = values_json(values) if values else None
         if row.table == "labels" and "attributes" in state:
-            of_label = self.config.attributes_of(self._label_of(row, state))
+            of_label = self._terms.attributes_of(self._label_of(row, state))
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
         if row.table == "labels" and state.get("said") is not None:
             said = self._terms.said(state["said"], None)
-            of_label = self.config.attributes_of(said.label)
+            of_label = self._terms.attributes_of(said.label)
             allowed["said"] = said_with(
                 state["said"], *(self._fitting(of_label, values, note) for values in (said.attributes, said.given))
             )
@@ -448,7 +466,7 @@ class _Restoring:
         """Author and time of the last change of a row after the action."""
         event = self._last[row.table, row.key]
         query = select(events.c.author, events.c.time_ns, events.c.rows).where(events.c.id > event.id)
-        if row.table != "adjustments":
+        if row.table != "adjustments" and event.frame_id is not None:
             query = query.where(in_moment_of(event.frame_id) | events.c.frame_id.is_(None))
         for found in self.connection.execute(query.order_by(events.c.id.desc())):
             if any((each.table, each.key) == (row.table, row.key) for each in rows_of(found.rows)):
@@ -459,7 +477,9 @@ class _Restoring:
     def _name(self, row: RowChange) -> str:
         if row.table == "labels":
             return f"the {_class_of(self.connection, row, self._last[row.table, row.key])} label"
-        return _TABLE_NAMES[row.table]
+        if row.table == "classes":
+            return f"the class {self._terms.names[int(row.key)]}"
+        return f"the attribute {row.key}" if row.table == "attributes" else _TABLE_NAMES[row.table]
 
 
 _TABLE_NAMES = {
@@ -474,7 +494,7 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
     """The class of a changed label after an event."""
     states = [row.after, row.before]
     if not any(state is not None and "class_id" in state for state in states):
-        of_frame = in_moment_of(event.frame_id) | (events.c.view_id == CLASSES)
+        of_frame = true() if event.frame_id is None else in_moment_of(event.frame_id) | events.c.frame_id.is_(None)
         query = select(events.c.rows).where(events.c.id > event.id, of_frame).order_by(events.c.id)
         later = (each for content in connection.execute(query).scalars() for each in rows_of(content))
         states += [each.before for each in later if (each.table, each.key) == ("labels", row.key)]
@@ -487,13 +507,18 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    # the words for an import need none of its rows
-    return _action_words(connection, _changes_of(connection, step.original, step.recordings, _NAMED))
+    found = connection.execute(_NAMED, {"action": step.original}).all()
+    changes = [
+        _Change(event_of(row), row.recording_id, row.key) for row in found if row.recording_id in step.recordings
+    ]
+    return _action_words(connection, changes)
 
 
 def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
     first, last = changes[0], changes[-1]
+    if first.event.view_id == CLASSES:
+        return first.event.effort_target or "change the classes"
     is_one = first.event.frame_id == last.event.frame_id
     where = f"frame {first.key}" if is_one else f"frames {first.key} to {last.key}"
     kinds = {change.event.kind for change in changes}
@@ -504,6 +529,8 @@ def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
     if first.event.kind == ADJUSTED:
         return _adjustment_words(connection, first)
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
+    if first.event.source is Source.AUTO:
+        return f"{verb} boxes ({where})"
     # not those that are replaced by new proposals, or given the track of a deleted box
     counted = {
         row.key: row

@@ -30,7 +30,7 @@ from annotator.project.changes import (
     ViewBoxesRemoved,
     ViewBoxesSet,
 )
-from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
+from annotator.project.classes.attributes import AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
 from annotator.project.database.schema import columns_of
 from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
@@ -150,18 +150,14 @@ def found_columns(write: Write, proposal: ProposalRecord) -> Row:
     return {"score": proposal.score, "proposed_box": write.terms.box_json(proposal.box, write.frame_id)} | signals
 
 
-def _attributes_of(write: Write, label: str) -> list[Attribute]:
-    return [each for each in write.config.attributes if each.is_of(label)]
-
-
 def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[int | None, Values]:
-    return of_tracks(write.connection, write.terms, write.config.attributes, write.frame_id, tracks)
+    return of_tracks(write.connection, write.terms, write.frame_id, tracks)
 
 
 def _create(write: Write, payload: NewLabel) -> None:
     if write.row("labels", payload.uid) is not None:
         raise ProjectError(f"{write.where}: label {payload.uid} exists already")
-    of_label = _attributes_of(write, payload.label)
+    of_label = write.terms.attributes_of(payload.label)
     if payload.image_box is not None:
         write.class_id(payload.image_box.label)
     row = new_label(
@@ -198,10 +194,10 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
         if row["source"] != Source.IMPORTED.value:
             write.put("labels", row["uid"], None)
     new = [entry for entry in payload.objects if entry.covered_by is None]
-    tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.config.attributes else {}
+    tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.terms.attributes else {}
     for entry in new:
         label = entry.proposal.label
-        values = new_values(_attributes_of(write, label), tracks.get(entry.track_id, {}), {})
+        values = new_values(write.terms.attributes_of(label), tracks.get(entry.track_id, {}), {})
         found = found_columns(write, entry.proposal)
         row = new_label(
             write,
@@ -218,6 +214,8 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
             attributes=values_json(values),
         )
         write.put("labels", entry.uid, row | found)
+    if payload.run is not None and write.frame_id is not None and (frame := write.row("frames", write.frame_id)):
+        write.put("frames", write.frame_id, frame | {"run_id": payload.run})
     write.keep_pass(payload.run, _in_cloud(write, payload).model_dump_json(warnings="error"))
 
 
@@ -277,10 +275,10 @@ def _tracked(write: Write, row: Row, before: str, after: str, track_id: int | No
     """What changes of a label with its class and its track; a track set by linking stays one if the id is the same."""
     is_other = track_id != row["track_id"]
     changed: Row = {"track_id": track_id, "track_linked": 0 if is_other else row["track_linked"]}
-    if write.config.attributes and (is_other or after != before):
+    if write.terms.attributes and (is_other or after != before):
         of_track = _values_of_tracks(write, [track_id]).get(track_id, {}) if is_other else {}
         present = values_of(row["attributes"])
-        changed["attributes"] = values_json(after_edit(write.config.attributes, present, before, after, of_track))
+        changed["attributes"] = values_json(after_edit(write.terms.attributes, present, before, after, of_track))
     return changed
 
 
@@ -292,7 +290,9 @@ def _set_values(write: Write, payload: LabelAttributesSet) -> None:
         )
     name = write.terms.names[row["class_id"]]
     given = {key: value for key, value in payload.attributes.items() if value is not None}
-    both = values_of(row["attributes"]) | dict(payload.attributes) | checked(_attributes_of(write, name), given, name)
+    both = (
+        values_of(row["attributes"]) | dict(payload.attributes) | checked(write.terms.attributes_of(name), given, name)
+    )
     values = {key: value for key, value in both.items() if value is not None}
     is_own = write.context.source is Source.MANUAL and write.context.effort_target in (None, payload.uid)
     changed = {"attributes": values_json(values), "values_set": int(is_own or row["values_set"])}
@@ -303,7 +303,7 @@ def _set_frame_values(write: Write, values: Mapping[str, AttributeValue]) -> Non
     assert write.frame_id is not None  # only frames have values
     row = write.row("frames", write.frame_id)
     assert row is not None  # `require_writable` has found it
-    of_frames = [each for each in write.config.attributes if each.of is AttributeOf.FRAME]
+    of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
     # values that stay as they are may be older than the schema
     present = values_of(row["attributes"])
     new = {key: value for key, value in values.items() if not is_same(value, present.get(key))}

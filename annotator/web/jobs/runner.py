@@ -217,10 +217,10 @@ class JobRunner:
         return job
 
     def stores_boxes(self, project: str, operator: str) -> bool:
-        """True while a job stores the 2D boxes of a file as an action of this operator."""
+        """True while a job stores boxes of a file, or proposals, as an action of this operator."""
         return any(
-            (job.project, job.operator, job.kind, job.state) == (project, operator, "boxes", JobState.RUNNING)
-            and job.stage != LIFT_STAGE
+            (job.project, job.operator, job.state) == (project, operator, JobState.RUNNING)
+            and (job.kind == "propose" or (job.kind == "boxes" and job.stage != LIFT_STAGE))
             for job in self.all()
         )
 

@@ -145,6 +145,7 @@ def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:
             config,
             recordings=request.recordings,
             limit=request.limit,
+            author=job.operator,
             progress=job.counter("propose boxes"),
         )
     return _proposed(done)

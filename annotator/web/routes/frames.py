@@ -156,10 +156,13 @@ class StepIn(WithEffort):
 
 
 class StepOut(Schema):
-    """The undone or redone action (`done`, in words), its frame, and the frame's present state."""
+    """The undone or redone action (`done`, in words), its frame, and the frame's present state.
 
-    frame: int
-    state: FrameStateJson
+    A change of the classes has no frame.
+    """
+
+    frame: int | None
+    state: FrameStateJson | None
     done: str
 
 
@@ -214,8 +217,8 @@ def redo(at: AtProject, body: StepIn) -> StepOut:
 def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepOut:
     ctx, project, operator = at.ctx, at.project, at.operator
     if ctx.jobs.stores_boxes(at.name, operator):
-        # the import is one action: what it stores after its undo could not be undone
-        raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
+        # it is one action: what it stores after its undo could not be undone
+        raise HistoryError("your job that stores boxes is still running; stop it or wait, then undo it as a whole")
     ctx.follow_runs.stop(project, operator)
     try:
         reverted = method(project.history, operator, skip=body.skip, effort=body.stored_effort())
@@ -226,8 +229,10 @@ def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepO
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
-    at.told(((reverted.frame_id, reverted.receipt), *reverted.others))
-    state = InFrame(ctx, at.name, operator, reverted.frame_id).state()
+    at.told(
+        (id, receipt) for id, receipt in ((reverted.frame_id, reverted.receipt), *reverted.others) if id is not None
+    )
+    state = None if reverted.frame_id is None else InFrame(ctx, at.name, operator, reverted.frame_id).state()
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 
 

@@ -29,10 +29,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     listed = await app.api.get(path);
     const focused = document.activeElement?.getAttribute("aria-label");
     const names = listed.classes.map((row) => row.name);
-    classes.replaceChildren(
-      ...listed.classes.map((row, index) => classRow(row, index, names)),
-      ...listed.unknown.map((row) => unknownRow(row, names)),
-    );
+    classes.replaceChildren(...listed.classes.map((row, index) => classRow(row, index, names)));
     attributes.replaceChildren(...schema().map((attribute) => attributeRow(attribute, names)));
     if (!schema().length) attributes.append(h("p", { class: "muted" }, "None yet."));
     const again = focused ? classes.querySelector(`[aria-label="${CSS.escape(focused)}"]`) : null;
@@ -121,15 +118,6 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
     );
   }
 
-  function unknownRow(/** @type {Api.ClassRow} */ row, /** @type {string[]} */ names) {
-    return h(
-      "p",
-      { class: "row", "data-testid": "unknown-class" },
-      h("span", { class: "grow bad" }, `No class of the project, but of ${boxesOf(row)}: ${row.name}`),
-      button("Merge", () => askMerge(row, names, change)),
-    );
-  }
-
   function attributeRow(/** @type {Attribute} */ attribute, /** @type {string[]} */ names) {
     const all = schema().map((each) => each.name);
     const index = all.indexOf(attribute.name);
@@ -166,7 +154,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
         h(
           "p",
           { class: "help" },
-          "Each change is saved at once, for everybody. Undo (Ctrl+Z) leaves classes as they are.",
+          "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back.",
         ),
         problem,
         classes,
