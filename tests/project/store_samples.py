@@ -19,6 +19,7 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.database import migrations
 from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
+from annotator.project.database.schema import AUDITED
 from annotator.project.log import new_action
 from annotator.types import (
     Box2D,
@@ -37,7 +38,7 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "classes")
+TABLES = tuple(AUDITED)
 ATTRIBUTES = (
     Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
     Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),

@@ -320,11 +320,11 @@ class History:
         store, terms = self._writer.store, Terms(connection)
         before = terms.classes, terms.attributes
         of_classes = [row for row in part.rows if row.table in SCHEMA]
-        receipt = part.put_back(write_classes(store, connection, CLASSES, context, action), of_classes)
+        receipt = part.put_back(write_classes(store, connection, CLASSES, context, action), of_classes, CLASSES)
         others = [row for row in part.rows if row.table not in SCHEMA]
         for first in range(0, len(others), BATCH):
-            context = replace(context, effort=None)
-            part.put_back(write_classes(store, connection, FOLLOWED, context, action), others[first : first + BATCH])
+            write = write_classes(store, connection, FOLLOWED, replace(context, effort=None), action)
+            part.put_back(write, others[first : first + BATCH], FOLLOWED)
         try:
             require_consistent(connection, *before)
         except ProjectError as error:
@@ -381,12 +381,12 @@ class _Part:
         self._last = {(row.table, row.key): event for event in made for row in event.rows}
         self._terms = Terms(connection)
 
-    def put_back(self, write: Write, rows: Sequence[RowChange]) -> Receipt:
+    def put_back(self, write: Write, rows: Sequence[RowChange], view: str | None = None) -> Receipt:
         """Puts rows back, with one event."""
         self._terms = write.terms
         for row in rows:
             write.put(row.table, row.key, self._target(row))
-        write.event(KIND, None if write.frame_id is not None else CLASSES if rows[0].table in SCHEMA else FOLLOWED)
+        write.event(KIND, view)
         receipt, now = write.finish(), Terms(self.connection)
         if gone := sorted(self._classes(rows) - set(now.classes)):
             raise HistoryError(f"the class {gone[0]!r} was removed")
