@@ -39,10 +39,11 @@ from annotator.project.audit.events import (
 from annotator.project.audit.writing import Receipt, Write, WriteContext
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.classes.changing import BATCH, FOLLOWED, require_consistent, write_classes
+from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.database.schema import events, frames, recordings
 from annotator.project.log import Writer, new_action, require_writable
 from annotator.project.recordings import removed_recordings
-from annotator.project.rows import Row, Terms, said_with, values_json, values_of
+from annotator.project.rows import Row, Terms, box_2d_of, said_with, values_json, values_of
 from annotator.project.sources import KIND as IMPORTED
 from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, TrackTakenError
@@ -320,10 +321,10 @@ class History:
         store, terms = self._writer.store, Terms(connection)
         before = terms.classes, terms.attributes
         of_classes = [row for row in part.rows if row.table in SCHEMA]
-        receipt = part.put_back(write_classes(store, connection, CLASSES, context, action), of_classes, CLASSES)
+        receipt = part.put_back(write_classes(store, connection, context, action), of_classes, CLASSES_CHANGED)
         others = [row for row in part.rows if row.table not in SCHEMA]
         for first in range(0, len(others), BATCH):
-            write = write_classes(store, connection, FOLLOWED, replace(context, effort=None), action)
+            write = write_classes(store, connection, replace(context, effort=None), action)
             part.put_back(write, others[first : first + BATCH], FOLLOWED)
         try:
             require_consistent(connection, *before)
@@ -381,12 +382,12 @@ class _Part:
         self._last = {(row.table, row.key): event for event in made for row in event.rows}
         self._terms = Terms(connection)
 
-    def put_back(self, write: Write, rows: Sequence[RowChange], view: str | None = None) -> Receipt:
+    def put_back(self, write: Write, rows: Sequence[RowChange], kind: str = KIND) -> Receipt:
         """Puts rows back, with one event."""
         self._terms = write.terms
         for row in rows:
             write.put(row.table, row.key, self._target(row))
-        write.event(KIND, view)
+        write.event(kind, CLASSES if write.frame_id is None else None)
         receipt, now = write.finish(), Terms(self.connection)
         if gone := sorted(self._classes(rows) - set(now.classes)):
             raise HistoryError(f"the class {gone[0]!r} was removed")
@@ -446,8 +447,13 @@ class _Part:
         if row.table == "labels" and "attributes" in state:
             of_label = self._terms.attributes_of(self._label_of(row, state))
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
+        image_box = box_2d_of(state.get("image_box"), self._terms.key)
+        if image_box is not None and image_box.label not in self._terms.classes:
+            allowed["image_box"] = None
         if row.table == "labels" and state.get("said") is not None:
             said = self._terms.said(state["said"], None)
+            if said.label not in self._terms.classes:
+                return allowed | {"said": None, "of_source": None}
             of_label = self._terms.attributes_of(said.label)
             allowed["said"] = said_with(
                 state["said"], *(self._fitting(of_label, values, note) for values in (said.attributes, said.given))

@@ -31,7 +31,7 @@ from annotator.project.changes import (
     ViewBoxesSet,
 )
 from annotator.project.classes.attributes import AttributeOf, fitting
-from annotator.project.classes.values import Values, after_edit, checked, is_same, new_values, of_tracks
+from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
 from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
@@ -304,10 +304,7 @@ def _set_frame_values(write: Write, values: Mapping[str, AttributeValue]) -> Non
     row = write.row("frames", write.frame_id)
     assert row is not None  # `require_writable` has found it
     of_frames = [each for each in write.terms.attributes if each.of is AttributeOf.FRAME]
-    # values that stay as they are may be older than the schema
-    present = values_of(row["attributes"])
-    new = {key: value for key, value in values.items() if not is_same(value, present.get(key))}
-    after = dict(values) | checked(of_frames, new, "a frame")
+    after = checked(of_frames, values, "a frame")
     write.put("frames", write.frame_id, row | {"attributes": values_json(after) if after else None})
 
 

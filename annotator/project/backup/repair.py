@@ -43,6 +43,7 @@ from annotator.project.backup.snapshot import (
     sync_files,
     write_snapshot,
 )
+from annotator.project.classes.changing import KIND as CLASSES_CHANGED
 from annotator.project.classes.changing import set_up_classes
 from annotator.project.config import CONFIG_FILE, ProjectConfig, ProjectFile, read_config, write_config
 from annotator.project.database.file import has_foreign_wal, wal_of
@@ -163,8 +164,8 @@ def remove_labels(database: Path) -> None:
         _copy_plain(source, new, Counter(), ("recordings", "frames", "models"))
         with new.write() as connection:
             # with their history: detectors that were trained before a class was renamed need it
-            of_classes = "SELECT * FROM events WHERE view_id = ? AND frame_id IS NULL ORDER BY id"
-            cursor = source.execute(of_classes, (CLASSES,))
+            of_classes = "SELECT * FROM events WHERE view_id = ? AND kind = ? AND frame_id IS NULL ORDER BY id"
+            cursor = source.execute(of_classes, (CLASSES, CLASSES_CHANGED))
             for values in cursor:
                 row = dict(zip((column[0] for column in cursor.description), values, strict=True))
                 row |= {"rows": unpacked(row["rows"]), "action": None, "undoes": None}

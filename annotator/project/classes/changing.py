@@ -25,9 +25,8 @@ from annotator.types import Source
 from annotator.types.errors import ProjectError
 from annotator.types.messages import first_problem
 
-KIND = "classes_changed"
-FOLLOWED = "classes:rows"
-"""The `view_id` of events with the rows that follow a change of the classes."""
+# The kinds of events: with rows of classes and attributes, also of their undo; with the rows that follow these.
+KIND, FOLLOWED = "classes_changed", "classes_followed"
 # Rows that are read, and changed by one event, at once: a project may have 100,000.
 BATCH = 2000
 
@@ -39,17 +38,17 @@ def change_classes(store: Store, connection: Connection, made: ClassEdit, author
     refused.
     """
     action, change = new_action(), made.change
-    write = write_classes(store, connection, CLASSES, WriteContext(0, author, effort_target=made.words), action)
+    write = write_classes(store, connection, WriteContext(0, author, effort_target=made.words), action)
     classes, attributes = write.terms.classes, write.terms.attributes
     _put_classes(write, made.config, change)
     write.event(KIND, CLASSES)
     write.finish()
     for batch in _changed_rows(connection, change) if change.changes_rows else ():
-        write = write_classes(store, connection, FOLLOWED, WriteContext(0, author), action)
+        write = write_classes(store, connection, WriteContext(0, author), action)
         for table, row, after in batch:
             write.know(table, row[AUDITED[table]], row)
             write.put(table, row[AUDITED[table]], after)
-        write.event(KIND, FOLLOWED)
+        write.event(FOLLOWED, CLASSES)
         write.finish()
     if change.removed:
         _show_others(store, connection, author, action)
@@ -58,15 +57,15 @@ def change_classes(store: Store, connection: Connection, made: ClassEdit, author
 
 def set_up_classes(store: Store, connection: Connection, config: ProjectConfig, author: str) -> None:
     """Writes the classes of a new project, which cannot be undone."""
-    write = write_classes(store, connection, CLASSES, WriteContext(0, author), None)
+    write = write_classes(store, connection, WriteContext(0, author), None)
     _put_classes(write, config, Relabelling())
     write.event(KIND, CLASSES)
     write.finish()
 
 
-def write_classes(store: Store, connection: Connection, view: str, context: WriteContext, action: str | None) -> Write:
-    """A write of the classes (`CLASSES`), or of the rows that follow (`FOLLOWED`); sets the context's revision."""
-    context = replace(context, revision=next_revision(connection, view) - 1)
+def write_classes(store: Store, connection: Connection, context: WriteContext, action: str | None) -> Write:
+    """A write of the classes, or of the rows that follow; sets the context's revision."""
+    context = replace(context, revision=next_revision(connection, CLASSES) - 1)
     return Write(store, connection, None, "the classes", context, action)
 
 
@@ -181,7 +180,7 @@ def _changed_label(terms: Terms, change: Relabelling, row: Row) -> Row | None:
 
 # --- what was changed -------------------------------------------------------------------------------------------------
 
-_OF_CLASSES = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None)  # as the index has it
+_OF_CLASSES = (events.c.view_id == CLASSES) & events.c.frame_id.is_(None) & (events.c.kind == KIND)
 
 
 @dataclass(frozen=True)

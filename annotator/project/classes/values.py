@@ -68,11 +68,6 @@ def checked(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue
         raise ProjectError(f"{what}: {error}") from error
 
 
-def is_same(a: AttributeValue, b: AttributeValue | None) -> bool:
-    """Whether values are equal, and of the same type: true is not 1."""
-    return type(a) is type(b) and a == b
-
-
 def of_tracks(
     connection: Connection, terms: Terms, frame_id: int | None, tracks: Collection[int | None]
 ) -> dict[int | None, Values]:
