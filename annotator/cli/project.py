@@ -58,6 +58,31 @@ def run_move(
     print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
 
 
+def run_undo(
+    project: options.ProjectName,
+    /,
+    *,
+    author: str | None = None,
+    redo: bool = False,
+    projects: options.Projects = None,
+) -> None:
+    """Undo the last action: a whole run of `annotate` or `lift`, a change of the classes, or what was done on the page.
+
+    It is refused where somebody has changed the same since.
+
+    Args:
+        author: whose last action; default: the last one of all.
+        redo: redo what was undone last.
+    """
+    with options.open_named(project, projects) as opened:
+        history = opened.history
+        name = author or history.last_author(undone=redo)
+        if name is None:
+            raise ConfigError(f"{project} has nothing to {'redo' if redo else 'undo'}")
+        done = (history.redo if redo else history.undo)(name)
+    print_line(f"{'redone' if redo else 'undone'}: {done.words}, by {name}")
+
+
 REMOVE_AUTHOR = "annotator project remove"
 
 

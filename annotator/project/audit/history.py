@@ -92,6 +92,8 @@ _ACTIONS = (
     .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
     .order_by(events.c.id)
 )
+_AUTHORS = select(events.c.author).where(events.c.action.is_not(None)).distinct()
+_LAST_OF_ACTION = select(func.max(events.c.id)).where(events.c.action == bindparam("action"))
 _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
 # The words for a pass, an import or a change of the classes need none of their rows.
 _NAMED = (
@@ -231,6 +233,19 @@ class History:
                 None if redo is None else stacks.description(connection, redo),
             )
 
+    def last_author(self, *, undone: bool = False) -> str | None:
+        """The author of the project's newest action that can be undone, or redone (`undone`); None without any."""
+        newest = dict[int, str]()
+        with self._writer.store.read() as connection:
+            removed = removed_recordings(connection)
+            for author in connection.execute(_AUTHORS).scalars().all():
+                with self._stacks(connection, author) as stacks:
+                    step = next(_without(stacks.redo if undone else stacks.undo, removed), None)
+                if step is not None:
+                    of_step = {"action": step.action if undone else step.original}
+                    newest[connection.execute(_LAST_OF_ACTION, of_step).scalar_one()] = author
+        return newest[max(newest)] if newest else None
+
     def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
         """Reverts the operator's last action.
 
@@ -283,7 +298,7 @@ class History:
     def _restore(
         self,
         connection: Connection,
-        parts: Mapping[int | None, Sequence[int]],
+        parts: dict[int | None, list[int]],
         author: str,
         step: Step,
         effort: Effort | None,
@@ -402,8 +417,9 @@ class _Part:
             return adjustment_row(int(change.key), Adjustment(None)) | {"up": self.connection.execute(up).scalar_one()}
         if change.before is None:
             # rows and events may name a class by its id
-            is_class = change.table == "classes" and present is not None
-            return present | {"position": None, "colour": None, "shortcut": None} if is_class else None
+            if change.table != "classes" or present is None:
+                return None
+            return present | {"position": None, "colour": None, "shortcut": None}
         before = self._allowed(change, change.before, present)
         return before if present is None else present | before
 

@@ -301,7 +301,8 @@ class Write:
                 _OF_CLASS, {"id": change.key, "named": f'"label":"{change.key}"'}
             )
             return {frame_id for (frame_id,) in found}
-        return {row.get("id" if change.table == "frames" else "frame_id")} - {None}
+        frame_id = row.get("id" if change.table == "frames" else "frame_id")
+        return set() if frame_id is None else {frame_id}
 
     def _track_with_two(self) -> int:
         """The track with two boxes in the frame, after an attempt to store both."""

@@ -25,7 +25,6 @@ from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.records import (
     HEAVY,
-    LIFT_STAGE,
     PAUSE,
     RESUME,
     SERVER_STOPPED,
@@ -220,7 +219,7 @@ class JobRunner:
         """True while a job stores boxes of a file, or proposals, as an action of this operator."""
         return any(
             (job.project, job.operator, job.state) == (project, operator, JobState.RUNNING)
-            and (job.kind == "propose" or (job.kind == "boxes" and job.stage != LIFT_STAGE))
+            and job.kind in ("boxes", "propose", "lift")
             for job in self.all()
         )
 

@@ -155,7 +155,7 @@ def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
     """Proposes 3D boxes from the 2D boxes on the images, without any training."""
     job.progress("load the view detector")
     boxes, view = drawn_boxes(job.project, only_without_labels=True), require_view(job.project)
-    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter(LIFT_STAGE))
+    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter(LIFT_STAGE), job.operator)
     return _proposed(done, f", measured by: {view.title}")
 
 
@@ -187,10 +187,9 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
     )
     outcome = _imported(done)
     if view is not None:
-        # from here on, the import can be undone
         job.progress(LIFT_STAGE)
         lifted = _proposed(
-            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE)),
+            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE), job.operator),
             f", measured by: {view.title}",
         )
         outcome = Outcome(f"{outcome.message}; {lifted.message}", outcome.result | lifted.result)

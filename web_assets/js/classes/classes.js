@@ -151,11 +151,7 @@ export async function editClasses(/** @type {App} */ app, /** @type {string} */ 
       testid: "classes-dialog",
       wide: true,
       content: [
-        h(
-          "p",
-          { class: "help" },
-          "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back.",
-        ),
+        h("p", { class: "help" }, "Each change is saved at once, for everybody. Undo (Ctrl+Z) takes it back."),
         problem,
         classes,
         h("div", { class: "row" }, name, button("Add", add, { "data-testid": "add-class" })),
