@@ -119,6 +119,29 @@ def test_other_settings_or_detectors_process_all_frames_again(
     assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
 
 
+def test_a_batch_is_one_action_of_who_started_it(people: Project, knowing: Knowing) -> None:
+    def batch(config: RcvConfig, limit: int) -> tuple[int, int]:
+        engine = InlineEngine(GivenDetectors(knowing("people")))
+        done = annotate_with(people, engine, config, limit=limit, author="ann")
+        return done.done, done.skipped
+
+    def proposals() -> set[tuple[int, str]]:
+        return {(stored.frame_id, stored.label.uid) for stored in people.labels.select()}
+
+    other = FAST.model_copy(update={"max_steps": 2})
+    assert batch(FAST, 2) == (2, 0)
+    first = proposals()
+    assert batch(other, 3) == (3, 0)
+    second = proposals()
+    assert people.history.undo("ann").words == "propose boxes (frames 000000 to 000002)"
+    assert proposals() == first
+    # what the frames were processed with comes back, too
+    assert {frame.key for frame in people.jobs.pending(people.jobs.all()[0].key)} == {"000002", "000003", "000004"}
+    people.history.redo("ann")
+    assert proposals() == second
+    assert batch(other, 1) == (1, 3)
+
+
 def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Knowing) -> None:
     up = open_recording(hands.recordings.all()[0].path).frame(0).up
     level = {}
