@@ -8,14 +8,11 @@ import time
 
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.records import (
-    LIFT_STAGE,
-    BoxesRequest,
     CurvePoint,
     ImportRequest,
     JobContext,
     Outcome,
     ProposeRequest,
-    TrainRequest,
 )
 from annotator.web.jobs.worker import AUTOGROUP
 
@@ -49,21 +46,3 @@ def work(job: JobContext, request: ProposeRequest | ImportRequest) -> Outcome:
     group = AUTOGROUP.read_text().split() if os.access(AUTOGROUP, os.W_OK) else []
     priority = {"nice": os.nice(0), "group": int(group[-1]) if group else None, "omp": os.environ["OMP_WAIT_POLICY"]}
     return Outcome("counted to 2", priority)
-
-
-def boxes(job: JobContext, request: BoxesRequest) -> Outcome:
-    """Is at each stage of an import until a file `go_on` appears in the project's folder, or until it is stopped."""
-    for stage in ("store the 2D boxes", LIFT_STAGE):
-        while stage == LIFT_STAGE or not (job.project.path / "go_on").exists():
-            job.progress(stage)
-            time.sleep(0.01)
-    return Outcome("imported", {})
-
-
-def train(job: JobContext, request: TrainRequest) -> Outcome:
-    """Reports progress until it is stopped."""
-    job.measured(CurvePoint(role="view", epoch=1, metrics={"map50": 0.5}))
-    for number in range(100_000):
-        job.progress("learn", float(number), 100_000.0)
-        time.sleep(0.01)
-    return Outcome("learned", {})

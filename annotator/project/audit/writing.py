@@ -26,7 +26,7 @@ from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
 from annotator.project.rows import Row, Terms
 from annotator.types import ReviewState, Source
-from annotator.types.errors import ProjectError, TrackTakenError
+from annotator.types.errors import HistoryError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
 
 # Frames with boxes of a class, hidden ones included.
@@ -242,8 +242,12 @@ class Write:
 
         Raises:
             TrackTakenError: a track would get a second box in the frame.
+            HistoryError: the action is a long one, and was undone meanwhile.
         """
         context, stored = self.context, list[Event]()
+        undone = "SELECT 1 FROM events WHERE undoes = ?"
+        if self._action is not None and driver_of(self.connection).execute(undone, (self._action,)).fetchone():
+            raise HistoryError("it was undone while it was running, so it has ended")
         for revision, (kind, view, rows) in enumerate(self._events, context.revision + 1):
             event = Event(
                 id=0,

@@ -357,6 +357,7 @@ _INDEXES = (
     "CREATE UNIQUE INDEX events_of_view ON events (view_id, revision) WHERE frame_id IS NULL",
     "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
     "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
+    "CREATE INDEX undone_actions ON events (undoes) WHERE undoes IS NOT NULL",
     "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
     "CREATE INDEX labels_of_frame ON labels (frame_id, state, hidden, behind)",
     "CREATE INDEX labels_of_moment ON labels (moment_id)",

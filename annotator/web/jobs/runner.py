@@ -215,14 +215,6 @@ class JobRunner:
                     self._workers[aside.id].stop()
         return job
 
-    def stores_boxes(self, project: str, operator: str) -> bool:
-        """True while a job stores boxes of a file, or proposals, as an action of this operator."""
-        return any(
-            (job.project, job.operator, job.state) == (project, operator, JobState.RUNNING)
-            and job.kind in ("boxes", "propose", "lift")
-            for job in self.all()
-        )
-
     def is_idle(self) -> bool:
         return all(job.state.ended for job in self.all())
 

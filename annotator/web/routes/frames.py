@@ -203,7 +203,7 @@ def changes(at: AtFrame, body: ChangesIn) -> JSONResponse:
 def undo(at: AtProject, body: StepIn) -> StepOut:
     """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first.
 
-    Refused while 2D boxes of a file are being stored for this operator.
+    A job that is undone while it stores boxes ends.
     """
     return _step(at, body, History.undo)
 
@@ -216,9 +216,6 @@ def redo(at: AtProject, body: StepIn) -> StepOut:
 
 def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepOut:
     ctx, project, operator = at.ctx, at.project, at.operator
-    if ctx.jobs.stores_boxes(at.name, operator):
-        # it is one action: what it stores after its undo could not be undone
-        raise HistoryError("your job that stores boxes is still running; stop it or wait, then undo it as a whole")
     ctx.follow_runs.stop(project, operator)
     try:
         reverted = method(project.history, operator, skip=body.skip, effort=body.stored_effort())

@@ -23,7 +23,7 @@ from annotator.project.proposals import RunShare
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
-from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
+from annotator.types.errors import ConfigError, FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
 from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Task, pickle_exactly
@@ -96,6 +96,8 @@ class Batch:
             self.summary.skipped += 1
             self.summary.frames -= 1
             return
+        except HistoryError:  # undone since
+            raise
         except Exception as error:
             self._fail(frame, failure(error, answer.seconds))
             return

@@ -16,7 +16,7 @@ from annotator.project import BoxRotation, NewLabel, Project, Status, WriteConte
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
-from annotator.types.errors import ConfigError, ProjectError
+from annotator.types.errors import ConfigError, HistoryError, ProjectError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
@@ -140,6 +140,14 @@ def test_a_batch_is_one_action_of_who_started_it(people: Project, knowing: Knowi
     people.history.redo("ann")
     assert proposals() == second
     assert batch(other, 1) == (1, 3)
+
+
+def test_a_batch_that_is_undone_meanwhile_ends(people: Project, knowing: Knowing) -> None:
+    inner = knowing("people")
+    detectors = Wrapped(inner, key="000004", act=lambda: people.history.undo("rcv")).pair(inner)
+    with pytest.raises(HistoryError, match="it was undone while it was running"):
+        annotate(people, detectors, FAST)
+    assert (people.labels.select(), len(people.jobs.results())) == ((), TASK_FRAMES)
 
 
 def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Knowing) -> None:
