@@ -172,7 +172,7 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
-    if row.removed_ns is not None:
+    if row.removed_ns is not None and context.undoes is None:
         raise NotFoundError(f"{where}: the recording was removed from the project; add it again to change its labels")
     if row.finalised and context.source is Source.AUTO:
         raise FinalisedFrameError(f"{where} is finalised, so automatic passes may not change it; reopen it first")

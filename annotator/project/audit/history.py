@@ -4,9 +4,8 @@ An undo puts back the columns that an action has changed, where they are still a
 So a redo is the undo of an undo. The order of an author's actions determines both stacks: a new action empties the redo
 stack. A batch pass is one action of who has started it; a change of the classes is one with the rows that follow it.
 
-An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
-the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
-parts of such an action are undone, and redone, one after the other from then on.
+An action in recordings that are all removed from the project keeps its place in its stack, and is offered when one of
+them is back. Another one is reverted as a whole, with the hidden boxes of removed recordings.
 """
 
 from __future__ import annotations
@@ -75,22 +74,18 @@ CLASSES_RECORDING = 0
 
 
 # Built once: a save runs both, and building them takes longer than running them.
-_OF_ACTION = (
-    select(events.c.id, events.c.frame_id, func.coalesce(frames.c.recording_id, CLASSES_RECORDING))
+_OF_ACTION, _ACTIONS = (
+    select(*columns, func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"))
     .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
-    .where(events.c.action == bindparam("action"))
+    .where(*of)
     .order_by(events.c.id)
-)
-_ACTIONS = (
-    select(
-        events.c.id,
-        events.c.action,
-        events.c.undoes,
-        func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"),
+    for columns, of in (
+        ((events.c.id, events.c.frame_id), [events.c.action == bindparam("action")]),
+        (
+            (events.c.id, events.c.action, events.c.undoes),
+            [events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last")],
+        ),
     )
-    .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
-    .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
-    .order_by(events.c.id)
 )
 _AUTHORS = select(events.c.author).where(events.c.action.is_not(None)).distinct()
 _LAST_OF_ACTION = select(func.max(events.c.id)).where(events.c.action == bindparam("action"))
@@ -98,20 +93,10 @@ _NEWEST = select(func.coalesce(func.max(events.c.id), 0))
 # The words for a pass, an import or a change of the classes need none of their rows.
 _NAMED = (
     select(*without_rows((events.c.source != Source.MANUAL.value) | events.c.frame_id.is_(None)), frames.c.key)
-    .add_columns(func.coalesce(frames.c.recording_id, CLASSES_RECORDING).label("recording_id"))
     .outerjoin_from(events, frames, frames.c.id == events.c.frame_id)
     .where(events.c.action == bindparam("action"))
     .order_by(events.c.id)
 )
-
-
-@dataclass(frozen=True)
-class _Change:
-    """One event of an action, with its frame's recording and key."""
-
-    event: Event
-    recording_id: int
-    key: str
 
 
 @dataclass(frozen=True)
@@ -121,12 +106,10 @@ class Step:
     Attributes:
         action: the action to revert: the original one, or its latest undo or redo.
         original: the operator's original action.
-        recordings: ids of the recordings in which it is to be reverted.
     """
 
     action: str
     original: str
-    recordings: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -154,16 +137,16 @@ class _Stacks:
     """An operator's stacks after the event `last`.
 
     Attributes:
-        known: the recordings of all actions so far.
-        words: descriptions, by original action and then by the recordings in which it would be reverted.
+        recordings: of all actions so far.
+        words: descriptions, by original action.
         lock: held by the thread that uses them.
     """
 
     last: int = 0
-    known: dict[str, set[int]] = field(default_factory=dict)
+    recordings: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
-    words: dict[str, dict[frozenset[int], str]] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def follow(self, connection: Connection, author: str) -> None:
@@ -172,48 +155,35 @@ class _Stacks:
             self.last = row.id
             # an action that is written in several calls has its place since the first
             self.words.pop(row.action, None)
-            if row.recording_id not in self.known.get(row.action, ()):
-                self.add(row.action, row.undoes, row.recording_id)
+            if row.action not in self.recordings:
+                self._add(row.action, row.undoes)
+            self.recordings.setdefault(row.action, set()).add(row.recording_id)
 
     def description(self, connection: Connection, step: Step) -> str:
         """What a step has done, in words."""
-        known = self.words.setdefault(step.original, {})
-        if step.recordings not in known:
-            known[step.recordings] = _description(connection, step)
-        return known[step.recordings]
+        if step.original not in self.words:
+            self.words[step.original] = _description(connection, step)
+        return self.words[step.original]
 
-    def add(self, action: str, undoes: str | None, recording: int) -> None:
-        """Updates both stacks with what the operator's latest action has changed in one more recording."""
-        is_new = action not in self.known
-        self.known.setdefault(action, set()).add(recording)
+    def offered(self, steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
+        """Yields the steps of a stack that change more than these recordings, the newest first."""
+        return (step for step in reversed(steps) if not self.recordings[step.action] <= set(removed))
+
+    def _add(self, action: str, undoes: str | None) -> None:
         if undoes is None:
-            if is_new:
-                self.redo.clear()
-            _put(self.undo, Step(action, action, frozenset({recording})), is_new)
+            self.redo.clear()
+            self.undo.append(Step(action, action))
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
-            index = _place(source, undoes)
+            index = next((n for n, step in enumerate(source) if step.action == undoes), None)
             if index is not None:
-                _put(target, Step(action, source[index].original, frozenset({recording})), is_new)
-                # the entries above were skipped: in this recording because others have changed their targets, in
-                # others perhaps because these are removed
-                above = (replace(step, recordings=step.recordings - {recording}) for step in source[index:])
-                source[index:] = [step for step in above if step.recordings]
+                target.append(Step(action, source[index].original))
+                # those above were skipped: others have changed the same, or their recordings were removed
+                changed = self.recordings[undoes]
+                source[index:] = [
+                    step for step in source[index + 1 :] if changed.isdisjoint(self.recordings[step.action])
+                ]
                 return
-
-
-def _place(steps: Sequence[Step], action: str) -> int | None:
-    """The index of an action in a stack."""
-    return next((n for n in reversed(range(len(steps))) if steps[n].action == action), None)
-
-
-def _put(steps: list[Step], step: Step, is_new: bool) -> None:
-    """Adds a step on top, or, unless it is new, its recordings to the step of the same action."""
-    index = None if is_new else _place(steps, step.action)
-    if index is None:
-        steps.append(step)
-    else:
-        steps[index] = replace(step, recordings=steps[index].recordings | step.recordings)
 
 
 class History:
@@ -227,7 +197,7 @@ class History:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
         with self._writer.store.read() as connection, self._stacks(connection, author) as stacks:
             removed = removed_recordings(connection)
-            undo, redo = (next(_without(steps, removed), None) for steps in (stacks.undo, stacks.redo))
+            undo, redo = (next(stacks.offered(steps, removed), None) for steps in (stacks.undo, stacks.redo))
             return (
                 None if undo is None else stacks.description(connection, undo),
                 None if redo is None else stacks.description(connection, redo),
@@ -240,7 +210,7 @@ class History:
             removed = removed_recordings(connection)
             for author in connection.execute(_AUTHORS).scalars().all():
                 with self._stacks(connection, author) as stacks:
-                    step = next(_without(stacks.redo if undone else stacks.undo, removed), None)
+                    step = next(stacks.offered(stacks.redo if undone else stacks.undo, removed), None)
                 if step is not None:
                     of_step = {"action": step.action if undone else step.original}
                     newest[connection.execute(_LAST_OF_ACTION, of_step).scalar_one()] = author
@@ -265,13 +235,16 @@ class History:
         name = "undo" if is_undo else "redo"
         with self._writer.store.write() as connection:
             with self._stacks(connection, author) as stacks:
-                kept = stacks.undo if is_undo else stacks.redo
-                steps = list(_without(kept, removed_recordings(connection)))
+                removed = removed_recordings(connection)
+                steps = list(stacks.offered(stacks.undo if is_undo else stacks.redo, removed))
             if not steps:
                 raise HistoryError(f"{author} has nothing to {name}")
             some_left = False
             for step in steps:
-                parts, left_out = _parts(connection, step), set[str]()
+                parts, away, left_out = dict[int | None, list[int]](), set[int | None](), set[str]()
+                for row in connection.execute(_OF_ACTION, {"action": step.action}):
+                    parts.setdefault(row.frame_id, []).append(row.id)
+                    away |= {row.frame_id} if row.recording_id in removed else set()
                 try:
                     with connection.begin_nested():
                         receipts = self._restore(connection, parts, author, step, effort, left_out)
@@ -281,7 +254,7 @@ class History:
                         raise HistoryError(
                             f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
                             f"{error}; nothing was changed; both versions are in the log",
-                            frame_id=next((frame_id for frame_id in parts if frame_id is not None), None),
+                            frame_id=next((frame_id for frame_id in parts if frame_id not in away | {None}), None),
                         ) from error
                     continue
                 if receipts:
@@ -289,7 +262,8 @@ class History:
             else:
                 why = ": others have changed the same data, or its class was removed" if some_left else ""
                 raise HistoryError(f"{author} has nothing {'left ' if some_left else ''}to {name}{why}")
-            (first, receipt), *others = receipts.items()
+            shown = {frame_id: receipt for frame_id, receipt in receipts.items() if frame_id not in away} or receipts
+            (first, receipt), *others = shown.items()
             words = _description(connection, step)
             if left_out:
                 words += f"; without values that the project no longer allows: {', '.join(sorted(left_out))}"
@@ -327,7 +301,7 @@ class History:
             for row in part.rows:
                 if row.table == "adjustments" and frame_id is not None:
                     make_stale(connection, int(row.key), frame_id)
-        if removed_recordings(connection):  # labels of other cameras of the moment may be there again
+        if removed_recordings(connection):  # labels of removed recordings may be there again
             hide_removed(connection)
         return dict(reversed(receipts.items()))
 
@@ -360,22 +334,6 @@ class History:
             stacks = kept if kept.last <= connection.execute(_NEWEST).scalar_one() else _Stacks()
             stacks.follow(connection, author)
             yield stacks
-
-
-def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
-    """Yields the steps of a stack without some recordings, newest first."""
-    for step in reversed(steps):
-        if left := step.recordings.difference(removed):
-            yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
-
-
-def _parts(connection: Connection, step: Step) -> dict[int | None, list[int]]:
-    """Ids of the events of an action, in order, by frame; None: of the classes, and of what has followed them."""
-    found = dict[int | None, list[int]]()
-    for id, frame_id, recording_id in connection.execute(_OF_ACTION, {"action": step.action}):
-        if recording_id in step.recordings:
-            found.setdefault(frame_id, []).append(id)
-    return found
 
 
 class _Part:
@@ -529,49 +487,44 @@ def _class_of(connection: Connection, row: RowChange, event: Event) -> str:
 
 
 def _description(connection: Connection, step: Step) -> str:
-    found = connection.execute(_NAMED, {"action": step.original}).all()
-    changes = [
-        _Change(event_of(row), row.recording_id, row.key) for row in found if row.recording_id in step.recordings
-    ]
-    return _action_words(connection, changes)
-
-
-def _action_words(connection: Connection, changes: Sequence[_Change]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
-    first, last = changes[0], changes[-1]
-    if first.event.view_id == CLASSES:
-        return first.event.effort_target or "change the classes"
-    is_one = first.event.frame_id == last.event.frame_id
-    where = f"frame {first.key}" if is_one else f"frames {first.key} to {last.key}"
-    kinds = {change.event.kind for change in changes}
-    if first.event.source is Source.IMPORTED:
-        what = f"boxes of {first.event.effort_target}" if first.event.kind == IMPORTED else ""
+    rows = connection.execute(_NAMED, {"action": step.original}).all()
+    made, keys = [event_of(row) for row in rows], [row.key for row in rows]
+    first, last = made[0], made[-1]
+    if first.view_id == CLASSES:
+        return first.effort_target or "change the classes"
+    is_one = first.frame_id == last.frame_id
+    where = f"frame {keys[0]}" if is_one else f"frames {keys[0]} to {keys[-1]}"
+    kinds = {event.kind for event in made}
+    if first.source is Source.IMPORTED:
+        what = f"boxes of {first.effort_target}" if first.kind == IMPORTED else ""
         what = what or ("3D boxes" if any(kind.startswith("label") for kind in kinds) else "2D boxes")
         return f"import {what} ({where})"
-    if first.event.kind == ADJUSTED:
+    if first.kind == ADJUSTED:
         return _adjustment_words(connection, first)
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
-    if first.event.source is Source.AUTO:
+    if first.source is Source.AUTO:
         return f"{verb} boxes ({where})"
     # not those that are replaced by new proposals, or given the track of a deleted box
     counted = {
         row.key: row
-        for change in changes
-        for row in change.event.rows
-        if row.table == "labels" and kind in ("", change.event.kind) and not row.is_behind
+        for event in made
+        for row in event.rows
+        if row.table == "labels" and kind in ("", event.kind) and not row.is_behind
     }
     if len(counted) > 1:
         return f"{verb} {len(counted)} labels ({where})"
     for row in counted.values():
-        return f"{verb} {_class_of(connection, row, last.event)} ({where})"
+        return f"{verb} {_class_of(connection, row, last)} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
 
 
-def _adjustment_words(connection: Connection, change: _Change) -> str:
+def _adjustment_words(connection: Connection, event: Event) -> str:
     """Such as "set up of room-3"."""
-    named = select(recordings.c.name).where(recordings.c.id == change.recording_id)
+    named = select(recordings.c.name).join(frames, frames.c.recording_id == recordings.c.id)
+    named = named.where(frames.c.id == event.frame_id)
     is_turned = False
-    for row in change.event.rows:  # none, where it was set to what it was
+    for row in event.rows:  # none, where it was set to what it was
         before, after = (adjustment_row(0, Adjustment(None)) | (state or {}) for state in (row.before, row.after))
         is_turned = row.before is None and before["correction"] != after["correction"]
         is_turned |= row.before is not None and "correction" in row.before
