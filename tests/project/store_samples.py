@@ -26,7 +26,6 @@ from annotator.types import (
     BoxKind,
     BoxTrace,
     Correction,
-    LostObject,
     OrientedBox,
     Proposal,
     Quality,
@@ -81,11 +80,6 @@ def proposal_at(
     trace = tuple(step_trace(views) for _ in range(steps))
     image_box = Box2D(label, 1.0, 2.0, 30.5, 40.25, 0.8)
     return Proposal(label, score, box_at(x_m, size_m), image_box, trace, Quality(0.125, 0.9, 0.01))
-
-
-def lost_object() -> LostObject:
-    step = StepTrace("camera", (), (), None, 20, 0, StopReason.LOST)
-    return LostObject("hand", Box2D("hand", 0.0, 0.0, 5.0, 5.0, 0.4), (step,))
 
 
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:
@@ -161,7 +155,6 @@ def actions(
             frame.id,
             [proposal_at(2.0 * n + 0.1 * b, ("hand", "person")[n % 2]) for n in range(a)],
             by_machine(frame.revision - behind),
-            lost=[lost_object()] * b,
         ),
         "bring": lambda: project.proposals.bring(
             f"detector {b}",

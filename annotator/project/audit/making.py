@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.adjusting import moved_box
 from annotator.project.audit.writing import Write
 from annotator.project.changes import (
     REQUESTED,
@@ -33,9 +32,9 @@ from annotator.project.changes import (
 from annotator.project.classes.attributes import AttributeOf, fitting
 from annotator.project.classes.values import Values, after_edit, checked, new_values, of_tracks
 from annotator.project.database.schema import columns_of
-from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, suggestion_json
+from annotator.project.records import OWN, SaidRecord, suggestion_json
 from annotator.project.rows import Row, number_or_none, values_json, values_of
-from annotator.types import ReviewState, Source
+from annotator.types import Proposal, ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 
@@ -144,17 +143,17 @@ def said_row(write: Write, said: SaidRecord, **columns: Any) -> Row:
     return row | columns
 
 
-def found_columns(write: Write, proposal: ProposalRecord) -> Row:
+def _found(write: Write, proposal: Proposal) -> Row:
     """The columns of a label that come from the recursion."""
     signals = {name: number_or_none(value) for name, value in vars(proposal.quality).items()}
-    return {"score": proposal.score, "proposed_box": write.terms.box_json(proposal.box, write.frame_id)} | signals
+    return {"score": proposal.score, "proposed_box": write.box_json(proposal.box)} | signals
 
 
 def _values_of_tracks(write: Write, tracks: Collection[int | None]) -> Mapping[int | None, Values]:
     return of_tracks(write.connection, write.terms, write.frame_id, tracks)
 
 
-def _create(write: Write, payload: NewLabel) -> None:
+def _create(write: Write, payload: NewLabel, run: int | None = None) -> None:
     if write.row("labels", payload.uid) is not None:
         raise ProjectError(f"{write.where}: label {payload.uid} exists already")
     of_label = write.terms.attributes_of(payload.label)
@@ -164,7 +163,7 @@ def _create(write: Write, payload: NewLabel) -> None:
         write,
         payload.uid,
         payload.label,
-        box=write.terms.box_json(BoxRecord.of(payload.box), write.frame_id),
+        box=write.box_json(payload.box),
         score=payload.score,
         state=payload.state.value,
         track_id=payload.track_id,
@@ -172,11 +171,12 @@ def _create(write: Write, payload: NewLabel) -> None:
         box_kind=payload.box_kind.value,
         image_box=write.terms.box_2d_json(payload.image_box),
         suggestion=suggestion_json(payload.suggestion),
+        run_id=run,
     )
     if payload.is_requested:
         given = fitting(of_label, payload.attributes)
         row |= {"source": Source.AUTO.value, "track_linked": int(payload.track_id is not None)}
-        row |= {} if payload.proposal is None else found_columns(write, ProposalRecord.of(payload.proposal))
+        row |= {} if payload.proposal is None else _found(write, payload.proposal)
     else:
         given = checked(of_label, payload.attributes, payload.label)
     of_track = _values_of_tracks(write, [payload.track_id]).get(payload.track_id, {})
@@ -193,43 +193,12 @@ def _replace_proposals(write: Write, payload: ProposalsReplaced) -> None:
     for row in write.open_proposals():
         if row["source"] != Source.IMPORTED.value:
             write.put("labels", row["uid"], None)
-    new = [entry for entry in payload.objects if entry.covered_by is None]
-    tracks = _values_of_tracks(write, [entry.track_id for entry in new]) if write.terms.attributes else {}
-    for entry in new:
-        label = entry.proposal.label
-        values = new_values(write.terms.attributes_of(label), tracks.get(entry.track_id, {}), {})
-        found = found_columns(write, entry.proposal)
-        row = new_label(
-            write,
-            entry.uid,
-            label,
-            box=found["proposed_box"],
-            state=ReviewState.PROPOSED.value,
-            # the source of a proposal is AUTO, whoever started the pass
-            source=Source.AUTO.value,
-            track_id=entry.track_id,
-            track_linked=int(entry.track_id is not None),
-            run_id=payload.run,
-            box_kind=payload.box_kind.value,
-            attributes=values_json(values),
-        )
-        write.put("labels", entry.uid, row | found)
+    for each in payload.new:
+        _create(write, each, payload.run)
     if payload.run is not None and write.frame_id is not None and (frame := write.row("frames", write.frame_id)):
         write.put("frames", write.frame_id, frame | {"run_id": payload.run})
-    write.keep_pass(payload.run, _in_cloud(write, payload).model_dump_json(warnings="error"))
-
-
-def _in_cloud(write: Write, payload: ProposalsReplaced) -> ProposalsReplaced:
-    """A pass with its boxes, but not its traces, in the frame of the cloud."""
-    if (T := write.terms.T_camera_cloud(write.frame_id)) is None:
-        return payload
-    moved = [
-        entry.model_copy(
-            update={"proposal": entry.proposal.model_copy(update={"box": moved_box(entry.proposal.box, T.inv())})}
-        )
-        for entry in payload.objects
-    ]
-    return payload.model_copy(update={"objects": tuple(moved)})
+    found = [(write.class_id(each.label), each.score, write.box_json(each.box)) for each in payload.found]
+    write.keep_pass(json.dumps(found, separators=(",", ":")))
 
 
 def _link(write: Write, linked: LinkedLabel) -> None:

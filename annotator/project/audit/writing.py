@@ -24,8 +24,9 @@ from annotator.project.audit.events import (
 from annotator.project.classes.values import is_kept
 from annotator.project.database.schema import columns_of, packed
 from annotator.project.database.store import Store, driver_of
+from annotator.project.records import BoxRecord
 from annotator.project.rows import Row, Terms
-from annotator.types import ReviewState, Source
+from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError, TrackTakenError
 from annotator.types.messages import alternatives
 
@@ -106,8 +107,9 @@ class Write:
         self._knows_all = False
         self._rows: list[RowChange] = []
         self._events: list[tuple[str, str | None, tuple[RowChange, ...]]] = []
-        self._pass: tuple[int | None, str] | None = None
+        self._pass: str | None = None
         self._next_id: int | None = None
+        self._boxes = dict[OrientedBox, str]()
         # frames whose labels or values a change of the classes has changed
         self._stale = set[int]()
 
@@ -226,6 +228,12 @@ class Write:
             )
         return self.terms.ids[name]
 
+    def box_json(self, box: OrientedBox) -> str:
+        """A 3D box, camera frame, as it is stored; made once for the label and for what a pass has found."""
+        if box not in self._boxes:
+            self._boxes[box] = self.terms.box_json(BoxRecord.of(box), self.frame_id)
+        return self._boxes[box]
+
     # --- events -------------------------------------------------------------------------------------------------------
 
     def event(self, kind: str, view: str | None = None) -> None:
@@ -233,9 +241,9 @@ class Write:
         self._events.append((kind, view, tuple(as_one(self._rows))))
         self._rows = []
 
-    def keep_pass(self, run: int | None, content: str) -> None:
-        """Keeps the traces of an automatic pass in the place of those of the one before."""
-        self._pass = run, content
+    def keep_pass(self, content: str) -> None:
+        """Keeps what an automatic pass has found in the place of what the one before has."""
+        self._pass = content
 
     def finish(self) -> Receipt:
         """Stores the rows and the events.
@@ -268,9 +276,8 @@ class Write:
         if stored:
             self._apply(stored)
         if self._pass is not None:
-            run, content = self._pass
-            values = (self.frame_id, stored[0].id, run, packed(content))
-            self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?, ?)", values)
+            values = (self.frame_id, stored[0].id, packed(self._pass))
+            self.connection.exec_driver_sql("INSERT OR REPLACE INTO passes VALUES (?, ?, ?)", values)
         return Receipt(tuple(event.id for event in stored), context.revision + len(stored))
 
     def _apply(self, stored: list[Event]) -> None:

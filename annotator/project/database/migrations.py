@@ -278,12 +278,12 @@ CREATE TABLE adjustments (
     event_id INTEGER NOT NULL REFERENCES events (id)
 )
 """
-# The latest automatic pass over a frame: all proposals with their traces, and the objects that were lost, as JSON.
+# What the latest automatic pass over a frame has found, also where a reviewed label covers it, as JSON: lists of the id
+# of the class, the score, and the box in the frame of the cloud.
 _PASSES = """
 CREATE TABLE passes (
     frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
     event_id INTEGER NOT NULL REFERENCES events (id),
-    run_id INTEGER REFERENCES runs (id),
     content PACKED_TEXT NOT NULL
 )
 """

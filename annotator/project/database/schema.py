@@ -19,7 +19,7 @@ audit: who, when, in which action, from which source, at which revision of the f
 So undo is generic: where the present columns equal `after`, put `before`. And the audit, replayed from its beginning,
 gives these tables. Labels and boxes of a removed recording have `hidden` set. Queries read the views `shown_...`, which
 leave them and the boxes behind others out, and give classes by name. The other tables (recordings, runs, results,
-models, the traces of the latest pass over a frame) have no undo.
+models, what the latest pass over a frame has found) have no undo.
 """
 
 from __future__ import annotations

@@ -116,7 +116,6 @@ class Batch:
                     frame_id,
                     proposals,
                     context,
-                    lost=result.lost,
                     run=share,
                     track_ids=tracks,
                     box_kind=self.box_kind,

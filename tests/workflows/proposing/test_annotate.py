@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,9 +14,10 @@ import pytest
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext
+from annotator.project.proposals import Proposals, Replaced
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
-from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, Proposal, ReviewState, Source
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.detectors import Detectors
@@ -251,7 +253,16 @@ def test_frames_without_proposals_are_counted(people: Project, knowing: Knowing)
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
-def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:
+def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warm, replace = dict[int, int](), Proposals.replace
+
+    def counted(self: Proposals, frame_id: int, proposals: Sequence[Proposal], *args: Any, **options: Any) -> Replaced:
+        warm[frame_id] = sum("warm start" in repr(each.trace) for each in proposals)
+        return replace(self, frame_id, proposals, *args, **options)
+
+    monkeypatch.setattr(Proposals, "replace", counted)
     recording = open_recording(people.recordings.all()[0].path)
     truths = load_truth(recording, 0, recording.frame(0))
     first, second = people.frames.of()[:2]
@@ -260,10 +271,7 @@ def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people:
     told = {}
     for from_reviewed in (False, True, True):
         done = annotate_with(people, engine, FAST, limit=2, from_reviewed=from_reviewed)
-        told[from_reviewed] = [
-            sum("warm start" in repr(o.proposal.trace) for o in people.proposals.latest(frame.id).objects)
-            for frame in (first, second)
-        ]
+        told[from_reviewed] = [warm[frame.id] for frame in (first, second)]
         assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "processed again once, and then skipped"
     assert told[False] == [0, 0]
     assert told[True][0] == 0 and told[True][1] > 0
