@@ -385,16 +385,15 @@ class _Part:
         """Refuses to put back a row that somebody has changed since."""
         for row in self.rows:
             present = read_row(self.connection, row.table, row.key)
-            if not self._is_as_left(row, present):
+            if present is None or row.after is None:
+                is_left = present is row.after
+            else:
+                allowed = self._allowed(row, row.after, present, note=False)
+                seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
+                is_left = all(seen[name] == allowed[name] for name in row.after if name != "id")
+            if not is_left:
                 author, when = self._last_change(row)
                 raise HistoryError(f"{self._name(row)} was changed by {author} since{when}")
-
-    def _is_as_left(self, row: RowChange, present: Row | None) -> bool:
-        if row.after is None or present is None:
-            return row.after is present
-        allowed = self._allowed(row, row.after, present, note=False)
-        seen = self._allowed(row, {name: present[name] for name in row.after}, present, note=False)
-        return all(seen[name] == allowed[name] for name in row.after if name != "id")
 
     def _classes(self, rows: Sequence[RowChange]) -> set[str]:
         """The classes that rows need which were put back."""
@@ -406,32 +405,26 @@ class _Part:
                 used |= {box.label for box in self._terms.boxes_2d(before["boxes"])}
         return used
 
-    def _label_of(self, row: RowChange, state: Row) -> str:
-        """The class of a label in a state of it."""
-        known = state if "class_id" in state else read_row(self.connection, "labels", row.key)
-        return "" if known is None else self._terms.names[known["class_id"]]
-
-    def _allowed(self, row: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
+    def _allowed(self, change: RowChange, state: Row, present: Row | None, *, note: bool = True) -> Row:
         """A state with such values only as the project allows now."""
-        attributes, allowed = self._terms.attributes, dict(state)
-        if row.table == "frames" and "attributes" in state:
-            of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
+        terms, allowed = self._terms, dict(state)
+        if change.table == "frames" and "attributes" in state:
+            of_frames = [each for each in terms.attributes if each.of is AttributeOf.FRAME]
             values = self._fitting(of_frames, values_of(state["attributes"]), note)
             allowed["attributes"] = values_json(values) if values else None
-        if row.table == "labels" and "attributes" in state:
-            of_label = self._terms.attributes_of(self._label_of(row, state))
+        if change.table == "labels" and "attributes" in state:
+            of_label = terms.attributes_of(terms.names[(state if present is None else present | state)["class_id"]])
             allowed["attributes"] = values_json(self._fitting(of_label, values_of(state["attributes"]), note))
-        image_box = box_2d_of(state.get("image_box"), self._terms.key)
-        if image_box is not None and image_box.label not in self._terms.classes:
+        image_box = box_2d_of(state.get("image_box"), terms.key)
+        if image_box is not None and image_box.label not in terms.classes:
             allowed["image_box"] = None
-        if row.table == "labels" and state.get("said") is not None:
-            said = self._terms.said(state["said"], None)
-            if said.label not in self._terms.classes:
+        if change.table == "labels" and state.get("said") is not None:
+            said = terms.said(state["said"], None)
+            if said.label not in terms.classes:
                 return allowed | {"said": None, "of_source": None}
-            of_label = self._terms.attributes_of(said.label)
-            allowed["said"] = said_with(
-                state["said"], *(self._fitting(of_label, values, note) for values in (said.attributes, said.given))
-            )
+            of_label = terms.attributes_of(said.label)
+            own, given = (self._fitting(of_label, values, note) for values in (said.attributes, said.given))
+            allowed["said"] = said_with(state["said"], own, given)
         return allowed
 
     def _fitting(
