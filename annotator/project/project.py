@@ -25,7 +25,6 @@ from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
     CONFIG_FILE,
     ProjectConfig,
-    ProjectFile,
     ProjectSettings,
     mark_in_use,
     new_config,
@@ -52,10 +51,9 @@ AUTHOR = "annotator"
 
 @dataclass(frozen=True)
 class ListedProject:
-    """One entry of a projects folder: its settings, or why it cannot be opened."""
+    """One entry of a projects folder; `problem`: why it cannot be opened."""
 
     path: Path
-    config: ProjectFile | None
     problem: str | None
 
 
@@ -234,6 +232,7 @@ def _looks_like_project(path: Path) -> bool:
 
 def _listed(path: Path) -> ListedProject:
     try:
-        return ListedProject(path, read_config(path), None)
+        read_config(path)
+        return ListedProject(path, None)
     except ProjectError as error:
-        return ListedProject(path, None, str(error))
+        return ListedProject(path, str(error))

@@ -105,11 +105,7 @@ def _set_boxes(write: Write, payload: ImageBoxesSet | ViewBoxesSet, table: str, 
         "count": len(payload.boxes),
         "source": write.context.source.value,
     }
-    write.put(table, next(iter(place.values())), _in_order(table, place | row | write.author))
-
-
-def _in_order(table: str, row: Row) -> Row:
-    return {name: row[name] for name in columns_of(table)}
+    write.put(table, next(iter(place.values())), place | row | write.author)
 
 
 def new_label(write: Write, uid: str, label: str, **values: Any) -> Row:
