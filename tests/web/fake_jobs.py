@@ -13,6 +13,7 @@ from annotator.web.jobs.records import (
     JobContext,
     Outcome,
     ProposeRequest,
+    TrainRequest,
 )
 from annotator.web.jobs.worker import AUTOGROUP
 
@@ -46,3 +47,12 @@ def work(job: JobContext, request: ProposeRequest | ImportRequest) -> Outcome:
     group = AUTOGROUP.read_text().split() if os.access(AUTOGROUP, os.W_OK) else []
     priority = {"nice": os.nice(0), "group": int(group[-1]) if group else None, "omp": os.environ["OMP_WAIT_POLICY"]}
     return Outcome("counted to 2", priority)
+
+
+def train(job: JobContext, request: TrainRequest) -> Outcome:
+    """Reports progress until it is stopped."""
+    job.measured(CurvePoint(role="view", epoch=1, metrics={"map50": 0.5}))
+    for number in range(100_000):
+        job.progress("learn", float(number), 100_000.0)
+        time.sleep(0.01)
+    return Outcome("learned", {})
