@@ -20,7 +20,7 @@ import numpy as np
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, Project, RunShare, WriteContext, create_project, open_project
-from annotator.project.changes import LabelAccepted, LabelEdited, Payload, ProposalsReplaced
+from annotator.project.changes import LabelAccepted, LabelEdited, NewLabel, Payload, ProposalsReplaced
 from annotator.project.jobs import record_result
 from annotator.project.log import Writer
 from annotator.project.records import BoxRecord
