@@ -175,6 +175,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
     if request.add_attributes:
         add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
+    action = new_action()
     done = import_image_boxes(
         project,
         upload.path,
@@ -182,14 +183,14 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         recording,
         upload.format,
         request.names,
-        Importer(job.operator, new_action()),
+        Importer(job.operator, action),
         job.counter("store the 2D boxes"),
     )
     outcome = _imported(done)
     if view is not None:
         job.progress(LIFT_STAGE)
         lifted = _proposed(
-            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE), job.operator),
+            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE), job.operator, action),
             f", measured by: {view.title}",
         )
         outcome = Outcome(f"{outcome.message}; {lifted.message}", outcome.result | lifted.result)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.formats.table import FlatFormat
-from annotator.project import Project
+from annotator.project import Project, new_action
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -179,6 +179,7 @@ def lift(
     config: RcvConfig,
     progress: Progress | None = None,
     author: str = AUTHOR,
+    action: str | None = None,
 ) -> AnnotateSummary:
     """Proposes 3D boxes for the objects in 2D boxes; unreviewed proposals of the same frames are replaced. One action.
 
@@ -187,6 +188,7 @@ def lift(
     Args:
         view: the project's view detector or the base detector.
         author: who can undo it.
+        action: id of an action (`new_action`) that it is a part of; None = one of its own.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
@@ -202,7 +204,7 @@ def lift(
     run = project.jobs.start(
         image_detector=fingerprint, view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
-    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind, author)
+    batch = Batch(project, run, AnnotateSummary(frames=len(frames)), config.box_kind, author, action or new_action())
     source = FrameSource(project)
     for done, stored in enumerate(frames, start=1):
         started = time.perf_counter()
