@@ -255,6 +255,7 @@ class History:
                             f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
                             f"{error}; nothing was changed; both versions are in the log",
                             frame_id=next((frame_id for frame_id in parts if frame_id not in away | {None}), None),
+                            can_skip=True,
                         ) from error
                     continue
                 if receipts:

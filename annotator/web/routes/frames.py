@@ -220,9 +220,11 @@ def _step(at: InProject, body: StepIn, method: Callable[..., Reverted]) -> StepO
     try:
         reverted = method(project.history, operator, skip=body.skip, effort=body.stored_effort())
     except HistoryError as error:
-        if error.frame_id is None:
+        if not error.can_skip:
             raise
-        present = InFrame(ctx, at.name, operator, error.frame_id).state().model_dump(mode="json")
+        present = None  # of a change of the classes
+        if error.frame_id is not None:
+            present = InFrame(ctx, at.name, operator, error.frame_id).state().model_dump(mode="json")
         answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
         raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
